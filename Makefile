@@ -1,0 +1,50 @@
+# Two commands for everybody: `make demo`, `make test`. One for whoever changes the code: `make check`.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+DEMO_OUT := build/demo
+WARNINGS := -std=c99 -Wall -Wextra -Wconversion -Wfloat-equal -Wdouble-promotion -Werror -ffp-contract=off
+C_SOURCES := $(wildcard piezoid/*/*.c)
+C_FILES := $(C_SOURCES) $(wildcard piezoid/*/*.h)
+
+.PHONY: demo test check format benchmark clean
+
+demo: $(READY)
+	$(BIN)/python -m piezoid_cli.demo $(DEMO_OUT)
+
+test: $(READY)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -q
+
+check: $(READY) build/names
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
+	for source in $(C_SOURCES); do $(CC) $(WARNINGS) -fsyntax-only $$source || exit 1; done
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/clang-format -i $(C_FILES)
+
+benchmark: $(READY)
+	$(BIN)/python -m pytest benchmarks -q --benchmark-columns=min,median,rounds
+
+# The environment: exactly the versions of constraints.txt, for the build as well.
+$(READY): pyproject.toml constraints.txt $(C_FILES)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[io,batch,dev]'
+	touch $@
+
+# mypy reads folders, not import hooks: give it the installed names as links.
+build/names: pyproject.toml
+	mkdir -p $@
+	for name in piezoid:piezoid cli:piezoid_cli datasets:piezoid_datasets reports:piezoid_reports; do \
+	  ln -sfn "$(CURDIR)/$${name%%:*}" "$@/$${name##*:}"; done
+	touch $@
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info

@@ -1,0 +1,1 @@
+"""The terminal face: one file per verb; nothing heavy is imported before a verb needs it."""

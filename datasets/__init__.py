@@ -1,0 +1,1 @@
+"""Bundled recordings with their manifest, and the laboratory that made them."""

@@ -1,0 +1,95 @@
+"""Every exception of the house.
+
+    PiezoidError
+    +-- RecordingError            the data cannot carry the question
+    |   +-- UnreadableFileError       file, line, column
+    |   +-- UnitError                 a column without a known unit or meaning
+    |   +-- ExcitationError           too few reversals, too small a range or band
+    +-- LabFileError              lab.toml says something we cannot use
+    +-- IdentificationError       the fit has no usable answer
+    |   +-- InfeasibleFitError        the constraints contradict each other
+    |   +-- NotInvertibleError        weights leave the invertible region
+    +-- DesignError               no controller meets the specification
+    |   +-- UnstableLoopError
+    |   +-- TemplateError             which template, at which frequency, by how much
+    +-- ParameterFileError        wrong schema, failed digest, unknown name
+    +-- RuntimeLibraryError       compiled library missing or of another layout
+
+A verdict is data; an error is an exception. Every message has three parts: what was found, what
+was needed, what to do next. Wrong types from programmers raise Python's own errors.
+"""
+
+
+class PiezoidError(Exception):
+    """An answer piezoid cannot give, said in three parts.
+
+    found    str  what was found, with its number, unit and place
+    needed   str  what was needed instead
+    remedy   str  what to do next, a whole sentence
+    numbers  the values behind the message, for whoever catches it
+    """
+
+    exit_status = 3
+
+    def __init__(self, found: str, *, needed: str, remedy: str, **numbers: object) -> None:
+        super().__init__(f"{found}; {needed}. {remedy}")
+        self.found = found
+        self.needed = needed
+        self.remedy = remedy
+        self.numbers = numbers
+
+
+class RecordingError(PiezoidError):
+    """The data cannot carry the question."""
+
+
+class UnreadableFileError(RecordingError):
+    """A file is missing, damaged or of no known format."""
+
+
+class UnitError(RecordingError):
+    """A column has no unit, axis or meaning that can be known without guessing."""
+
+
+class ExcitationError(RecordingError):
+    """The recording does not excite what is to be identified."""
+
+
+class LabFileError(PiezoidError):
+    """lab.toml says something that cannot be used."""
+
+
+class IdentificationError(PiezoidError):
+    """The fit has no usable answer."""
+
+    exit_status = 4
+
+
+class InfeasibleFitError(IdentificationError):
+    """The constraints of a fit contradict each other."""
+
+
+class NotInvertibleError(IdentificationError):
+    """Weights leave the region in which the model has an inverse."""
+
+
+class DesignError(PiezoidError):
+    """No controller meets the specification."""
+
+    exit_status = 4
+
+
+class UnstableLoopError(DesignError):
+    """A closed loop has a pole on or outside the unit circle."""
+
+
+class TemplateError(DesignError):
+    """A sensitivity function leaves its template."""
+
+
+class ParameterFileError(PiezoidError):
+    """A file of ours is of another schema, changed, or incomplete."""
+
+
+class RuntimeLibraryError(PiezoidError):
+    """The compiled library is missing or of another layout."""

@@ -1,0 +1,1 @@
+"""Recordings in, an ActuatorModel out. Start at model.py, then hysteresis.py."""

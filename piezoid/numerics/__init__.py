@@ -1,0 +1,1 @@
+"""Ground floor: arrays, small convex problems, filters. No piezo, no units. Start at arrays.py."""

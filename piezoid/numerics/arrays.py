@@ -1,0 +1,46 @@
+"""What a record does to an array before it trusts it: copy, check, freeze."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
+    """Return a read-only, C-contiguous float64 copy of finite values.
+
+    values  anything array-like
+    name    the field it becomes, for the message
+    ndim    the number of axes it must have
+
+    Raises ``ValueError`` naming the first value that is not finite.
+    """
+    array = np.array(values, dtype=np.float64, order="C", copy=True)
+    if array.ndim != ndim:
+        raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
+    if not np.isfinite(array).all():
+        place = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
+        raise ValueError(f"{name}[{place}] is {array.ravel()[place]}, expected finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def same_length(named: Sequence[tuple[str, Array]]) -> None:
+    """Raise ``ValueError`` unless all named arrays have as many rows as the first."""
+    first, reference = named[0]
+    for name, array in named[1:]:
+        if len(array) != len(reference):
+            raise ValueError(f"{name} has {len(array)} values, {first} has {len(reference)}")
+
+
+def strictly_increasing(array: Array, name: str) -> None:
+    """Raise ``ValueError`` naming the first place where ``array`` does not increase."""
+    steps = np.diff(array)
+    if not (steps > 0).all():
+        place = int(np.flatnonzero(steps <= 0)[0])
+        raise ValueError(
+            f"{name} does not increase: [{place}] = {array[place]}, [{place + 1}] = "
+            f"{array[place + 1]}"
+        )

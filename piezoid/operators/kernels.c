@@ -1,0 +1,196 @@
+#include "kernels.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Samples of a tile: small enough that tile and state stay in the first cache. */
+#define TILE 32
+/* Plays handled together; a longer bank is processed in groups. */
+#define GROUP 32
+
+static inline double clamp(double value, double low, double high) {
+    const double raised = value > low ? value : low;
+    return raised < high ? raised : high;
+}
+
+/* One tile of one group, row-major, so that the plays of a sample fill the vector lanes. */
+static void tile_of_plays(size_t samples, const double *input_V, size_t plays,
+                          const double *threshold_V, double *state_V, double *tile) {
+    for (size_t k = 0; k < samples; ++k) {
+        const double u = input_V[k];
+        double *row = tile + k * GROUP;
+        for (size_t i = 0; i < plays; ++i) {
+            const double z = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);
+            state_V[i] = z;
+            row[i] = z;
+        }
+    }
+}
+
+static void transpose(size_t samples, size_t plays, const double *tile, size_t stride,
+                      double *column) {
+    for (size_t i = 0; i < plays; ++i) {
+        for (size_t k = 0; k < samples; ++k) {
+            column[i * stride + k] = tile[k * GROUP + i];
+        }
+    }
+}
+
+void pk_play_columns(size_t samples, const double *input_V, size_t plays,
+                     const double *threshold_V, double *state_V, size_t stride, double *column_V) {
+    double tile[TILE * GROUP];
+    for (size_t first = 0; first < plays; first += GROUP) {
+        const size_t group = plays - first < GROUP ? plays - first : GROUP;
+        double state[GROUP];
+        memcpy(state, state_V + first, group * sizeof(double));
+        for (size_t start = 0; start < samples; start += TILE) {
+            const size_t count = samples - start < TILE ? samples - start : TILE;
+            tile_of_plays(count, input_V + start, group, threshold_V + first, state, tile);
+            transpose(count, group, tile, stride, column_V + first * stride + start);
+        }
+        memcpy(state_V + first, state, group * sizeof(double));
+    }
+}
+
+void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
+                      const double *threshold_V, double *state_V, double *slope, double *alive,
+                      size_t stride, double *column_V, double *slope_column,
+                      double *alive_column) {
+    double tile_z[TILE * GROUP];
+    double tile_s[TILE * GROUP];
+    double tile_a[TILE * GROUP];
+    for (size_t first = 0; first < plays; first += GROUP) {
+        const size_t group = plays - first < GROUP ? plays - first : GROUP;
+        const double *r = threshold_V + first;
+        double *z = state_V + first;
+        double *s = slope + first;
+        double *a = alive + first;
+        for (size_t start = 0; start < samples; start += TILE) {
+            const size_t count = samples - start < TILE ? samples - start : TILE;
+            for (size_t k = 0; k < count; ++k) {
+                const double u = input_V[start + k];
+                for (size_t i = 0; i < group; ++i) {
+                    const double low = u - r[i];
+                    const double high = u + r[i];
+                    const int below = z[i] < low;
+                    const int above = z[i] > high;
+                    s[i] = below ? -1.0 : (above ? 1.0 : s[i]);
+                    a[i] = below || above ? 0.0 : a[i];
+                    z[i] = below ? low : (above ? high : z[i]);
+                    tile_z[k * GROUP + i] = z[i];
+                    tile_s[k * GROUP + i] = s[i];
+                    tile_a[k * GROUP + i] = a[i];
+                }
+            }
+            const size_t place = first * stride + start;
+            transpose(count, group, tile_z, stride, column_V + place);
+            transpose(count, group, tile_s, stride, slope_column + place);
+            transpose(count, group, tile_a, stride, alive_column + place);
+        }
+    }
+}
+
+void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
+                 const double *weight, double *state_V, double *output) {
+    for (size_t k = 0; k < samples; ++k) {
+        const double u = input_V[k];
+        double sum = 0.0;
+        for (size_t i = 0; i < plays; ++i) {
+            state_V[i] = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);
+            sum += weight[i] * state_V[i];
+        }
+        output[k] = sum;
+    }
+}
+
+static double piecewise(double x, size_t knots, const double *knot, const double *slope,
+                        size_t zero, double *local) {
+    double y = 0.0;
+    size_t segment;
+    if (x >= 0.0) {
+        segment = zero + 1;
+        double from = 0.0;
+        while (segment < knots && x > knot[segment]) {
+            y += slope[segment] * (knot[segment] - from);
+            from = knot[segment];
+            ++segment;
+        }
+        y += slope[segment] * (x - from);
+    } else {
+        segment = zero;
+        double from = 0.0;
+        while (segment > 0 && x < knot[segment - 1]) {
+            y += slope[segment] * (knot[segment - 1] - from);
+            from = knot[segment - 1];
+            --segment;
+        }
+        y += slope[segment] * (x - from);
+    }
+    *local = slope[segment];
+    return y;
+}
+
+void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
+                         const double *slope, size_t zero, double *output, double *local) {
+    double at = 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        output[k] = piecewise(input[k], knots, knot, slope, zero, &at);
+        if (local != NULL) {
+            local[k] = at;
+        }
+    }
+}
+
+void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
+                               const double *threshold_V, const double *weight,
+                               const double *inverse_threshold, const double *inverse_weight,
+                               size_t knots, const double *knot, const double *slope, size_t zero,
+                               double minimum_V, double maximum_V, double lsb_V, int synchronise,
+                               double *state_V, double *inverse_state, double *applied_V) {
+    double unused = 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        const double q = piecewise(desired[k], knots, knot, slope, zero, &unused);
+        double u = 0.0;
+        for (size_t i = 0; i < plays; ++i) {
+            const double r = inverse_threshold[i];
+            inverse_state[i] = clamp(inverse_state[i], q - r, q + r);
+            u += inverse_weight[i] * inverse_state[i];
+        }
+        u = clamp(u, minimum_V, maximum_V);
+        if (lsb_V > 0.0) {
+            u = clamp(lsb_V * nearbyint(u / lsb_V), minimum_V, maximum_V);
+        }
+        applied_V[k] = u;
+        double total = 0.0;
+        for (size_t i = 0; i < plays; ++i) {
+            state_V[i] = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);
+            total += weight[i];
+        }
+        if (synchronise != 0) {
+            /* z'_i = W_i z_i + sum_{j>i} w_j z_j, from the last to the first. */
+            double tail = 0.0;
+            for (size_t i = plays; i-- > 0;) {
+                inverse_state[i] = total * state_V[i] + tail;
+                tail += weight[i] * state_V[i];
+                total -= weight[i];
+            }
+        }
+    }
+}
+
+void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
+                    double b0, double b1, double *previous_input, double *previous_output) {
+    for (size_t i = 0; i < columns; ++i) {
+        double *column = values + i * stride;
+        double x = previous_input[i];
+        double y = previous_output[i];
+        for (size_t k = 0; k < samples; ++k) {
+            const double next = column[k];
+            y = pole * y + b0 * next + b1 * x;
+            x = next;
+            column[k] = y;
+        }
+        previous_input[i] = x;
+        previous_output[i] = y;
+    }
+}

@@ -1,0 +1,66 @@
+/* The hot loops of the operators. Columns are column-major: column i starts at i * stride.
+ *
+ * Every function carries its state in the arrays it is given, so a recording may be processed in
+ * chunks of any length with the same result, bit for bit. Nothing is allocated, nothing is kept.
+ */
+#ifndef PIEZOID_KERNELS_H
+#define PIEZOID_KERNELS_H
+
+#include <stddef.h>
+
+/* Play states of a whole chunk, THEORY of Kuhnen's play: z = max(u - r, min(u + r, z)).
+ *   input_V      (samples,)
+ *   threshold_V  (plays,)            half-widths, >= 0
+ *   state_V      (plays,)            in: memory before the chunk; out: after it
+ *   column_V     (plays, stride)     out: the states after every sample
+ */
+void pk_play_columns(size_t samples, const double *input_V, size_t plays,
+                     const double *threshold_V, double *state_V, size_t stride, double *column_V);
+
+/* Play states with their tangents.
+ *   slope        (plays,)         in/out: dz/dr carried along, -1, 0 or +1 once moved
+ *   alive        (plays,)         in/out: dz/dz(0), 1 until the operator first moves, then 0
+ *   slope_column, alive_column    (plays, stride) out
+ */
+void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
+                      const double *threshold_V, double *state_V, double *slope, double *alive,
+                      size_t stride, double *column_V, double *slope_column, double *alive_column);
+
+/* Weighted sum of plays, without writing the columns: output[k] = sum_i weight[i] z_i[k]. */
+void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
+                 const double *weight, double *state_V, double *output);
+
+/* Continuous piecewise-linear map through the origin. Segments meet at knots; knot[zero] == 0.
+ *   knot    (knots,)      strictly increasing, contains 0 at index `zero`
+ *   slope   (knots + 1,)  slope below knot[0], between knots, above knot[knots - 1]
+ *   output  (samples,)    value; may alias input
+ *   local   (samples,)    slope at each sample, or NULL
+ */
+void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
+                         const double *slope, size_t zero, double *output, double *local);
+
+/* Online inverse of dead zones after plays with clipping, rounding and re-synchronised memory.
+ *   desired       (samples,)          output asked of the plant
+ *   plays, threshold_V, weight        the forward plays
+ *   inverse_threshold, inverse_weight the inverse plays
+ *   knots, knot, slope, zero          the INVERSE dead zones, as in pk_piecewise_linear
+ *   lsb_V                             converter step, 0: none
+ *   synchronise                       0: keep the inverse's own memory (shows why not to)
+ *   state_V, inverse_state (plays,)   in/out: forward and inverse memory
+ *   applied_V     (samples,)          out: what the converter really puts out
+ */
+void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
+                               const double *threshold_V, const double *weight,
+                               const double *inverse_threshold, const double *inverse_weight,
+                               size_t knots, const double *knot, const double *slope, size_t zero,
+                               double minimum_V, double maximum_V, double lsb_V, int synchronise,
+                               double *state_V, double *inverse_state, double *applied_V);
+
+/* First-order filters in place, one per column, all with the same coefficients:
+ *   y[k] = pole y[k-1] + b0 x[k] + b1 x[k-1]
+ *   previous_input, previous_output (columns,)  in/out
+ */
+void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
+                    double b0, double b1, double *previous_input, double *previous_output);
+
+#endif

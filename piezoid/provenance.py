@@ -1,0 +1,85 @@
+"""Digests: what a record or a file was made from, and whether it is still what was written.
+
+A sealed file is JSON text that carries the SHA-256 of its own bytes, computed with the digest's
+place filled by zeros. Any changed bit, white space included, breaks the seal.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from piezoid.errors import ParameterFileError
+
+_ZEROS = "0" * 64
+_DIGEST = re.compile(rb'"digest": "sha256:([0-9a-f]{64})"')
+
+
+def digest_of_bytes(content: bytes) -> str:
+    """Return ``sha256:`` and the hexadecimal digest of ``content``."""
+    return "sha256:" + hashlib.sha256(content).hexdigest()
+
+
+def digest_of_json(value: object) -> str:
+    """Return the digest of a JSON value's one canonical text."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return digest_of_bytes(text.encode())
+
+
+def seal(schema: str, content: Mapping[str, Any]) -> bytes:
+    """Write ``content`` as sealed JSON of the given schema, for example ``piezoid.model/1``.
+
+    Numbers are printed so that they come back exactly; NaN and infinity are refused by ``json``.
+    """
+    record = {"schema": schema, "digest": f"sha256:{_ZEROS}", **content}
+    text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    return text.replace(_ZEROS, digest, 1).encode()
+
+
+def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
+    """Read sealed JSON back, refusing another schema or a single changed bit.
+
+    content  bytes  the file
+    schema   str    what is expected, ``piezoid.<name>/<version>``
+    place    str    the file's name, for the message
+    """
+    match = _DIGEST.search(content)
+    if match is None:
+        raise ParameterFileError(
+            f"{place}: no digest found",
+            needed=f"a sealed file of schema {schema} carries one",
+            remedy="Write the file again with piezoid; it cannot be edited by hand.",
+        )
+    blank = content[: match.start(1)] + _ZEROS.encode() + content[match.end(1) :]
+    expected = hashlib.sha256(blank).hexdigest()
+    if expected != match.group(1).decode():
+        raise ParameterFileError(
+            f"{place}: the content's digest is {expected[:12]}..., the file says "
+            f"{match.group(1).decode()[:12]}...",
+            needed="the file must be byte for byte what piezoid wrote",
+            remedy="Take the original, or write it again from the recordings.",
+        )
+    return _of_schema(json.loads(content), schema, place)
+
+
+def _of_schema(record: Any, schema: str, place: str) -> dict[str, Any]:
+    found = record.get("schema") if isinstance(record, dict) else None
+    if found != schema:
+        raise ParameterFileError(
+            f"{place}: the schema is {found!r}",
+            needed=f"this version of piezoid reads {schema!r}",
+            remedy="Write the file again from the recordings with this version.",
+        )
+    return dict(record)
+
+
+def digest_of_file(path: Path) -> str:
+    """Return the digest of a file's bytes, read in pieces."""
+    hasher = hashlib.sha256()
+    with path.open("rb") as stream:
+        while piece := stream.read(1 << 20):
+            hasher.update(piece)
+    return "sha256:" + hasher.hexdigest()

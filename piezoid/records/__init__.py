@@ -1,0 +1,1 @@
+"""Recordings: what was measured, read from what laboratories write. Start at recording.py."""

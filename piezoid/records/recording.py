@@ -1,0 +1,141 @@
+"""Recording: one uninterrupted acquisition, several channels of several axes, in SI units."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array, frozen, same_length
+
+
+class Quantity(Enum):
+    """What a channel measures; the value is the SI unit its samples are in."""
+
+    VOLTAGE = "V"
+    DISPLACEMENT = "m"
+    CURRENT = "A"
+    TEMPERATURE = "K"
+    HUMIDITY = "1"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Channel:
+    """One column of a recording.
+
+    quantity  what it measures; decides the unit of the samples
+    axis      the axis it belongs to, ``x`` where the file names none
+    values    (samples,)  SI units, finite, read-only
+    label     the column's own name, for messages and the report
+    """
+
+    quantity: Quantity
+    axis: str
+    values: Array
+    label: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", frozen(self.values, self.label))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Something wrong with a file that does not stop it from being read.
+
+    kind   a short name: ``gap``, ``duplicate_time``, ``jitter``, ``dead``, ``saturated``, ...
+    place  where: a column, a line, a time
+    text   one sentence with the number and its unit
+    """
+
+    kind: str
+    place: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """One uninterrupted acquisition on a uniform clock.
+
+    name              the file's name without its folder
+    digest            of the file's bytes
+    axis              the axis this recording is about
+    sampling_rate_Hz  > 0
+    channels          at least one; all of the same length; one per quantity and axis
+    breaks            (count,)  first sample after each gap in time, increasing; memory of what
+                      happened inside a gap is lost there
+    problems          what was odd about the file, in the order of its columns
+
+    A recording holds no NaN: rows that had one were cut at the ends or are behind a break.
+    """
+
+    name: str
+    digest: str
+    axis: str
+    sampling_rate_Hz: float
+    channels: tuple[Channel, ...]
+    breaks: tuple[int, ...] = ()
+    problems: tuple[Problem, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.sampling_rate_Hz) and self.sampling_rate_Hz > 0):
+            raise ValueError(f"{self.name}: sampling_rate_Hz is {self.sampling_rate_Hz}")
+        if not self.channels:
+            raise ValueError(f"{self.name}: no channels")
+        same_length([(channel.label, channel.values) for channel in self.channels])
+        keys = [(channel.quantity, channel.axis) for channel in self.channels]
+        if len(set(keys)) != len(keys):
+            raise ValueError(f"{self.name}: two channels of the same quantity and axis")
+        if any(not 0 < b < self.samples for b in self.breaks):
+            raise ValueError(f"{self.name}: breaks {self.breaks} outside the recording")
+
+    @property
+    def samples(self) -> int:
+        """Number of samples of every channel."""
+        return len(self.channels[0].values)
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last."""
+        return (self.samples - 1) / self.sampling_rate_Hz
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of all axes any channel belongs to, sorted."""
+        return tuple(sorted({channel.axis for channel in self.channels}))
+
+    @property
+    def pieces(self) -> tuple[slice, ...]:
+        """The parts between breaks: inside each, memory carries from sample to sample."""
+        edges = (0, *self.breaks, self.samples)
+        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+
+    def find(self, quantity: Quantity, axis: str) -> Channel | None:
+        """Return the channel of this quantity and axis, or None."""
+        for channel in self.channels:
+            if channel.quantity is quantity and channel.axis == axis:
+                return channel
+        return None
+
+    def voltage_V(self, axis: str | None = None) -> Array:
+        """Return the drive voltage of an axis (default: the recording's own), or refuse."""
+        return self._values(Quantity.VOLTAGE, axis)
+
+    def displacement_m(self, axis: str | None = None) -> Array:
+        """Return the measured displacement of an axis (default: the recording's own)."""
+        return self._values(Quantity.DISPLACEMENT, axis)
+
+    def tunnel_current_A(self, axis: str | None = None) -> Array:
+        """Return the tunnelling current of an axis (default: the recording's own)."""
+        return self._values(Quantity.CURRENT, axis)
+
+    def _values(self, quantity: Quantity, axis: str | None) -> Array:
+        wanted = self.axis if axis is None else axis
+        channel = self.find(quantity, wanted)
+        if channel is None:
+            held = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
+            raise RecordingError(
+                f"{self.name}: no {quantity.name.lower()} of axis {wanted!r}, only {held}",
+                needed=f"a column with the {quantity.name.lower()} of that axis",
+                remedy="Name the column in lab.toml, or leave this recording out.",
+            )
+        return channel.values

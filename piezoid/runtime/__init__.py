@@ -1,0 +1,1 @@
+"""The shipped controller: one C source, simulated and shipped. Start at piezoid_runtime.h."""
