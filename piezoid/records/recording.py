@@ -1,5 +1,6 @@
 """Recording: one uninterrupted acquisition, several channels of several axes, in SI units."""
 
+import itertools
 from dataclasses import dataclass
 from enum import Enum
 
@@ -107,7 +108,7 @@ class Recording:
     def pieces(self) -> tuple[slice, ...]:
         """The parts between breaks: inside each, memory carries from sample to sample."""
         edges = (0, *self.breaks, self.samples)
-        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
 
     def find(self, quantity: Quantity, axis: str) -> Channel | None:
         """Return the channel of this quantity and axis, or None."""

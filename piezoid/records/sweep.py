@@ -1,5 +1,6 @@
 """Sweep: the drive and response of one axis, cut into branches at the reversals of the drive."""
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ class Sweep:
     def branches(self) -> tuple[slice, ...]:
         """The monotone runs between reversals, each with both of its end points."""
         edges = (0, *self.reversals, len(self.voltage_V) - 1)
-        return tuple(slice(a, b + 1) for a, b in zip(edges[:-1], edges[1:], strict=True) if b > a)
+        return tuple(slice(a, b + 1) for a, b in itertools.pairwise(edges) if b > a)
 
 
 def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
