@@ -145,8 +145,9 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
                                const double *threshold_V, const double *weight,
                                const double *inverse_threshold, const double *inverse_weight,
                                size_t knots, const double *knot, const double *slope, size_t zero,
-                               double minimum_V, double maximum_V, double lsb_V, int synchronise,
-                               double *state_V, double *inverse_state, double *applied_V) {
+                               double offset_V, double minimum_V, double maximum_V, double lsb_V,
+                               int synchronise, double *state_V, double *inverse_state,
+                               double *applied_V) {
     double unused = 0.0;
     for (size_t k = 0; k < samples; ++k) {
         const double q = piecewise(desired[k], knots, knot, slope, zero, &unused);
@@ -156,11 +157,12 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
             inverse_state[i] = clamp(inverse_state[i], q - r, q + r);
             u += inverse_weight[i] * inverse_state[i];
         }
-        u = clamp(u, minimum_V, maximum_V);
+        double volts = clamp(u + offset_V, minimum_V, maximum_V);
         if (lsb_V > 0.0) {
-            u = clamp(lsb_V * nearbyint(u / lsb_V), minimum_V, maximum_V);
+            volts = clamp(lsb_V * nearbyint(volts / lsb_V), minimum_V, maximum_V);
         }
-        applied_V[k] = u;
+        applied_V[k] = volts;
+        u = volts - offset_V;
         double total = 0.0;
         for (size_t i = 0; i < plays; ++i) {
             state_V[i] = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);

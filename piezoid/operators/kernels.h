@@ -8,7 +8,7 @@
 
 #include <stddef.h>
 
-/* Play states of a whole chunk, THEORY of Kuhnen's play: z = max(u - r, min(u + r, z)).
+/* Play states of a whole chunk: z = max(u - r, min(u + r, z)).
  *   input_V      (samples,)
  *   threshold_V  (plays,)            half-widths, >= 0
  *   state_V      (plays,)            in: memory before the chunk; out: after it
@@ -44,7 +44,8 @@ void pk_piecewise_linear(size_t samples, const double *input, size_t knots, cons
  *   plays, threshold_V, weight        the forward plays
  *   inverse_threshold, inverse_weight the inverse plays
  *   knots, knot, slope, zero          the INVERSE dead zones, as in pk_piecewise_linear
- *   lsb_V                             converter step, 0: none
+ *   offset_V                          the plays see the applied voltage less this
+ *   minimum_V, maximum_V, lsb_V       converter: limits and step (0: none) of the applied voltage
  *   synchronise                       0: keep the inverse's own memory (shows why not to)
  *   state_V, inverse_state (plays,)   in/out: forward and inverse memory
  *   applied_V     (samples,)          out: what the converter really puts out
@@ -53,8 +54,9 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
                                const double *threshold_V, const double *weight,
                                const double *inverse_threshold, const double *inverse_weight,
                                size_t knots, const double *knot, const double *slope, size_t zero,
-                               double minimum_V, double maximum_V, double lsb_V, int synchronise,
-                               double *state_V, double *inverse_state, double *applied_V);
+                               double offset_V, double minimum_V, double maximum_V, double lsb_V,
+                               int synchronise, double *state_V, double *inverse_state,
+                               double *applied_V);
 
 /* First-order filters in place, one per column, all with the same coefficients:
  *   y[k] = pole y[k-1] + b0 x[k] + b1 x[k-1]

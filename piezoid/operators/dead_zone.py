@@ -1,0 +1,115 @@
+"""One-sided dead zones: the memoryless part of the modified model, and its exact inverse."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import NotInvertibleError
+from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.operators.library import KERNELS, address, contiguous
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DeadZones:
+    """A superposition of one-sided dead zones: continuous, piecewise linear, 0 at 0.
+
+        s_r(h) = max(h - r, 0) if r > 0; min(h - r, 0) if r < 0; h if r = 0
+        Psi(h) = sum_j w_j s_(r_j)(h)                                     [Kuhnen 2003]
+
+    r  threshold  (zones,)  unit of h, strictly increasing, containing 0
+    w  weight     (zones,)  output per unit of h; the one at r = 0 is the slope at the origin
+
+    Kuhnen calls the map S; it is Psi here because S is a polynomial and a sensitivity elsewhere.
+    """
+
+    threshold: Array
+    weight: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "threshold", frozen(self.threshold, "threshold"))
+        object.__setattr__(self, "weight", frozen(self.weight, "weight"))
+        same_length([("threshold", self.threshold), ("weight", self.weight)])
+        strictly_increasing(self.threshold, "threshold")
+        if 0.0 not in self.threshold:
+            raise ValueError("threshold has no 0: the central dead zone is missing")
+
+    @property
+    def zero(self) -> int:
+        """Index of the central dead zone, r = 0."""
+        return int(np.flatnonzero(self.threshold == 0.0)[0])
+
+    @property
+    def slope(self) -> Array:
+        """Slopes below, between and above the thresholds, (zones + 1,)."""
+        above = np.cumsum(self.weight[self.zero :])
+        below = np.cumsum(self.weight[self.zero :: -1])[::-1]
+        return np.concatenate([below, above])
+
+    @property
+    def is_invertible(self) -> bool:
+        """Whether every slope is positive."""
+        return bool((self.slope > 0).all())
+
+    def run(self, h: Array) -> Array:
+        """Return Psi(h), sample by sample."""
+        return self.run_with_slope(h)[0]
+
+    def run_with_slope(self, h: Array) -> tuple[Array, Array]:
+        """Return Psi(h) and the local slope Psi'(h), both (samples,)."""
+        source = contiguous(h)
+        output, local = np.empty_like(source), np.empty_like(source)
+        KERNELS.pk_piecewise_linear(
+            len(source),
+            address(source),
+            len(self.threshold),
+            address(self.threshold),
+            address(contiguous(self.slope)),
+            self.zero,
+            address(output),
+            address(local),
+        )
+        return output, local
+
+    def columns(self, h: Array) -> Array:
+        """Return s_r(h) for every threshold, (samples, zones), column-major."""
+        columns = np.empty((len(h), len(self.threshold)), order="F")
+        for j, r in enumerate(self.threshold):
+            column = np.subtract(h, r, out=columns[:, j])
+            if r > 0:
+                np.maximum(column, 0.0, out=column)
+            elif r < 0:
+                np.minimum(column, 0.0, out=column)
+        return columns
+
+    def inverse(self) -> "DeadZones":
+        """Return Psi^-1, again a superposition of dead zones.
+
+            r'_j = Psi(r_j);  w'_0 = 1 / w_0;  w'_j = 1 / slope_j - 1 / slope_(j-1)
+
+        Raises ``NotInvertibleError`` where a slope is not positive.
+        """
+        slope = self.slope
+        if not self.is_invertible:
+            raise NotInvertibleError(
+                f"a slope of the dead-zone superposition is {slope.min():.6g}",
+                needed="all slopes must be positive for an inverse",
+                remedy="Refit with the slopes bounded away from zero.",
+            )
+        return from_slopes(self.run(self.threshold), 1.0 / slope)
+
+
+def from_slopes(threshold: Array, slope: Array) -> DeadZones:
+    """Build the superposition that has these slopes between these thresholds.
+
+    threshold  (zones,)      strictly increasing, containing 0
+    slope      (zones + 1,)  the two slopes that meet at 0 must be equal
+    """
+    zero = int(np.flatnonzero(threshold == 0.0)[0])
+    weight = np.empty_like(threshold)
+    weight[zero + 1 :] = np.diff(slope[zero + 1 :])
+    weight[:zero] = -np.diff(slope[: zero + 1])
+    weight[zero] = slope[zero]
+    return DeadZones(threshold=threshold, weight=weight)
+
+
+LINEAR = DeadZones(threshold=np.zeros(1), weight=np.ones(1))

@@ -1,0 +1,61 @@
+"""The compiled kernels, seen from Python: opened once, each function with its argument types."""
+
+import ctypes
+from importlib.util import find_spec
+
+import numpy as np
+
+from piezoid.errors import RuntimeLibraryError
+from piezoid.numerics.arrays import Array
+
+_SIZE = ctypes.c_size_t
+_DOUBLE = ctypes.c_double
+_INT = ctypes.c_int
+_POINTER = ctypes.c_void_p
+
+_SIGNATURES: dict[str, tuple[type, ...]] = {
+    "pk_play_columns": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, _POINTER),
+    "pk_play_tangents": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, *[_POINTER] * 3),
+    "pk_play_sum": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
+    "pk_piecewise_linear": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, *[_POINTER] * 2),
+    "pk_inverse_resynchronised": (
+        *(_SIZE, _POINTER, _SIZE),
+        *[_POINTER] * 4,
+        *(_SIZE, _POINTER, _POINTER, _SIZE, *[_DOUBLE] * 4, _INT),
+        *[_POINTER] * 3,
+    ),
+    "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),
+}
+
+
+def _open() -> ctypes.CDLL:
+    module = find_spec("piezoid.operators._kernels")
+    if module is None or module.origin is None:
+        raise RuntimeLibraryError(
+            "the compiled kernels piezoid.operators._kernels are not beside the package",
+            needed="an installation that compiled them",
+            remedy="Install piezoid with a C compiler present: pip install .",
+        )
+    library = ctypes.CDLL(module.origin)
+    for name, arguments in _SIGNATURES.items():
+        function = getattr(library, name)
+        function.argtypes = arguments
+        function.restype = None
+    return library
+
+
+KERNELS = _open()
+
+
+def address(array: Array | None) -> int | None:
+    """Return where a contiguous float64 array begins, for a kernel; None stays NULL."""
+    if array is None:
+        return None
+    if array.dtype != np.float64 or not (array.flags.c_contiguous or array.flags.f_contiguous):
+        raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
+    return int(array.ctypes.data)
+
+
+def contiguous(values: Array) -> Array:
+    """Return ``values`` as a contiguous float64 vector, copied only if it is not one."""
+    return np.ascontiguousarray(values, dtype=np.float64)

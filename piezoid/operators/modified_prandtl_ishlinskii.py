@@ -1,0 +1,145 @@
+"""The Modified Prandtl-Ishlinskii model: dead zones after plays, with offsets, and its inverse."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.library import KERNELS, address, contiguous
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModifiedPrandtlIshlinskii:
+    """Dead zones after plays: memory first, static nonlinearity second.
+
+        y = y_off + Psi(H[u - u_off])                                    [Kuhnen 2003]
+
+    plays                  H, thresholds in V, weights in m/V
+    dead_zones             Psi, thresholds in m, weights without unit
+    voltage_offset_V       u_off; memory is kept of u - u_off
+    displacement_offset_m  y_off
+
+    Gauge: the dead zone at 0 has weight 1, so H carries the metres. Two models are compared only
+    in the same gauge; ``regauged`` brings any other here.
+    """
+
+    plays: PrandtlIshlinskii
+    dead_zones: DeadZones
+    voltage_offset_V: float = 0.0
+    displacement_offset_m: float = 0.0
+
+    @property
+    def is_invertible(self) -> bool:
+        """Whether both parts have an inverse."""
+        return self.plays.is_invertible and self.dead_zones.is_invertible
+
+    @property
+    def slope_sector_m_per_V(self) -> tuple[float, float]:
+        """Least and greatest increment gain: m <= dy/du <= M for every step of every input."""
+        slope, local = self.plays.slope, self.dead_zones.slope
+        return float(slope.min() * local.min()), float(slope.max() * local.max())
+
+    def virgin_memory(self) -> Array:
+        """Return the de-poled state."""
+        return self.plays.virgin_memory()
+
+    def run(self, voltage_V: Array, memory_V: Array) -> tuple[Array, Array]:
+        """Return the displacement and the memory after the last sample.
+
+        voltage_V  (samples,)  V
+        memory_V   (plays,)    V, admissible states of u - u_off before the first sample
+        returned   (samples,)  m, and (plays,) V
+        """
+        h_m, after_V = self.plays.run(voltage_V - self.voltage_offset_V, memory_V)
+        return self.dead_zones.run(h_m) + self.displacement_offset_m, after_V
+
+    def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
+        """Return the voltage that makes this displacement, and the forward memory after it.
+
+            u = u_off + H^-1[Psi^-1(y - y_off)]
+
+        displacement_m  (samples,)  m
+        memory_V        (plays,)    V, the forward memory before the first sample
+        """
+        q_m = self.dead_zones.inverse().run(displacement_m - self.displacement_offset_m)
+        start = self.plays.inverse_memory(memory_V)
+        command_V, _ = self.plays.inverse().run(q_m, start)
+        _, after_V = self.plays.run(command_V, memory_V)
+        return command_V + self.voltage_offset_V, after_V
+
+    def regauged(self) -> "ModifiedPrandtlIshlinskii":
+        """Return the same operator with weight 1 at the central dead zone."""
+        c = float(self.dead_zones.weight[self.dead_zones.zero])
+        return ModifiedPrandtlIshlinskii(
+            plays=PrandtlIshlinskii(threshold=self.plays.threshold, weight=self.plays.weight * c),
+            dead_zones=DeadZones(
+                threshold=self.dead_zones.threshold * c, weight=self.dead_zones.weight / c
+            ),
+            voltage_offset_V=self.voltage_offset_V,
+            displacement_offset_m=self.displacement_offset_m,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converter:
+    """What stands between the wanted and the applied voltage.
+
+    minimum_V, maximum_V  the converter clips here
+    lsb_V                 its step; 0 rounds nothing
+    """
+
+    minimum_V: float = -np.inf
+    maximum_V: float = np.inf
+    lsb_V: float = 0.0
+
+
+def compensate(
+    model: ModifiedPrandtlIshlinskii,
+    desired_m: Array,
+    memory_V: Array,
+    converter: Converter,
+    *,
+    synchronise: bool = True,
+) -> tuple[Array, Array]:
+    """Invert sample by sample through a converter, rebuilding the inverse's memory every tick.
+
+    The plant's memory follows the voltage that was applied. Clipping and rounding make that
+    another voltage than the one computed; an inverse that keeps its own memory is then wrong for
+    good. So the forward states z follow the applied voltage, and the inverse's states are
+    overwritten by z'_i = W_i z_i + sum_(j>i) w_j z_j.
+
+    desired_m    (samples,)  m
+    memory_V     (plays,)    V, forward memory before the first sample
+    converter    limits and step of the applied voltage
+    synchronise  False keeps the inverse's own memory, to show what that costs
+    returned     (samples,)  V applied, and (plays,) V the forward memory after it
+    """
+    inverse_plays, inverse_zones = model.plays.inverse(), model.dead_zones.inverse()
+    wanted = contiguous(desired_m - model.displacement_offset_m)
+    forward = np.array(memory_V, dtype=np.float64)
+    backward = np.array(model.plays.inverse_memory(forward))
+    applied = np.empty_like(wanted)
+    KERNELS.pk_inverse_resynchronised(
+        len(wanted),
+        address(wanted),
+        len(forward),
+        address(model.plays.threshold),
+        address(model.plays.weight),
+        address(inverse_plays.threshold),
+        address(inverse_plays.weight),
+        len(inverse_zones.threshold),
+        address(inverse_zones.threshold),
+        address(contiguous(inverse_zones.slope)),
+        inverse_zones.zero,
+        model.voltage_offset_V,
+        converter.minimum_V,
+        converter.maximum_V,
+        converter.lsb_V,
+        int(synchronise),
+        address(forward),
+        address(backward),
+        address(applied),
+    )
+    return applied, forward

@@ -1,0 +1,132 @@
+"""The play operator: the elementary memory, its bank, its tangents and its admissible states."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.library import KERNELS, address, contiguous
+
+
+def play_columns(voltage_V: Array, threshold_V: Array, memory_V: Array) -> tuple[Array, Array]:
+    """Follow a voltage through a bank of gaps of half-widths ``threshold_V``.
+
+        z_i[k] = max(u[k] - r_i, min(u[k] + r_i, z_i[k-1]))           [Kuhnen 2003]
+
+    u      voltage_V    (samples,)        V
+    r      threshold_V  (plays,)          V, >= 0; r = 0 returns u
+    z(-1)  memory_V     (plays,)          V, before the first sample
+    z      returned     (samples, plays)  V, column-major
+    z(end) returned     (plays,)          V, the memory to carry into the next chunk
+
+    Half-widths, as in Kuhnen's papers; codes that speak of a dead band mean 2 r.
+    """
+    u = contiguous(voltage_V)
+    state = np.array(memory_V, dtype=np.float64)
+    columns = np.empty((len(u), len(state)), order="F")
+    KERNELS.pk_play_columns(
+        len(u),
+        address(u),
+        len(state),
+        address(contiguous(threshold_V)),
+        address(state),
+        len(u),
+        address(columns),
+    )
+    return columns, state
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlayTangents:
+    """States of a bank and their derivatives, with what the next chunk needs.
+
+    state      (samples, plays)  V   z
+    threshold  (samples, plays)  1   dz/dr: -1, 0 or +1
+    memory     (samples, plays)  1   dz/dz(0): 1 until the operator first moves, 0 ever after
+    carry      (3, plays)            z, dz/dr and dz/dz(0) after the last sample
+    """
+
+    state: Array
+    threshold: Array
+    memory: Array
+    carry: Array
+
+
+def first_carry(memory_V: Array) -> Array:
+    """Return the carry with which ``play_tangents`` begins a piece."""
+    return np.stack([memory_V, np.zeros_like(memory_V), np.ones_like(memory_V)])
+
+
+def play_tangents(voltage_V: Array, threshold_V: Array, carry: Array) -> PlayTangents:
+    """Follow a voltage through a bank together with the derivatives of its states.
+
+        moved up:    z = u - r,  dz/dr = -1,  dz/dz(0) = 0
+        moved down:  z = u + r,  dz/dr = +1,  dz/dz(0) = 0
+        at rest:     all three keep their values
+
+    voltage_V    (samples,)  V
+    threshold_V  (plays,)    V
+    carry        (3, plays)  from ``first_carry`` or the chunk before
+    """
+    u = contiguous(voltage_V)
+    after = np.array(carry, dtype=np.float64, order="C")
+    plays = after.shape[1]
+    state, slope, alive = (np.empty((len(u), plays), order="F") for _ in range(3))
+    KERNELS.pk_play_tangents(
+        len(u),
+        address(u),
+        plays,
+        address(contiguous(threshold_V)),
+        address(after[0]),
+        address(after[1]),
+        address(after[2]),
+        len(u),
+        address(state),
+        address(slope),
+        address(alive),
+    )
+    return PlayTangents(state=state, threshold=slope, memory=alive, carry=after)
+
+
+def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:
+    """Tell whether a real input history that ended at ``voltage_V`` can have left this memory.
+
+        |z_0 - u| <= r_0  and  |z_i - z_(i-1)| <= r_i - r_(i-1)       [Krejci], discrete form
+
+    A margin of a few rounding errors is allowed.
+    """
+    nodes_V = np.concatenate([[voltage_V], memory_V])
+    gaps_V = np.diff(threshold_V, prepend=0.0)
+    slack_V = 8 * np.finfo(float).eps * (np.abs(nodes_V).max() + np.abs(threshold_V).max())
+    return bool((np.abs(np.diff(nodes_V)) <= gaps_V + slack_V).all())
+
+
+def project_memory(memory_V: Array, voltage_V: float, threshold_V: Array) -> Array:
+    """Return the admissible memory next to ``memory_V``, clamped from the narrowest play out.
+
+    memory_V     (plays,)  V  any finite values
+    voltage_V    scalar    V  the last input of the history it shall stand for
+    threshold_V  (plays,)  V  increasing, >= 0
+
+    A memory that is not admissible makes the closed-form inverse wrong by tens of percent.
+    """
+    projected = np.array(memory_V, dtype=np.float64)
+    inner_V, inner_r = float(voltage_V), 0.0
+    for i, r in enumerate(threshold_V):
+        gap_V = r - inner_r
+        projected[i] = min(max(projected[i], inner_V - gap_V), inner_V + gap_V)
+        inner_V, inner_r = projected[i], r
+    return projected
+
+
+def forgetting_sample(voltage_V: Array, threshold_V: Array) -> Array:
+    """Return, for each play, the first sample at which its initial state no longer matters.
+
+    F_r forgets exactly when the running range of the input reaches 2 r.
+
+    voltage_V    (samples,)  V
+    threshold_V  (plays,)    V
+    returned     (plays,)    sample index as float; the number of samples where it never forgets
+    """
+    span_V = np.maximum.accumulate(voltage_V) - np.minimum.accumulate(voltage_V)
+    return np.searchsorted(span_V, 2 * threshold_V, side="left").astype(np.float64)

@@ -1,0 +1,107 @@
+"""Prandtl-Ishlinskii operators: weighted plays, their loading curve and their exact inverse."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import NotInvertibleError
+from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.operators.library import KERNELS, address, contiguous
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PrandtlIshlinskii:
+    """A weighted sum of plays.
+
+        h[k] = sum_i w_i z_i[k],   W_i = w_0 + ... + w_i,   phi(s) = sum_j w_j max(s - r_j, 0)
+
+    r  threshold  (plays,)  unit of the input, r_0 = 0, strictly increasing
+    w  weight     (plays,)  output per unit of input
+
+    Has an inverse of the same kind where every cumulative slope W_i is positive; single weights
+    may be negative.                                                 [Krejci & Kuhnen 2001]
+    """
+
+    threshold: Array
+    weight: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "threshold", frozen(self.threshold, "threshold"))
+        object.__setattr__(self, "weight", frozen(self.weight, "weight"))
+        same_length([("threshold", self.threshold), ("weight", self.weight)])
+        strictly_increasing(self.threshold, "threshold")
+        if self.threshold[0] != 0.0:
+            raise ValueError(f"threshold[0] is {self.threshold[0]}, expected 0")
+
+    @property
+    def slope(self) -> Array:
+        """Cumulative slopes W_i, (plays,)."""
+        return np.cumsum(self.weight)
+
+    @property
+    def is_invertible(self) -> bool:
+        """Whether the loading curve increases everywhere."""
+        return bool((self.slope > 0).all())
+
+    def virgin_memory(self) -> Array:
+        """Return the de-poled state: every play at zero, the input at zero."""
+        return np.zeros_like(self.threshold)
+
+    def run(self, values: Array, memory: Array) -> tuple[Array, Array]:
+        """Return the output and the memory after the last sample.
+
+        values  (samples,)  input
+        memory  (plays,)    admissible states before the first sample
+        """
+        source = contiguous(values)
+        state = np.array(memory, dtype=np.float64)
+        output = np.empty_like(source)
+        KERNELS.pk_play_sum(
+            len(source),
+            address(source),
+            len(state),
+            address(self.threshold),
+            address(self.weight),
+            address(state),
+            address(output),
+        )
+        return output, state
+
+    def loading_curve(self, s: Array) -> Array:
+        """Return phi(s) for s >= 0: the response of the virgin operator to a first rise."""
+        reach = np.maximum(np.asarray(s)[:, None] - self.threshold, 0.0)
+        return np.asarray(reach @ self.weight)
+
+    def loop_area(self, amplitude: float) -> float:
+        """Return the area of the steady loop of this amplitude, 4 sum_i w_i r_i (A - r_i)_+."""
+        reach = np.maximum(amplitude - self.threshold, 0.0)
+        return float(4.0 * (self.weight * self.threshold * reach).sum())
+
+    def inverse(self) -> "PrandtlIshlinskii":
+        """Return the inverse operator.
+
+            r'_i = phi(r_i);  w'_0 = 1 / W_0;  w'_i = 1 / W_i - 1 / W_(i-1)
+
+        Its memory is ``inverse_memory`` of ours. Raises ``NotInvertibleError`` where a W_i <= 0.
+        """
+        slope = self.slope
+        if not self.is_invertible:
+            place = int(np.argmin(slope))
+            raise NotInvertibleError(
+                f"the cumulative slope W_{place} is {slope[place]:.6g}",
+                needed="every cumulative slope must be positive for an inverse",
+                remedy="Refit with non-negative weights.",
+            )
+        return PrandtlIshlinskii(
+            threshold=self.loading_curve(self.threshold),
+            weight=np.diff(1.0 / slope, prepend=0.0),
+        )
+
+    def inverse_memory(self, memory: Array) -> Array:
+        """Map our memory to the inverse operator's, at any time.
+
+        z'_i = W_i z_i + sum_(j>i) w_j z_j
+        """
+        product = self.weight * memory
+        tail = np.cumsum(product[::-1])[::-1] - product
+        return np.asarray(self.slope * memory + tail)
