@@ -1,0 +1,79 @@
+"""The gap law, its logarithm and the barrier, against constants and textbook values."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import constants
+
+from piezoid.operators.tunnelling import (
+    DECAY_AT_ONE_EV_PER_M,
+    barrier_of_decay,
+    current_through_gap,
+    decay_of_barrier,
+    gain_of_decay,
+    log_current,
+)
+
+EXACT = 1e-14  # a few roundings
+CODATA_EDITIONS = 2e-9  # the electron mass moved by 1.5e-9 between the 2014 and 2022 editions
+
+
+def test_the_decay_at_one_electronvolt_is_that_of_the_constants() -> None:
+    expected = 2.0 * math.sqrt(2.0 * constants.m_e * constants.e) / constants.hbar
+    assert pytest.approx(expected, rel=CODATA_EDITIONS) == DECAY_AT_ONE_EV_PER_M
+
+
+@pytest.mark.parametrize(("barrier_eV", "per_nm"), [(1.0, 10.246), (4.0, 20.493), (5.0, 22.912)])
+def test_the_decay_matches_the_tabulated_values(barrier_eV: float, per_nm: float) -> None:
+    assert decay_of_barrier(barrier_eV) * 1e-9 == pytest.approx(per_nm, abs=1e-3)
+
+
+def test_barrier_and_decay_undo_each_other(rng: np.random.Generator) -> None:
+    for barrier_eV in rng.uniform(0.01, 10.0, 50):
+        assert barrier_of_decay(decay_of_barrier(barrier_eV)) == pytest.approx(
+            barrier_eV, rel=EXACT
+        )
+
+
+def test_a_decade_of_current_is_225_picometres_at_one_electronvolt() -> None:
+    gap_m = np.array([0.0, math.log(10.0) / decay_of_barrier(1.0)])
+    current_A = current_through_gap(
+        gap_m, decay_per_m=decay_of_barrier(1.0), current_at_zero_gap_A=1e-9
+    )
+    assert gap_m[1] == pytest.approx(0.225e-9, abs=1e-12)
+    assert current_A[1] == pytest.approx(1e-10, rel=EXACT)
+
+
+def test_the_textbook_ratio_of_currents_at_500_and_515_picometres() -> None:
+    """exp(-2 beta L) with beta = 10 /nm gives 1.350."""
+    gap_m = np.array([0.500e-9, 0.515e-9])
+    near_A, far_A = current_through_gap(gap_m, decay_per_m=20e9, current_at_zero_gap_A=1.0)
+    assert near_A / far_A == pytest.approx(math.exp(0.3), rel=1e-12)  # 10 nepers cost 1e-13
+
+
+@pytest.mark.parametrize("polarity", [1.0, -1.0])
+def test_the_log_current_undoes_the_exponential_at_either_polarity(polarity: float) -> None:
+    gap_m = np.linspace(-0.1e-9, 0.1e-9, 21)
+    current_A = current_through_gap(gap_m, decay_per_m=2e10, current_at_zero_gap_A=polarity * 1e-9)
+    nepers = log_current(current_A, set_point_A=polarity * 1e-9, floor_A=1e-13)
+    assert nepers == pytest.approx(-2e10 * gap_m, abs=1e-13)
+
+
+def test_extending_the_tip_raises_the_log_current() -> None:
+    extension_m = np.linspace(0.0, 0.1e-9, 5)
+    current_A = current_through_gap(
+        0.5e-9 - extension_m, decay_per_m=2e10, current_at_zero_gap_A=1e-5
+    )
+    assert (np.diff(log_current(current_A, set_point_A=1e-9, floor_A=1e-13)) > 0).all()
+
+
+def test_a_lost_tip_reads_as_the_floor() -> None:
+    nepers = log_current(np.array([-1e-12, 0.0, 1e-16]), set_point_A=1e-9, floor_A=1e-13)
+    assert nepers == pytest.approx(np.full(3, math.log(1e-4)), rel=EXACT)
+
+
+@pytest.mark.parametrize(("barrier_eV", "nepers"), [(1.0, 184.0), (4.0, 369.0)])
+def test_eighteen_nanometres_per_volt_make_these_gains(barrier_eV: float, nepers: float) -> None:
+    gain = gain_of_decay(decay_of_barrier(barrier_eV), drive_gain_m_per_V=18e-9)
+    assert gain == pytest.approx(nepers, abs=0.6)
