@@ -1,0 +1,127 @@
+"""Linear systems: sampled exactly, run like they step, and as polynomials the same thing."""
+
+import numpy as np
+import pytest
+
+from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
+from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
+
+RATE_HZ = 20_000.0
+ROUNDING = 1e-10  # products of a few dozen numbers near one
+
+
+@pytest.mark.parametrize(
+    ("frequency_Hz", "pole"),
+    [(630, 0.820435), (4000, 0.284610), (8500, 0.069228), (20_000, 0.00186744)],
+)
+def test_a_lag_becomes_its_known_discrete_pole(frequency_Hz: float, pole: float) -> None:
+    B, A = fraction(first_order(frequency_Hz), RATE_HZ)
+    np.testing.assert_allclose(A, [1, -pole], atol=1e-6)
+    np.testing.assert_allclose(B, [0, 1 - pole], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("damping", "den", "num"),
+    [
+        (0.02, (1, -1.95322384, 0.99211444), (0.01947099, 0.01941961)),
+        (0.05, (1, -1.94174164, 0.98040254), (0.01939430, 0.01926660)),
+        (0.10, (1, -1.92290707, 0.96118915), (0.01926748, 0.01901460)),
+    ],
+)
+def test_a_mode_of_630_hertz_becomes_its_known_fraction(
+    damping: float, den: tuple[float, ...], num: tuple[float, ...]
+) -> None:
+    B, A = fraction(resonance(630, damping), RATE_HZ)
+    np.testing.assert_allclose(A, den, atol=6e-9)
+    np.testing.assert_allclose(B, (0, *num), atol=6e-9)
+
+
+@pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 2.75])
+def test_sampling_equals_the_continuous_system_driven_by_steps(delay_samples: float) -> None:
+    """The step response at the samples is known in closed form, whatever the delay."""
+    delay_s = delay_samples / RATE_HZ
+    late = ContinuousSystem(
+        **{name: getattr(first_order(300), name) for name in "ABC"},
+        D=np.array([[0.25]]),
+        delay_s=delay_s,
+    )
+    found, _ = sample(late, RATE_HZ).run(np.ones(40))
+    time_s = np.arange(40) / RATE_HZ - delay_s
+    expected = np.where(time_s > -1e-12, 1.25 - np.exp(-2 * np.pi * 300 * time_s), 0.0)
+    np.testing.assert_allclose(found, expected, atol=ROUNDING)
+
+
+def test_the_delay_stands_in_b_as_leading_zeros_and_splits_between_two_samples() -> None:
+    system = cascade(
+        ContinuousSystem(
+            A=np.zeros((0, 0)),
+            B=np.zeros((0, 1)),
+            C=np.zeros((1, 0)),
+            D=np.ones((1, 1)),
+            delay_s=2.4 / RATE_HZ,
+        ),
+        first_order(630),
+    )
+    B, A = fraction(system, RATE_HZ)
+    pole = np.exp(-2 * np.pi * 630 / RATE_HZ)
+    newest = 1 - pole**0.6
+    np.testing.assert_allclose(B, [0, 0, 0, newest, 1 - pole - newest], atol=1e-12)
+    np.testing.assert_allclose(A, [1, -pole], atol=1e-12)
+
+
+def test_running_in_blocks_equals_stepping(rng: np.random.Generator) -> None:
+    system = _two_by_two(rng)
+    drive = rng.standard_normal((333, 2))
+    state, stepped = np.zeros(len(system.A)), []
+    for row in drive:
+        state, output = system.step(state, row)
+        stepped.append(output)
+    outputs, end = system.run(drive)
+    np.testing.assert_allclose(outputs, stepped, atol=ROUNDING)
+    np.testing.assert_allclose(end, state, atol=ROUNDING)
+
+
+def test_a_record_cut_in_two_runs_like_one(rng: np.random.Generator) -> None:
+    system = _two_by_two(rng)
+    drive = rng.standard_normal((500, 2))
+    whole, _ = system.run(drive)
+    first, state = system.run(drive[:171])
+    second, _ = system.run(drive[171:], state)
+    np.testing.assert_allclose(np.concatenate([first, second]), whole, atol=ROUNDING)
+
+
+def test_the_fraction_has_the_response_of_the_sampled_system() -> None:
+    chain = cascade(first_order(4000), resonance(630, 0.05, 2e-5), butterworth(3, 15_000))
+    frequency_Hz = np.linspace(10, 9900, 50)
+    B, A = fraction(chain, RATE_HZ)
+    delay = np.exp(-2j * np.pi * frequency_Hz / RATE_HZ)
+    direct = np.polyval(B[::-1], delay) / np.polyval(A[::-1], delay)
+    sampled = sample(chain, RATE_HZ).response(frequency_Hz)[:, 0, 0]
+    np.testing.assert_allclose(direct, sampled, rtol=1e-8)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
+def test_a_butterworth_filter_is_flat_and_falls_to_half_the_power_at_its_corner(
+    order: int,
+) -> None:
+    ratio = np.array([0.0, 0.1, 1.0, 3.0])
+    gain = np.abs(butterworth(order, 1000).response(1000 * ratio)[:, 0, 0])
+    np.testing.assert_allclose(gain, 1 / np.sqrt(1 + ratio ** (2 * order)), rtol=1e-12)
+
+
+def test_a_matrix_of_the_wrong_shape_is_named() -> None:
+    with pytest.raises(ValueError, match="B has shape"):
+        DiscreteSystem(
+            A=np.eye(2), B=np.ones((1, 1)), C=np.ones((1, 2)), D=np.zeros((1, 1)), interval_s=1.0
+        )
+
+
+def _two_by_two(rng: np.random.Generator) -> DiscreteSystem:
+    A = rng.standard_normal((5, 5))
+    return DiscreteSystem(
+        A=0.95 * A / np.abs(np.linalg.eigvals(A)).max(),
+        B=rng.standard_normal((5, 2)),
+        C=rng.standard_normal((2, 5)),
+        D=rng.standard_normal((2, 2)),
+        interval_s=1 / RATE_HZ,
+    )
