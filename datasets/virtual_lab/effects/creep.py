@@ -1,0 +1,70 @@
+"""Creep: domains that go on switching for hours after the field has stopped.
+
+Walls climb barriers of widely spread heights, so relaxation times are spread evenly over the
+logarithm of time:
+
+    x(t) = h(t) - integral g(tau) (h - h_tau) d log10 tau,    tau dh_tau/dt = h - h_tau
+
+The spectrum g is flat over six decades with soft ends. The integral is a sum over eight relaxation
+times a decade, far denser than anything one would fit. Fast parts have followed h already: written
+with ``h - h_tau`` the displacement *lags behind* the response by what has not relaxed yet.
+
+Source: Jung & Gweon, Rev. Sci. Instrum. 71 (2000); spectrum after Vieira, IBM J. Res. Dev. 30
+(1986).
+"""
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab.effects.effect import (
+    Act,
+    Bench,
+    Effect,
+    Fault,
+    Measure,
+    Place,
+    Scene,
+    largest,
+)
+from piezoid_datasets.virtual_lab.signals import Array, first_order
+
+DECADES = (-2.0, 4.0)  # of relaxation time in seconds
+PER_DECADE = 8
+EDGE_DECADES = 0.5
+
+
+def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
+    """Scale the spectrum until the campaign moves by ``size_m`` beyond its response."""
+    tilt = float(rng.uniform(-0.15, 0.15))
+    unit = [_relaxed(t.displacement_m, t.scene, tilt) - t.displacement_m for t in bench.traces]
+    per_decade = size_m / largest(EFFECT.measure, unit)
+    return creep_of(per_decade, tilt)
+
+
+def creep_of(per_decade: float, tilt: float) -> Fault:
+    """Return creep of a given strength: the fraction of a step added in each decade of time."""
+
+    def change(ceramic_m: Array, scene: Scene, _: np.random.Generator) -> Array:
+        return ceramic_m + per_decade * (_relaxed(ceramic_m, scene, tilt) - ceramic_m)
+
+    return Fault(
+        acts=(Act(name="creep", place=Place.CERAMIC, change=change),),
+        numbers={"creep_per_decade": per_decade, "spectrum_tilt_per_decade": tilt},
+    )
+
+
+def _relaxed(response_m: Array, scene: Scene, tilt: float) -> Array:
+    """Return h minus the integral of what has not relaxed, for one unit per decade."""
+    first, last = DECADES
+    decades = first + (np.arange(round((last - first) * PER_DECADE)) + 0.5) / PER_DECADE
+    ends = np.minimum(decades - first, last - decades)
+    weight = np.clip(ends / EDGE_DECADES, 0.0, 1.0) * (1.0 + tilt * (decades - 1.0)) / PER_DECADE
+    past_m = 0.5 * float(np.min(response_m) + np.max(response_m))
+    relaxed = response_m.copy()
+    for log_tau, share in zip(decades, weight, strict=True):
+        tau_s = 10.0 ** float(log_tau)
+        start = response_m[0] + (past_m - response_m[0]) * np.exp(-scene.rest_s / tau_s)
+        relaxed -= share * (response_m - first_order(response_m, tau_s, scene.rate_Hz, start))
+    return relaxed
+
+
+EFFECT = Effect(name="creep", measure=Measure.RMS, visible_percent=0.2, install=install)

@@ -1,0 +1,181 @@
+"""The signal chain of one axis: from the command in the lab book to the rows in the file.
+
+    command -> DAC -> amplifier -> ceramic (history) -> mechanics -> sensor -> ADC -> rows
+
+It knows places, not effects: at each place the acts installed there change the signal. A recording
+at the rig's clock sees the DAC hold each value, on a grid four times finer than its rows. A slower
+recording keeps every n-th row of the rig's clock, so between its rows the drive is a straight
+line, half a clock period late.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from zlib import crc32
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab.effects.effect import Act, Place, Scene, Trace
+from piezoid_datasets.virtual_lab.rig import Rig
+from piezoid_datasets.virtual_lab.signals import (
+    Array,
+    coloured_noise,
+    first_order,
+    held_first_order,
+    shifted,
+)
+from piezoid_datasets.virtual_lab.truths.truth import Ceramic
+
+FINER = 4  # instants of the chain per row, at the rig's clock
+NOWHERE = np.zeros(0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One planned recording.
+
+    name              of its file, without ending
+    sampling_rate_Hz  of its rows: the rig's clock or an integer part of it
+    command_V         (samples,)  at the DAC
+    history_V         (turns,)  commands at which the drive turned before the record
+    rest_s            how long the stage then stood still
+    others_V          commands of other axes, by axis name
+    """
+
+    name: str
+    sampling_rate_Hz: float
+    command_V: Array
+    history_V: Array
+    rest_s: float = 60.0
+    others_V: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """One recording as it comes from the bench, and what it would have been without noise."""
+
+    run: Run
+    time_s: Array
+    voltage_V: Array
+    displacement_m: Array
+    noise_free_m: Array
+    others_V: Mapping[str, Array]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stage:
+    """A rig with its ceramic and the acts installed in it; ``seed`` drives all chance."""
+
+    rig: Rig
+    ceramic: Ceramic
+    acts: tuple[Act, ...] = ()
+    seed: int = 0
+
+
+def record(stage: Stage, run: Run, order: int = 0) -> Rows:
+    """Play one run and return its rows.
+
+    Noise and every act draw from generators of their own, so leaving out one act changes nothing
+    else: the difference of two records is that act.
+    """
+    trace = follow(stage, run, order)
+    reading = _sense(stage, trace)
+    kept = slice(None, None, _finer(stage.rig, run))
+    rows = replace(trace.scene, rate_Hz=run.sampling_rate_Hz, time_s=trace.scene.time_s[kept])
+    noise = stage.rig.noise_rms_m * coloured_noise(
+        len(run.command_V),
+        run.sampling_rate_Hz,
+        stage.rig.sensor_bandwidth_Hz,
+        stage.rig.flicker_share,
+        np.random.default_rng([stage.seed, order]),
+    )
+    clean = _file(stage, rows, reading[kept])
+    step_m = stage.rig.adc_step_m
+    noisy = _file(stage, rows, reading[kept] + noise)
+    count = len(clean)
+    return Rows(
+        run=run,
+        time_s=rows.time_s[:count],
+        voltage_V=_converted(stage.rig, run.command_V)[:count],
+        displacement_m=step_m * np.round(noisy / step_m),
+        noise_free_m=clean,
+        others_V={axis: _converted(stage.rig, u)[:count] for axis, u in run.others_V.items()},
+    )
+
+
+def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
+    """Return what the stage does during a run, on the chain's own fine clock."""
+    rig = stage.rig
+    finer = _finer(rig, run)
+    rate_Hz = run.sampling_rate_Hz * finer
+    samples = len(run.command_V) * finer
+    scene = Scene(
+        rig=rig,
+        ceramic=stage.ceramic,
+        rate_Hz=rate_Hz,
+        time_s=np.arange(samples) / rate_Hz,
+        record_rate_Hz=run.sampling_rate_Hz,
+        order=order,
+        rest_s=run.rest_s,
+        field=NOWHERE,
+        others_V={a: _amplified(rig, run, u, rate_Hz) for a, u in run.others_V.items()},
+    )
+    asked_V = rig.amplifier_gain_V_per_V * _on_fine_clock(rig, run, run.command_V)
+    asked_V = _act(stage, Place.AMPLIFIER, asked_V, scene)
+    amplifier_V = _act(stage, Place.OUTPUT, _bandwidth(rig, run, asked_V, rate_Hz), scene)
+    scene = replace(scene, field=rig.field_of(amplifier_V))
+    history = _act(stage, Place.HISTORY, rig.field_of_command(run.history_V), scene)
+    reversible, quasi_static = stage.ceramic.respond(scene.field, history)
+    irreversible = _act(stage, Place.IRREVERSIBLE, quasi_static, scene)
+    ceramic_m = _act(stage, Place.CERAMIC, rig.stroke_m * (reversible + irreversible), scene)
+    return Trace(
+        scene=scene,
+        amplifier_V=amplifier_V,
+        irreversible=irreversible,
+        displacement_m=_act(stage, Place.MECHANICS, ceramic_m, scene),
+    )
+
+
+def _sense(stage: Stage, trace: Trace) -> Array:
+    lag_s = 1.0 / (2.0 * np.pi * stage.rig.sensor_bandwidth_Hz)
+    moved = trace.displacement_m
+    reading = first_order(moved, lag_s, trace.scene.rate_Hz, float(moved[0]))
+    return _act(stage, Place.SENSOR, reading, trace.scene)
+
+
+def _file(stage: Stage, scene: Scene, sampled: Array) -> Array:
+    return _act(stage, Place.RECORD, _act(stage, Place.CONVERTER, sampled, scene), scene)
+
+
+def _act(stage: Stage, place: Place, signal: Array, scene: Scene) -> Array:
+    for act in stage.acts:
+        if act.place is place:
+            rng = np.random.default_rng([stage.seed, scene.order, crc32(act.name.encode())])
+            signal = act.change(signal, scene, rng)
+    return signal
+
+
+def _finer(rig: Rig, run: Run) -> int:
+    return FINER if run.sampling_rate_Hz >= rig.clock_Hz else 1
+
+
+def _on_fine_clock(rig: Rig, run: Run, command_V: Array) -> Array:
+    converted = _converted(rig, command_V)
+    if _finer(rig, run) > 1:
+        return np.repeat(converted, FINER)
+    return shifted(converted, 0.5 / rig.clock_Hz, run.sampling_rate_Hz)
+
+
+def _converted(rig: Rig, command_V: Array) -> Array:
+    return rig.dac_step_V * np.round(command_V / rig.dac_step_V)
+
+
+def _bandwidth(rig: Rig, run: Run, asked_V: Array, rate_Hz: float) -> Array:
+    lag_s = 1.0 / (2.0 * np.pi * rig.amplifier_bandwidth_Hz)
+    if _finer(rig, run) > 1:
+        return held_first_order(asked_V, lag_s, rate_Hz)
+    return first_order(asked_V, lag_s, rate_Hz, float(asked_V[0]))
+
+
+def _amplified(rig: Rig, run: Run, command_V: Array, rate_Hz: float) -> Array:
+    asked_V = rig.amplifier_gain_V_per_V * _on_fine_clock(rig, run, command_V)
+    return _bandwidth(rig, run, asked_V, rate_Hz)

@@ -1,0 +1,6 @@
+"""The kinds of ceramic the laboratory owns; none of them is a sum of plays."""
+
+from piezoid_datasets.virtual_lab.truths import preisach
+from piezoid_datasets.virtual_lab.truths.truth import Truth
+
+TRUTHS: tuple[Truth, ...] = (preisach.TRUTH,)

@@ -1,0 +1,73 @@
+"""The contract of a hysteresis truth: a rate-independent ceramic, drawn from a seed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab.signals import Array
+
+# Maps a path of fields to the irreversible part of the strain at each of its points. The path
+# begins at FLOOR, where every ceramic has forgotten everything.
+Memory = Callable[[Array], Array]
+Curve = Callable[[Array], Array]
+
+FLOOR = -3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ceramic:
+    """A piezo ceramic at rest: strain as a functional of the field, whatever its speed.
+
+        strain[field] = (1 - p) reversible(field) + p irreversible[field]
+
+    Both parts run from 0 to 1 over the major loop between field -1 and 1; ``p`` was chosen for
+    the wanted opening of that loop.
+    """
+
+    share: float
+    reversible_curve: Curve
+    memory: Memory
+
+    def respond(self, field: Array, history: Array) -> tuple[Array, Array]:
+        """Return (reversible, irreversible) strain; they add up to the strain.
+
+        field    (samples,)  -1 to 1 is the nominal range
+        history  (turns,)    fields at which the drive turned before the first sample
+        """
+        path = np.concatenate(([FLOOR], history, field))
+        irreversible = self.memory(path)[len(history) + 1 :]
+        return (1.0 - self.share) * self.reversible_curve(field), self.share * irreversible
+
+
+@dataclass(frozen=True, kw_only=True)
+class Truth:
+    """A kind of ceramic.
+
+    name  as in truth.json and on the command line
+    draw  makes one ceramic from a generator
+    """
+
+    name: str
+    draw: Callable[[np.random.Generator], Ceramic]
+
+
+def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> Ceramic:
+    """Normalise both parts over the major loop and mix them for a wanted opening.
+
+    opening  largest vertical distance between the branches of the major loop, as a fraction of
+             the stroke
+    """
+    up = np.linspace(-1.0, 1.0, 401)
+    path = np.concatenate(([FLOOR, 1.0], up[::-1], up))
+    loop = memory(path)[2:]
+    falling, rising = loop[: len(up)][::-1], loop[len(up) :]
+    low, span = float(rising[0]), float(rising[-1] - rising[0])
+    widest = float(np.max(falling - rising)) / span
+    ends = reversible(np.array([-1.0, 1.0]))
+    start, rise = float(ends[0]), float(ends[1] - ends[0])
+    return Ceramic(
+        share=min(opening / widest, 0.95),
+        reversible_curve=lambda field: (reversible(field) - start) / rise,
+        memory=lambda way: (memory(way) - low) / span,
+    )

@@ -1,0 +1,53 @@
+"""The bundled recordings are what their manifest says and what their seed makes."""
+
+import hashlib
+import tomllib
+
+import numpy as np
+import pytest
+
+from piezoid_datasets import FOLDER, MANIFEST, recordings
+from piezoid_datasets.virtual_lab import bundled
+
+LARGEST_BYTES = 500_000
+ENTRIES = tomllib.loads(MANIFEST.read_text(encoding="utf-8"))["recording"]
+
+
+def test_the_seed_makes_the_same_bytes_again() -> None:
+    made = bundled.rebuild()
+    assert sorted(made) == sorted(path.name for path in recordings())
+    assert all(path.read_bytes() == made[path.name] for path in recordings())
+
+
+def test_every_bundled_table_stands_in_the_manifest() -> None:
+    assert {path.name for path in FOLDER.glob("*.csv")} == {path.name for path in recordings()}
+
+
+def test_the_manifest_names_the_seed_and_size_of_creep_that_were_used() -> None:
+    manifest = tomllib.loads(MANIFEST.read_text(encoding="utf-8"))
+    assert manifest["seed"] == bundled.SEED
+    assert manifest["effects"] == {"creep_per_decade": bundled.CREEP_PER_DECADE}
+    assert manifest["noise_rms_m"] == bundled.RIG.noise_rms_m
+    assert manifest["stroke_m"] == bundled.RIG.stroke_m
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["file"])
+def test_the_manifest_describes_the_file(entry: dict[str, object]) -> None:
+    content = (FOLDER / str(entry["file"])).read_bytes()
+    header, *lines = content.decode().splitlines()
+    columns = entry["columns"]
+    assert isinstance(columns, dict)
+    assert hashlib.sha256(content).hexdigest() == entry["sha256"]
+    assert len(content) < LARGEST_BYTES
+    assert header.split(",") == list(columns.values())
+    assert len(lines) == entry["rows"]
+
+
+@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["file"])
+def test_the_time_column_ticks_at_the_stated_rate(entry: dict[str, object]) -> None:
+    table = np.loadtxt(FOLDER / str(entry["file"]), delimiter=",", skiprows=1)
+    rate_Hz = entry["sampling_rate_Hz"]
+    assert isinstance(rate_Hz, float)
+    assert np.allclose(np.diff(table[:, 0]) * rate_Hz, 1.0, atol=1e-9)
+    assert table[:, 1].min() >= 0.0
+    assert table[:, 1].max() <= 10.0
