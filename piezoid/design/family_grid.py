@@ -1,0 +1,143 @@
+"""A plant family sampled on a frequency grid, to judge thousands of candidate loops quickly.
+
+The judgement here steers a search; what leaves the floor is recomputed by ``sensitivity`` on a
+finer grid with exact crossings.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.design.plant import PlantFamily
+from piezoid.design.specification import Specification
+from piezoid.design.templates import delay_limit
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import Response, decibel, grid_Hz, polynomial_response, unit_circle
+
+_UNSTABLE_dB = 60.0
+_HARMONICS = np.array([1, 3, 5, 7])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FamilyGrid:
+    """Responses of every member's A and B on one grid, and the limits there.
+
+    q               (frequencies,)           values of q^-1
+    A, B            (members, frequencies)
+    frequency_Hz    (frequencies,)
+    limits          (functions, frequencies) magnitudes: Syp, Sup, Syb, Syv; inf where none
+    weight          (frequencies,)           integrates a density over the grid up to Nyquist
+    q_scan          (harmonics,)             q^-1 at odd harmonics of the scan
+    A_scan, B_scan  (members, harmonics)
+    """
+
+    specification: Specification
+    q: Response
+    A: Response
+    B: Response
+    frequency_Hz: Array
+    limits: Array
+    weight: Array
+    q_scan: Response
+    A_scan: Response
+    B_scan: Response
+
+
+@dataclass(frozen=True, kw_only=True)
+class Judgement:
+    """What one candidate reaches on the grid.
+
+    excess_dB        the worst amount by which any limit is missed; <= 0 if all are met
+    predicted_error  rms, output unit, worst member: scan disturbance, sensor noise, converter
+    disturbance_rms, noise_rms   its two parts, worst member each
+    """
+
+    excess_dB: float
+    predicted_error: float
+    disturbance_rms: float
+    noise_rms: float
+
+
+def family_grid(
+    family: PlantFamily, specification: Specification, *, count: int = 300
+) -> FamilyGrid:
+    """Sample a family for a specification."""
+    rate_Hz = family.nominal.sampling_rate_Hz
+    lowest_Hz = min(1.0, specification.bandwidth_Hz / 30.0)
+    f = grid_Hz(rate_Hz, lowest_Hz=lowest_Hz, count=count)
+    knots = [t.frequency_Hz for t in specification.all_templates]
+    inside = np.concatenate(knots)
+    f = np.union1d(f, inside[(inside >= lowest_Hz) & (inside < 0.5 * rate_Hz)])
+    q = unit_circle(f, rate_Hz)
+    q_scan = unit_circle(_HARMONICS * specification.scan_frequency_Hz, rate_Hz)
+    return FamilyGrid(
+        specification=specification,
+        q=q,
+        A=np.stack([polynomial_response(m.A, q) for m in family.members]),
+        B=np.stack([polynomial_response(m.B, q) for m in family.members]),
+        frequency_Hz=f,
+        limits=_limits(specification, f),
+        weight=np.gradient(f) / (0.5 * rate_Hz),
+        q_scan=q_scan,
+        A_scan=np.stack([polynomial_response(m.A, q_scan) for m in family.members]),
+        B_scan=np.stack([polynomial_response(m.B, q_scan) for m in family.members]),
+    )
+
+
+def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
+    """Judge one loop over the family.
+
+    Stability is read from the winding of P(e^jw): a polynomial in q^-1 that starts with 1 winds
+    once around zero for each root outside the unit circle.
+    """
+    r, s = polynomial_response(R, grid.q), polynomial_response(S, grid.q)
+    p = grid.A * s + grid.B * r
+    functions = np.stack(
+        [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
+    ) / np.abs(p)
+    excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
+    outside = np.abs(np.unwrap(np.angle(p))[:, -1] - np.angle(p[:, 0])).max() / np.pi
+    if outside > 0.5:
+        excess_dB = _UNSTABLE_dB + max(excess_dB, 0.0) + outside
+    disturbance = _disturbance_rms(grid, R, S)
+    noise = _noise_rms(grid, functions)
+    limit = grid.specification.noise_limit_rms
+    if limit is not None:
+        excess_dB = max(excess_dB, float(decibel(noise.max() / limit)))
+    return Judgement(
+        excess_dB=excess_dB,
+        predicted_error=float(np.hypot(disturbance, noise).max()),
+        disturbance_rms=float(disturbance.max()),
+        noise_rms=float(noise.max()),
+    )
+
+
+def _limits(specification: Specification, f: Array) -> Array:
+    """Return the tightest limit of each function; margins become limits of Syp and Syb."""
+    limits = np.full((4, len(f)), np.inf)
+    limits[0] = 1.0 / specification.modulus_margin
+    limits[2] = delay_limit(f, specification.delay_margin_s)
+    order = {"Syp": 0, "Sup": 1, "Syb": 2, "Syv": 3}
+    for template in specification.all_templates:
+        level = 10.0 ** (template.limit_dB(f) / 20.0)
+        row = order[template.function]
+        limits[row] = np.minimum(limits[row], level)
+    return limits
+
+
+def _disturbance_rms(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Array:
+    """Return what remains of the scan disturbance, (members,): sum over odd harmonics."""
+    r = polynomial_response(R, grid.q_scan)
+    s = polynomial_response(S, grid.q_scan)
+    rejected = np.abs(grid.A_scan * s / (grid.A_scan * s + grid.B_scan * r))
+    each = rejected * grid.specification.disturbance_rms / _HARMONICS
+    return np.asarray(np.sqrt((each**2).sum(axis=1)))
+
+
+def _noise_rms(grid: FamilyGrid, functions: Array) -> Array:
+    """Return the output's rms due to white sensor noise and converter steps, (members,)."""
+    specification = grid.specification
+    sensor = (functions[2] ** 2 @ grid.weight) * specification.sensor_noise_rms**2
+    converter = (functions[3] ** 2 @ grid.weight) * specification.voltage_step_V**2 / 12.0
+    return np.asarray(np.sqrt(sensor + converter))

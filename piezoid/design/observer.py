@@ -1,0 +1,247 @@
+"""Disturbance observer: an estimator of state and input-equivalent disturbance, with feedback.
+
+    x[k+1] = A x[k] + B (u[k] + d[k]),   d = c w,   w[k+1] = F w[k],   y = C x
+
+Both forms share these equations. In the affine form u is the drive itself and d holds everything
+hysteresis does beyond an affine map. In the inverse form u is the linearised command v, the drive
+is the exact inverse of the hysteresis model at v, and d holds only what the model misses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
+
+from piezoid.design.plant import Plant
+from piezoid.design.state_feedback import placed_gain
+from piezoid.numerics.arrays import Array, frozen
+
+FORMS = ("affine", "inverse")
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DisturbanceModel:
+    """What the disturbance is assumed to be made of; each part is rejected without error.
+
+        w[k+1] = F w[k],   d[k] = c w[k]
+
+    transition  F  (w, w)  eigenvalues on the unit circle
+    output      c  (w,)
+    """
+
+    transition: Array
+    output: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "transition", frozen(self.transition, "transition", ndim=2))
+        object.__setattr__(self, "output", frozen(self.output, "output"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DisturbanceObserver:
+    """The gains of one axis' disturbance observer and state feedback.
+
+    form                 ``affine`` or ``inverse``
+    A, B, C              (n, n), (n,), (n,)  design model; past inputs are its last states
+    disturbance          the disturbance model, w states
+    state_gain           (n,)  L: correction of the state per output unit of innovation
+    disturbance_gain     (w,)  V per output unit of innovation
+    feedback_gain        (n,)  K: V per unit of state
+    reference_gain       N: V per output unit, makes y = r at rest
+
+    At each sample (current form):
+
+        nu = y - C x_;  x = x_ + L nu;  w = w_ + L_d nu;  v = N r - K x - c w
+        x_ = A x + B (v_applied + c w);  w_ = F w
+    """
+
+    form: str
+    A: Array
+    B: Array
+    C: Array
+    disturbance: DisturbanceModel
+    state_gain: Array
+    disturbance_gain: Array
+    feedback_gain: Array
+    reference_gain: float
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise ValueError(f"form is {self.form!r}, expected one of {FORMS}")
+        object.__setattr__(self, "A", frozen(self.A, "A", ndim=2))
+        for name in ("B", "C", "state_gain", "disturbance_gain", "feedback_gain"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearController:
+    """An observer written as S u = T r - R y, for margins that trust nobody.
+
+    R, S, T    coefficients in q^-1, S monic; S(1) = 0 for a constant disturbance model
+    """
+
+    R: Array
+    S: Array
+    T: Array
+
+    def __post_init__(self) -> None:
+        for name in ("R", "S", "T"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+
+def disturbance_model(
+    sampling_rate_Hz: float, oscillation_Hz: tuple[float, ...] = ()
+) -> DisturbanceModel:
+    """Return a constant, and one undamped oscillator for each frequency of ``oscillation_Hz``.
+
+    An oscillator at the scan frequency removes the +20 dB/decade weakness of a plain observer
+    there; its price in margins is checked like everything else.
+    """
+    blocks, outputs = [np.ones((1, 1))], [1.0]
+    for f in oscillation_Hz:
+        turn = 2.0 * np.pi * f / sampling_rate_Hz
+        cosine, sine = np.cos(turn), np.sin(turn)
+        blocks.append(np.array([[cosine, sine], [-sine, cosine]]))
+        outputs += [1.0, 0.0]
+    return DisturbanceModel(transition=block_diag(*blocks), output=np.array(outputs))
+
+
+def place_observer(
+    plant: Plant,
+    *,
+    feedback_poles: ArrayLike,
+    observer_poles: ArrayLike,
+    form: str = "affine",
+    disturbance: DisturbanceModel | None = None,
+) -> DisturbanceObserver:
+    """Place the poles of state feedback and of the observer's error.
+
+        eig(A - B K) = feedback_poles and zeros;   eig(A_e - A_e L C_e) = observer_poles and zeros
+
+    feedback_poles  (n,)      values of z; n states of the plant without its delays
+    observer_poles  (n + w,)  values of z
+    zeros           one for each past input the plant remembers
+
+    Past inputs are known exactly, so the observer is placed without them; see ``extended``.
+    """
+    model = disturbance or disturbance_model(plant.sampling_rate_Hz)
+    A_e, C_e = extended(plant, model)
+    gain = placed_gain(A_e.T, C_e @ A_e, observer_poles)
+    return observer_with_gain(
+        plant, gain, feedback_poles=feedback_poles, form=form, disturbance=model
+    )
+
+
+def observer_with_gain(
+    plant: Plant,
+    gain: Array,
+    *,
+    feedback_poles: ArrayLike,
+    form: str,
+    disturbance: DisturbanceModel,
+) -> DisturbanceObserver:
+    """Complete an observer whose correction gain is known, from placement or from a Kalman filter.
+
+    gain  (n + w,)  of the plant without its delays, then of the disturbance
+    """
+    order = len(plant.state_matrix)
+    A, B, C = plant.realised()
+    late = len(A) - order
+    poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), np.zeros(late)])
+    K = placed_gain(A, B, poles)
+    state_gain, disturbance_gain = gain[:order], gain[order:]
+    return DisturbanceObserver(
+        form=form,
+        A=A,
+        B=B,
+        C=C,
+        disturbance=disturbance,
+        state_gain=np.concatenate(
+            [state_gain, _past_outputs(disturbance, late) @ disturbance_gain]
+        ),
+        disturbance_gain=disturbance_gain,
+        feedback_gain=K,
+        reference_gain=float(1.0 / (C @ np.linalg.solve(np.eye(len(A)) - A + np.outer(B, K), B))),
+    )
+
+
+def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]:
+    """Return A_e and C_e of plant and disturbance, without states for past inputs.
+
+        A_e = [A  sum_j b_j c F^-j; 0 F],   C_e = [C 0]
+
+    A past disturbance is F^-j w, so a delayed input needs no state for its disturbance.
+    """
+    order, states = len(plant.state_matrix), len(disturbance.output)
+    past = np.vstack(
+        [disturbance.output, _past_outputs(disturbance, plant.input_taps.shape[1] - 1)]
+    )
+    A_e = np.block(
+        [
+            [plant.state_matrix, plant.input_taps @ past],
+            [np.zeros((states, order)), disturbance.transition],
+        ]
+    )
+    return A_e, np.concatenate([plant.output_vector, np.zeros(states)])
+
+
+def linear_controller(observer: DisturbanceObserver) -> LinearController:
+    """Write the whole observer with its feedback as S u = T r - R y.
+
+    With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
+    S its characteristic polynomial; T = N det(I - q^-1 A_e M), the observer's own polynomial.
+    """
+    A_e, B_e, C_e, L, K_e = _stacked(observer)
+    correct = np.eye(len(A_e)) - np.outer(L, C_e)
+    closed = A_e - np.outer(B_e, K_e)
+    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, -K_e @ L)
+    S = np.poly(closed @ correct).real
+    T = observer.reference_gain * np.poly(A_e @ correct).real
+    return LinearController(R=-from_output, S=S, T=T)
+
+
+def error_poles(observer: DisturbanceObserver) -> Complex:
+    """Return the eigenvalues of the estimation error, A_e - A_e L C_e."""
+    A_e, _, C_e, L, _ = _stacked(observer)
+    return np.asarray(np.linalg.eigvals(A_e - A_e @ np.outer(L, C_e)), dtype=np.complex128)
+
+
+def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array, Array]:
+    model = observer.disturbance
+    states = len(model.output)
+    A_e = np.block(
+        [
+            [observer.A, np.outer(observer.B, model.output)],
+            [np.zeros((states, len(observer.A))), model.transition],
+        ]
+    )
+    B_e = np.concatenate([observer.B, np.zeros(states)])
+    C_e = np.concatenate([observer.C, np.zeros(states)])
+    L = np.concatenate([observer.state_gain, observer.disturbance_gain])
+    return A_e, B_e, C_e, L, np.concatenate([observer.feedback_gain, model.output])
+
+
+def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
+    """Return the rows c F^-1, ..., c F^-count."""
+    rows, row = [], disturbance.output
+    for _ in range(count):
+        row = np.linalg.solve(disturbance.transition.T, row)
+        rows.append(row)
+    return np.array(rows).reshape(count, len(disturbance.output))
+
+
+def _response_polynomial(A: Array, B: Array, C: Array, direct: float) -> Array:
+    """Return the numerator of C (zI - A)^-1 B + direct over det(zI - A), in q^-1.
+
+    Multiplying the first samples of the impulse response by the denominator keeps the digits
+    that differences of characteristic polynomials lose.
+    """
+    denominator = np.poly(A).real
+    impulse = np.empty(len(denominator))
+    impulse[0], state = direct, B
+    for k in range(1, len(impulse)):
+        impulse[k] = C @ state
+        state = A @ state
+    return np.convolve(impulse, denominator)[: len(denominator)]

@@ -1,0 +1,74 @@
+"""Which poles of a plant a controller moves, and where its search may put them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.design.plant import Plant, Section
+from piezoid.design.rst import sampled_poles
+from piezoid.numerics.polynomial import roots_of
+
+Poles = NDArray[np.complex128]
+
+_OBSERVER_LEAD = 1.05
+"""The observer's share of the fast poles is moved this much, so that none is left unobserved."""
+_WELL_DAMPED = 0.7
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PoleChoice:
+    """The free parameters of an observer design; everything else follows from the plant.
+
+    feedback           the pair (or single lag) that replaces the plant's slowest one
+    observer           likewise for the estimation error
+    disturbance_Hz     of the disturbance estimate
+    """
+
+    feedback: Section
+    observer: Section
+    disturbance_Hz: float
+
+
+def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
+    """Split a plant's poles into the slowest lag or pair, and the others.
+
+    Slow means small |ln z|; a conjugate pair counts as one.
+    """
+    poles = roots_of(plant.A)
+    poles = poles[np.argsort(np.abs(np.log(poles)), kind="stable")]
+    count = 1 if abs(poles[0].imag) < 1e-9 else 2
+    return poles[:count], poles[count:]
+
+
+def feedback_poles(plant: Plant, choice: Section) -> Poles:
+    """Return the plant's poles with the slowest replaced; further modes are left where they are.
+
+    returned  (n,)
+    """
+    slow, fast = slow_and_fast(plant)
+    return np.concatenate([_replacement(choice, len(slow), plant.sampling_rate_Hz), fast])
+
+
+def observer_poles(plant: Plant, choice: PoleChoice, oscillation_Hz: tuple[float, ...]) -> Poles:
+    """Return poles for plant and disturbance states: chosen slow ones, fast ones led by 5 %,
+    one for the constant disturbance, a damped pair for each oscillator.
+
+    returned  (n + w,)
+    """
+    rate_Hz = plant.sampling_rate_Hz
+    slow, fast = slow_and_fast(plant)
+    parts = [
+        _replacement(choice.observer, len(slow), rate_Hz),
+        np.exp(_OBSERVER_LEAD * np.log(fast)),
+        np.array([np.exp(-2.0 * np.pi * choice.disturbance_Hz / rate_Hz)]),
+    ]
+    for f in oscillation_Hz:
+        pair = Section(frequency_Hz=f, damping=_WELL_DAMPED)
+        parts.append(roots_of(sampled_poles(pair, rate_Hz)))
+    return np.concatenate(parts).astype(np.complex128)
+
+
+def _replacement(section: Section, count: int, rate_Hz: float) -> Poles:
+    single = section if count == 2 else Section(frequency_Hz=section.frequency_Hz)
+    return roots_of(sampled_poles(single, rate_Hz))

@@ -1,0 +1,107 @@
+"""Pole placement with fixed parts: S u = T r - R y after Landau & Zito 2006."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.design.plant import Plant, Section
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.polynomial import from_roots, product, solve_bezout, spectral_radius
+
+INTEGRATOR = np.array([1.0, -1.0])
+OPEN_AT_NYQUIST = np.array([1.0, 1.0])
+_RESIDUAL = 1e-10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RstController:
+    """S u = T r - R y, coefficients in q^-1.
+
+    R, S, T   S monic
+    H_R, H_S  the fixed parts contained in R and S
+    P         the closed-loop polynomial that was placed on the nominal plant
+    residual  of the Bezout equation, relative
+    """
+
+    R: Array
+    S: Array
+    T: Array
+    H_R: Array
+    H_S: Array
+    P: Array
+    residual: float
+
+    def __post_init__(self) -> None:
+        for name in ("R", "S", "T", "H_R", "H_S", "P"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+
+def place(
+    plant: Plant, P: ArrayLike, *, H_R: ArrayLike = (1.0,), H_S: ArrayLike = (1.0, -1.0)
+) -> RstController:
+    """Place the closed-loop polynomial P with fixed parts in R and S.
+
+        A H_S S' + B H_R R' = P,   S = H_S S',   R = H_R R',   T = R(1)
+
+    P    monic, stable
+    H_R  what R must contain, for example 1 + q^-1: no gain at Nyquist
+    H_S  what S must contain; 1 - q^-1 is an integrator
+
+    Raises ``DesignError`` where the fixed parts cancel the plant's poles or zeros, or where the
+    equation is solved no better than 1e-10.
+    """
+    if spectral_radius(np.asarray(P)) >= 1.0:
+        raise ValueError("P has a root on or outside the unit circle; nothing stable is placed")
+    solution = solve_bezout(product(plant.A, H_S), product(plant.B, H_R), P)
+    if not solution.residual <= _RESIDUAL:
+        raise DesignError(
+            f"the Bezout equation of '{plant.label}' leaves a residual of {solution.residual:.1e}",
+            needed=f"at most {_RESIDUAL:g} of the largest coefficient of P",
+            remedy="Reduce the model's order or remove fixed parts: roots nearly cancel.",
+            residual=solution.residual,
+            condition=solution.condition,
+        )
+    R, S = product(H_R, solution.R), product(H_S, solution.S)
+    return RstController(
+        R=R,
+        S=S / S[0],
+        T=np.array([R.sum()]),
+        H_R=np.asarray(H_R),
+        H_S=np.asarray(H_S),
+        P=np.asarray(P),
+        residual=solution.residual,
+    )
+
+
+def sampled_poles(section: Section, sampling_rate_Hz: float) -> Array:
+    """Return the monic polynomial with a continuous section's poles mapped by exp(s Ts).
+
+    Damping above one gives two real poles.
+    """
+    w = 2.0 * np.pi * section.frequency_Hz
+    if section.damping is None:
+        return from_roots([np.exp(-w / sampling_rate_Hz)])
+    root = np.sqrt(complex(section.damping**2 - 1.0))
+    s = w * np.array([-section.damping + root, -section.damping - root])
+    return from_roots(np.exp(s / sampling_rate_Hz))
+
+
+def closed_loop_target(
+    dominant: Section, sampling_rate_Hz: float, *, auxiliary_root: float, auxiliary_count: int
+) -> Array:
+    """Return P = P_D P_F: a dominant pair, and (1 - alpha q^-1)^n to spend the free degrees."""
+    auxiliary = from_roots(np.full(auxiliary_count, auxiliary_root)) if auxiliary_count else [1.0]
+    return product(sampled_poles(dominant, sampling_rate_Hz), auxiliary)
+
+
+def tracking_polynomial(plant: Plant, P: ArrayLike, reference: Section) -> tuple[Array, Array]:
+    """Return T and A_m that make tracking B/B(1) times a reference model.
+
+        T = P/B(1) * A_m(1),   A_m r' = r       (T acts on the filtered reference r')
+
+    Closed-loop poles leave the response to the reference; the plant's zeros and delay stay.
+    """
+    model = sampled_poles(reference, plant.sampling_rate_Hz)
+    return np.asarray(P) * (model.sum() / plant.B.sum()), model

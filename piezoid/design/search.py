@@ -1,0 +1,89 @@
+"""A deterministic search for the best parameters that meet all limits, without gradients."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+
+Judge = Callable[[Array], tuple[float, float]]
+"""Parameters in; (cost to minimise, excess over the limits in dB) out."""
+
+_PATIENCE = 1e-3
+_FLOOR_dB = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchResult:
+    """The best point found.
+
+    parameters   inside their bounds
+    cost         of the judge
+    excess_dB    <= 0: every limit is met
+    evaluations  how often the judge was asked
+    """
+
+    parameters: Array
+    cost: float
+    excess_dB: float
+    evaluations: int
+
+
+def search(
+    judge: Judge,
+    lower: Array,
+    upper: Array,
+    starts: Sequence[Array],
+    *,
+    evaluations: int = 250,
+    reserve_dB: float = 0.1,
+) -> SearchResult:
+    """Minimise the cost where the excess is at most -reserve_dB; else minimise the excess.
+
+    From each start COBYLA [Powell 1994] descends in the unit cube for at most ``evaluations``
+    calls. The best point ever asked is kept, so the same input gives the same output.
+
+    reserve_dB  what the search's grid may overlook between its points
+    """
+    import nlopt
+
+    seen: list[tuple[bool, float, float, Array]] = []
+    span = upper - lower
+
+    def ask(unit: Array) -> tuple[float, float]:
+        parameters = lower + np.clip(unit, 0.0, 1.0) * span
+        cost, excess_dB = judge(parameters)
+        feasible = excess_dB <= -reserve_dB
+        seen.append((not feasible, cost if feasible else excess_dB, excess_dB, parameters))
+        return cost, excess_dB
+
+    for start in starts:
+        _descend(nlopt, ask, (start - lower) / span, evaluations, reserve_dB)
+    best = min(seen, key=lambda item: item[:2])
+    cost, _ = judge(best[3])
+    return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))
+
+
+def _descend(nlopt: Any, ask: Judge, start: Array, evaluations: int, reserve_dB: float) -> None:
+    last: dict[bytes, tuple[float, float]] = {}
+
+    def remembered(unit: Array) -> tuple[float, float]:
+        key = unit.tobytes()
+        if key not in last:
+            last.clear()
+            last[key] = ask(unit)
+        return last[key]
+
+    optimiser = nlopt.opt(nlopt.LN_COBYLA, len(start))
+    optimiser.set_lower_bounds(np.zeros(len(start)))
+    optimiser.set_upper_bounds(np.ones(len(start)))
+    optimiser.set_initial_step(0.15)
+    optimiser.set_xtol_abs(_PATIENCE)
+    optimiser.set_maxeval(evaluations)
+    optimiser.set_min_objective(lambda unit, _: remembered(unit)[0])
+    optimiser.add_inequality_constraint(
+        lambda unit, _: max(remembered(unit)[1], -_FLOOR_dB) + reserve_dB, 0.0
+    )
+    optimiser.optimize(np.clip(start, 0.0, 1.0))

@@ -1,0 +1,181 @@
+"""What is asked of one axis: bandwidth, margins, templates, limits, noise; with defaults."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+
+from piezoid.design.plant import Plant
+from piezoid.design.templates import FUNCTIONS, Template, attenuation
+from piezoid.errors import LabFileError
+from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import roots_of
+
+AT_BANDWIDTH_dB = -3.0
+_MODE_SHARE = 0.15
+_DELAY_SHARE = 0.03
+_CONTROL_LIMIT_dB = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Specification:
+    """What every member of the plant family must reach.
+
+    bandwidth_Hz        output disturbances are attenuated by 3 dB here, and by 20 dB more for each
+                        decade below (template ``attenuation``)
+    modulus_margin      1 / max |Syp|, 0.5 or more is the practice of Landau & Zito
+    delay_margin_s      additional loop delay that must not destabilise; one sample or more
+    templates           further upper limits of Syp, Sup, Syb, Syv
+    voltage_min_V, voltage_max_V   limits of the command
+    voltage_step_V      of the converter; 0 leaves it out of the error
+    sensor_noise_rms    of one sample, white; output unit
+    noise_limit_rms     what sensor noise and converter steps may do to the output; None: no limit
+    scan_frequency_Hz   of the planned trajectory
+    disturbance_rms     what the linear model leaves at the scan frequency; output unit. Its odd
+                        harmonics are taken to fall as 1/h, as those of hysteresis do
+    resonant_harmonics  harmonics of the scan at which the observer carries an oscillator
+    """
+
+    bandwidth_Hz: float
+    modulus_margin: float = 0.5
+    delay_margin_s: float
+    templates: tuple[Template, ...] = field(default=(), compare=False)
+    voltage_min_V: float
+    voltage_max_V: float
+    voltage_step_V: float = 0.0
+    sensor_noise_rms: float
+    noise_limit_rms: float | None = None
+    scan_frequency_Hz: float
+    disturbance_rms: float
+    resonant_harmonics: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        positive = ("bandwidth_Hz", "delay_margin_s", "scan_frequency_Hz")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected > 0")
+        if not 0 < self.modulus_margin < 1:
+            raise ValueError(f"modulus_margin is {self.modulus_margin}, expected between 0 and 1")
+        if not self.voltage_min_V < self.voltage_max_V:
+            raise ValueError(
+                f"voltage limits {self.voltage_min_V} and {self.voltage_max_V} V cross"
+            )
+        for name in ("sensor_noise_rms", "disturbance_rms", "voltage_step_V"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0")
+
+    @property
+    def all_templates(self) -> tuple[Template, ...]:
+        """The attenuation template of the bandwidth, then the further ones."""
+        return (attenuation("attenuation", self.bandwidth_Hz, AT_BANDWIDTH_dB), *self.templates)
+
+
+def default_specification(
+    plant: Plant,
+    *,
+    voltage_min_V: float,
+    voltage_max_V: float,
+    sensor_noise_rms: float,
+    disturbance_rms: float,
+) -> Specification:
+    """Return what can sensibly be asked of this plant.
+
+    bandwidth          0.15 of the slowest pole or mode, or 0.03 / delay, whichever is less; the
+                       delay is the plant's phase delay at rest
+    margins            modulus 0.5, delay one sample
+    control            |Sup| <= 20 dB relative to 1/gain: the loop may not spend more than ten
+                       times the static drive on any disturbance
+    scan               a tenth of the bandwidth
+    """
+    bandwidth_Hz = min(_MODE_SHARE * slowest_Hz(plant), _DELAY_SHARE / rest_delay_s(plant))
+    ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(plant.gain))
+    nyquist_Hz = 0.5 * plant.sampling_rate_Hz
+    control = Template(
+        name="control effort",
+        function="Sup",
+        frequency_Hz=np.array([1e-3, nyquist_Hz]),
+        upper_dB=np.array([ceiling_dB, ceiling_dB]),
+    )
+    return Specification(
+        bandwidth_Hz=bandwidth_Hz,
+        delay_margin_s=plant.period_s,
+        templates=(control,),
+        voltage_min_V=voltage_min_V,
+        voltage_max_V=voltage_max_V,
+        sensor_noise_rms=sensor_noise_rms,
+        scan_frequency_Hz=bandwidth_Hz / 10.0,
+        disturbance_rms=disturbance_rms,
+    )
+
+
+def slowest_Hz(plant: Plant) -> float:
+    """Return the smallest natural frequency of the plant's poles, |ln z| fs / 2 pi."""
+    poles = roots_of(plant.A)
+    return float(np.abs(np.log(poles)).min() * plant.sampling_rate_Hz / (2.0 * np.pi))
+
+
+def rest_delay_s(plant: Plant) -> float:
+    """Return the phase delay as the frequency goes to zero, B'(1)/B(1) - A'(1)/A(1)."""
+    late = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
+    return (late[0] - late[1]) * plant.period_s
+
+
+def specifications_from_toml(
+    text: str, defaults: Mapping[str, Specification], *, place: str = "design.toml"
+) -> dict[str, Specification]:
+    """Read what ``design.toml`` asks for, one table per axis, over the defaults of the model.
+
+        [x]
+        bandwidth_Hz = 120
+        [[x.template]]
+        name = "mode"
+        function = "Syp"
+        frequency_Hz = [500, 800]
+        upper_dB = [3, 3]
+
+    Raises ``LabFileError`` for an axis, key or value that cannot be used.
+    """
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
+    result = dict(defaults)
+    for axis, table in tables.items():
+        if axis not in defaults or not isinstance(table, dict):
+            known = ", ".join(sorted(defaults))
+            raise _unusable(place, f"[{axis}] is not an axis of this model", f"one of {known}")
+        result[axis] = _asked(defaults[axis], table, f"{place} [{axis}]")
+    return result
+
+
+def _asked(default: Specification, table: dict[str, Any], place: str) -> Specification:
+    values = dict(table)
+    further = tuple(_template(t, place) for t in values.pop("template", ()))
+    known = {f.name for f in fields(Specification)} - {"templates"}
+    for key, value in values.items():
+        if key not in known:
+            raise _unusable(place, f"unknown key {key!r}", "one of " + ", ".join(sorted(known)))
+        if key == "resonant_harmonics":
+            values[key] = tuple(value)
+        elif isinstance(value, bool) or not isinstance(value, int | float):
+            raise _unusable(place, f"{key} is {value!r}", "a number in SI units")
+    try:
+        return replace(default, **values, templates=default.templates + further)
+    except ValueError as fault:
+        raise _unusable(place, str(fault), "a value in its range") from fault
+
+
+def _template(table: Any, place: str) -> Template:
+    try:
+        return Template(**table)
+    except (TypeError, ValueError) as fault:
+        needed = f"name, function (one of {', '.join(FUNCTIONS)}), frequency_Hz, upper_dB"
+        raise _unusable(place, f"template: {fault}", needed) from fault
+
+
+def _unusable(place: str, found: str, needed: str) -> LabFileError:
+    return LabFileError(
+        f"{place}: {found}", needed=needed, remedy=f"Correct {place} and design again."
+    )

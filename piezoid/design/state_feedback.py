@@ -1,0 +1,65 @@
+"""Pole placement by state feedback for one input, without forming a characteristic polynomial."""
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import hessenberg
+
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+
+_UNREACHABLE = 1e-12
+
+
+def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
+    """Return K such that A - B K has the wanted eigenvalues; repeated ones are welcome.
+
+        K = e_n' (H - p_1 I) ... (H - p_n I) Q' / (b h_21 h_32 ... )
+
+    Ackermann's formula in the Hessenberg basis that starts at B: the powers of A and the
+    controllability matrix, which cost all digits at order eight, are never formed.
+
+    A      (n, n)
+    B      (n,)
+    poles  (n,)  values of z, complex ones in pairs
+
+    Raises ``DesignError`` where a part of the state cannot be reached from B.
+    """
+    order = len(A)
+    basis = _scaling(A)
+    balanced = A * basis[None, :] / basis[:, None]
+    reflect, size = _reflector(np.asarray(B, dtype=np.float64) / basis)
+    form, Q = hessenberg(reflect.T @ balanced @ reflect, calc_q=True)
+    links = np.concatenate([[size], np.diag(form, -1)])
+    if not np.abs(links).min() > _UNREACHABLE * max(1.0, float(np.abs(links).max())):
+        raise DesignError(
+            f"a part of the state cannot be moved: link {int(np.abs(links).argmin())} of the "
+            f"chain from the input is {np.abs(links).min():.1e}",
+            needed="every state must answer the input, and be seen in the output",
+            remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
+        )
+    row = np.zeros(order, dtype=np.complex128)
+    row[-1] = 1.0
+    for k, pole in enumerate(np.asarray(poles, dtype=np.complex128)):
+        row = (row @ form - pole * row) / links[order - 1 - k]
+    return np.asarray((row.real @ Q.T @ reflect.T) / basis)
+
+
+def _scaling(A: Array) -> Array:
+    """Return a diagonal scaling, powers of two, that makes rows and columns of A alike."""
+    scale = np.ones(len(A))
+    balanced = np.abs(A - np.diag(np.diag(A)))
+    for _ in range(20):
+        for k in range(len(A)):
+            row, column = balanced[k].sum(), balanced[:, k].sum()
+            if row > 0.0 and column > 0.0:
+                factor = 2.0 ** np.round(0.5 * np.log2(row / column))
+                scale[k] *= factor
+                balanced[k] /= factor
+                balanced[:, k] *= factor
+    return scale
+
+
+def _reflector(B: Array) -> tuple[Array, float]:
+    """Return an orthogonal matrix whose first column is along B, and the length of B along it."""
+    Q, upper = np.linalg.qr(B[:, None], mode="complete")
+    return Q, float(upper[0, 0])

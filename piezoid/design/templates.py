@@ -1,0 +1,172 @@
+"""Templates: frequency masks that sensitivity functions must stay under, and who leaves them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.sensitivity import Sensitivities, margins, sensitivities
+from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.numerics.frequency import decibel, grid_Hz
+
+FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Template:
+    """An upper limit of one sensitivity function.
+
+    name          for messages, for example ``attenuation``
+    function      one of Syp, Sup, Syb, Syv
+    frequency_Hz  (knots,)  increasing; between knots the limit is linear in dB over log f;
+                  outside of them there is no limit
+    upper_dB      (knots,)  relative to 1, V per output unit, 1, output unit per V
+    """
+
+    name: str
+    function: str
+    frequency_Hz: Array
+    upper_dB: Array
+
+    def __post_init__(self) -> None:
+        if self.function not in FUNCTIONS:
+            raise ValueError(f"template {self.name}: {self.function!r} is not one of {FUNCTIONS}")
+        for field in ("frequency_Hz", "upper_dB"):
+            object.__setattr__(self, field, frozen(getattr(self, field), field))
+        same_length([("frequency_Hz", self.frequency_Hz), ("upper_dB", self.upper_dB)])
+        strictly_increasing(self.frequency_Hz, "frequency_Hz")
+        if not self.frequency_Hz[0] > 0:
+            raise ValueError(f"template {self.name}: frequencies must be > 0")
+
+    def limit_dB(self, frequency_Hz: ArrayLike) -> Array:
+        """Return the limit in dB, +inf where there is none, (frequencies,)."""
+        f = np.asarray(frequency_Hz, dtype=np.float64)
+        level = np.interp(np.log(f), np.log(self.frequency_Hz), self.upper_dB)
+        inside = (f >= self.frequency_Hz[0]) & (f <= self.frequency_Hz[-1])
+        return np.where(inside, level, np.inf)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Violation:
+    """One place where one member of the family leaves one template.
+
+    template      its name
+    member        the plant's label
+    frequency_Hz  where it is worst
+    found, limit  in ``unit``: ``dB``, or ``s`` for the delay margin, ``1`` for the modulus margin
+    excess_dB     20 log10 of the ratio by which the limit is missed, > 0
+    """
+
+    template: str
+    member: str
+    frequency_Hz: float
+    found: float
+    limit: float
+    unit: str
+    excess_dB: float
+
+    @property
+    def sentence(self) -> str:
+        """The violation in words."""
+        return (
+            f"{self.template} of the member '{self.member}' is {self.found:.4g} {self.unit} at "
+            f"{self.frequency_Hz:.4g} Hz where {self.limit:.4g} {self.unit} is the limit, missed "
+            f"by {self.excess_dB:.2f} dB"
+        )
+
+
+def attenuation(name: str, bandwidth_Hz: float, level_dB: float) -> Template:
+    """Return the template of an integrating loop: |Syp| rises by 20 dB per decade and reaches
+    ``level_dB`` at ``bandwidth_Hz``.
+    """
+    return Template(
+        name=name,
+        function="Syp",
+        frequency_Hz=np.array([bandwidth_Hz / 1000.0, bandwidth_Hz]),
+        upper_dB=np.array([level_dB - 60.0, level_dB]),
+    )
+
+
+def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
+    """Return 1 / |1 - exp(-j w tau)|: where |Syb| stays below, a delay tau keeps the loop stable.
+
+    [Landau & Zito 2006] for tau of one sample.
+    """
+    return np.asarray(0.5 / np.maximum(np.abs(np.sin(np.pi * frequency_Hz * delay_s)), 1e-12))
+
+
+def violations(
+    family: PlantFamily,
+    R: ArrayLike,
+    S: ArrayLike,
+    *,
+    templates: Sequence[Template],
+    modulus_margin: float,
+    delay_margin_s: float,
+    tolerance_dB: float = 0.0,
+) -> tuple[Violation, ...]:
+    """Check every member on a fine grid against every limit; worst first.
+
+    tolerance_dB  templates missed by less are met
+    """
+    found: list[Violation] = []
+    for plant in family.members:
+        found += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
+        for template in templates:
+            found += _template_violation(plant, R, S, template)
+    kept = [violation for violation in found if violation.excess_dB > tolerance_dB]
+    return tuple(sorted(kept, key=lambda violation: -violation.excess_dB))
+
+
+def _template_violation(
+    plant: Plant, R: ArrayLike, S: ArrayLike, template: Template
+) -> list[Violation]:
+    lowest_Hz = float(template.frequency_Hz[0])
+    grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=min(1.0, lowest_Hz), count=2000)
+    knots_Hz = template.frequency_Hz[template.frequency_Hz < 0.5 * plant.sampling_rate_Hz]
+    frequency_Hz = np.union1d(grid, knots_Hz)
+    frequency_Hz = frequency_Hz[np.isfinite(template.limit_dB(frequency_Hz))]
+    if not frequency_Hz.size:
+        return []
+    level_dB = decibel(_function(sensitivities(plant, R, S, frequency_Hz), template.function))
+    limit_dB = template.limit_dB(frequency_Hz)
+    worst = int(np.argmax(level_dB - limit_dB))
+    return [
+        Violation(
+            template=template.name,
+            member=plant.label,
+            frequency_Hz=float(frequency_Hz[worst]),
+            found=float(level_dB[worst]),
+            limit=float(limit_dB[worst]),
+            unit="dB",
+            excess_dB=float(level_dB[worst] - limit_dB[worst]),
+        )
+    ]
+
+
+def _margin_violations(
+    plant: Plant, R: ArrayLike, S: ArrayLike, modulus_margin: float, delay_margin_s: float
+) -> list[Violation]:
+    reached = margins(plant, R, S)
+    checks = [("modulus margin", reached.modulus_margin, modulus_margin, reached.modulus_Hz, "1")]
+    if reached.delay_margin_s is not None:
+        place_Hz = reached.delay_Hz or reached.modulus_Hz
+        checks.append(("delay margin", reached.delay_margin_s, delay_margin_s, place_Hz, "s"))
+    return [
+        Violation(
+            template=name,
+            member=plant.label,
+            frequency_Hz=place_Hz,
+            found=found,
+            limit=limit,
+            unit=unit,
+            excess_dB=float(decibel(limit / max(found, 1e-6 * limit))),
+        )
+        for name, found, limit, place_Hz, unit in checks
+    ]
+
+
+def _function(functions: Sensitivities, name: str) -> Array:
+    return np.abs(getattr(functions, name))

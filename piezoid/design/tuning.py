@@ -1,0 +1,184 @@
+"""The automatic choice of an observer's poles or noise variances over a plant family."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.design.family_grid import FamilyGrid, Judgement, family_grid, judge
+from piezoid.design.kalman import kalman_gain
+from piezoid.design.observer import (
+    DisturbanceObserver,
+    disturbance_model,
+    linear_controller,
+    observer_with_gain,
+    place_observer,
+)
+from piezoid.design.plant import Plant, PlantFamily, Section
+from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
+from piezoid.design.search import search
+from piezoid.design.specification import Specification, slowest_Hz
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+
+Build = Callable[[Array], DisturbanceObserver]
+METHODS = ("placed", "kalman")
+_HOPELESS = (1e3, 1e3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """One parameter of the search, on a logarithmic scale.
+
+    starts  one value for each start of the search
+    """
+
+    name: str
+    lowest: float
+    highest: float
+    starts: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TunedObserver:
+    """An observer, how it was found, and what the search's grid says of it.
+
+    method       ``placed`` or ``kalman``
+    observer     the gains
+    parameters   what was chosen, by name
+    judgement    excess over the limits and predicted error, on the search's grid
+    evaluations  how many candidates were judged
+    """
+
+    method: str
+    observer: DisturbanceObserver
+    parameters: dict[str, float]
+    judgement: Judgement
+    evaluations: int
+
+
+def tune_observer(
+    family: PlantFamily,
+    specification: Specification,
+    *,
+    model: Plant | None = None,
+    form: str = "affine",
+    method: str = "placed",
+) -> TunedObserver:
+    """Choose feedback and observer so that every member meets every limit, with the least
+    predicted error.
+
+        minimise    max over members of rms(scan disturbance left + sensor noise + converter)
+        subject to  templates, modulus margin and delay margin of every member
+
+    model   what the observer computes with; the family's nominal member unless it is too large
+    method  ``placed`` searches poles; ``kalman`` searches noise variances and feedback poles
+
+    Where no choice meets the limits, the one that misses them least is returned; its judgement
+    says by how much.
+    """
+    plant = model or family.nominal
+    grid = family_grid(family, specification)
+    choices = _placed_choices(plant) if method == "placed" else _kalman_choices(plant)
+    names = [choice.name for choice in choices]
+
+    def build(logarithms: Array) -> DisturbanceObserver:
+        chosen = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
+        return _observer(plant, specification, chosen, form, method)
+
+    found = search(
+        lambda x: _cost(grid, build, x),
+        np.log([choice.lowest for choice in choices]),
+        np.log([choice.highest for choice in choices]),
+        [np.log(start) for start in zip(*(c.starts for c in choices), strict=True)],
+    )
+    observer = build(found.parameters)
+    controller = linear_controller(observer)
+    return TunedObserver(
+        method=method,
+        observer=observer,
+        parameters=dict(zip(names, np.exp(found.parameters).tolist(), strict=True)),
+        judgement=judge(grid, controller.R, controller.S),
+        evaluations=found.evaluations,
+    )
+
+
+def _cost(grid: FamilyGrid, build: Build, parameters: Array) -> tuple[float, float]:
+    """Return the logarithm of the predicted error, and the excess; a failed build is hopeless."""
+    try:
+        controller = linear_controller(build(parameters))
+    except DesignError:
+        return _HOPELESS
+    judgement = judge(grid, controller.R, controller.S)
+    return float(np.log(max(judgement.predicted_error, 1e-300))), judgement.excess_dB
+
+
+def _placed_choices(plant: Plant) -> tuple[Choice, ...]:
+    """Return the poles to choose, as multiples of the slowest pole of the plant.
+
+    The starts are a quick, a moderate and a slow observer: a slow one is not the most robust
+    with a lightly damped mode.
+    """
+    f, highest = slowest_Hz(plant), 0.1 * plant.sampling_rate_Hz
+    return (
+        _frequency("feedback_Hz", f, highest, (1.0, 1.0, 0.6)),
+        Choice(name="feedback_damping", lowest=0.6, highest=1.6, starts=(0.9, 0.9, 1.0)),
+        _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9)),
+        Choice(name="observer_damping", lowest=0.6, highest=1.6, starts=(0.8, 0.8, 1.0)),
+        _frequency("disturbance_Hz", f, highest, (1.27, 0.5, 0.3)),
+    )
+
+
+def _kalman_choices(plant: Plant) -> tuple[Choice, ...]:
+    f, highest = slowest_Hz(plant), 0.1 * plant.sampling_rate_Hz
+    return (
+        _frequency("feedback_Hz", f, highest, (1.0, 0.6)),
+        Choice(name="feedback_damping", lowest=0.6, highest=1.6, starts=(0.9, 1.0)),
+        Choice(name="drift_ratio", lowest=1e-8, highest=1e4, starts=(0.1, 1e-3)),
+        Choice(name="input_ratio", lowest=1e-8, highest=1e4, starts=(1.0, 0.1)),
+    )
+
+
+def _frequency(name: str, f: float, highest: float, multiples: tuple[float, ...]) -> Choice:
+    lowest = min(0.05 * f, 0.5 * highest)
+    starts = tuple(min(max(f * m, lowest), highest) for m in multiples)
+    return Choice(name=name, lowest=lowest, highest=highest, starts=starts)
+
+
+def _observer(
+    plant: Plant,
+    specification: Specification,
+    chosen: dict[str, float],
+    form: str,
+    method: str,
+) -> DisturbanceObserver:
+    """Build one candidate from named parameters."""
+    oscillation_Hz = tuple(
+        h * specification.scan_frequency_Hz for h in specification.resonant_harmonics
+    )
+    disturbance = disturbance_model(plant.sampling_rate_Hz, oscillation_Hz)
+    feedback = Section(frequency_Hz=chosen["feedback_Hz"], damping=chosen["feedback_damping"])
+    poles = feedback_poles(plant, feedback)
+    if method == "placed":
+        observer = Section(frequency_Hz=chosen["observer_Hz"], damping=chosen["observer_damping"])
+        choice = PoleChoice(
+            feedback=feedback, observer=observer, disturbance_Hz=chosen["disturbance_Hz"]
+        )
+        return place_observer(
+            plant,
+            feedback_poles=poles,
+            observer_poles=observer_poles(plant, choice, oscillation_Hz),
+            form=form,
+            disturbance=disturbance,
+        )
+    unit = max(specification.sensor_noise_rms, 1e-12 * abs(plant.gain)) ** 2
+    gain = kalman_gain(
+        plant,
+        disturbance,
+        input_variance=chosen["input_ratio"] * unit / plant.gain**2,
+        drift_variance=chosen["drift_ratio"] * unit / plant.gain**2,
+        sensor_variance=unit,
+    )
+    return observer_with_gain(
+        plant, gain.gain, feedback_poles=poles, form=form, disturbance=disturbance
+    )

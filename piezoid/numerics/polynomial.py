@@ -1,0 +1,153 @@
+"""Polynomials in q^-1: products, roots, the Bezout equation.
+
+An array ``p`` stands for p[0] + p[1] q^-1 + ... + p[n] q^-n, where q^-1 delays by one sample.
+"Root" always means a value of z = q. Landau & Zito (2006) write the same; in control toolboxes
+``p`` would be read as descending powers of z, which for a proper fraction is the same array.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+
+Roots = NDArray[np.complex128]
+
+_NEARLY_COMMON = 1e-13
+"""A Sylvester matrix with a smaller ratio of singular values has no usable solution in float64."""
+
+
+def product(*factors: ArrayLike) -> Array:
+    """Return the product of polynomials; of none, one."""
+    result = np.ones(1)
+    for factor in factors:
+        result = np.convolve(result, np.asarray(factor, dtype=np.float64))
+    return result
+
+
+def total(*terms: ArrayLike) -> Array:
+    """Return the sum of polynomials of any degrees."""
+    arrays = [np.asarray(term, dtype=np.float64) for term in terms]
+    result = np.zeros(max(len(array) for array in arrays))
+    for array in arrays:
+        result[: len(array)] += array
+    return result
+
+
+def delayed(polynomial: ArrayLike, samples: int) -> Array:
+    """Return q^-samples times the polynomial."""
+    return np.concatenate([np.zeros(samples), np.asarray(polynomial, dtype=np.float64)])
+
+
+def trimmed(polynomial: ArrayLike) -> Array:
+    """Drop zero coefficients at the end; the polynomial stays the same, its degree is seen."""
+    array = np.asarray(polynomial, dtype=np.float64)
+    used = np.flatnonzero(array)
+    return array[: used[-1] + 1].copy() if used.size else np.zeros(1)
+
+
+def value_at(polynomial: ArrayLike, z: complex | Roots) -> Roots:
+    """Return the polynomial's value, p[0] + p[1]/z + ...; at z = 1 the sum of coefficients."""
+    coefficients = np.asarray(polynomial, dtype=np.float64)[::-1]
+    return np.asarray(np.polyval(coefficients, 1.0 / np.asarray(z, dtype=np.complex128)))
+
+
+def roots_of(polynomial: ArrayLike) -> Roots:
+    """Return the values of z where the polynomial vanishes, without the poles at z = 0."""
+    array = trimmed(polynomial)
+    used = np.flatnonzero(array)
+    return np.asarray(np.roots(array[used[0] :]), dtype=np.complex128)
+
+
+def from_roots(roots: ArrayLike) -> Array:
+    """Return the monic polynomial with these values of z as roots; complex ones in pairs."""
+    expanded = np.atleast_1d(np.poly(np.asarray(roots, dtype=np.complex128)))
+    return np.ascontiguousarray(expanded.real)
+
+
+def spectral_radius(polynomial: ArrayLike) -> float:
+    """Return the largest magnitude of the roots; below one the polynomial is stable (Schur)."""
+    roots = roots_of(polynomial)
+    return float(np.abs(roots).max()) if roots.size else 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BezoutSolution:
+    """The pair of polynomials that places P, and how well it does.
+
+    S, R       A S + B R = P
+    residual   max |A S + B R - P| / max |P|
+    condition  of the balanced Sylvester matrix
+    """
+
+    S: Array
+    R: Array
+    residual: float
+    condition: float
+
+
+def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
+    """Solve A S + B R = P for the pair of least degree.
+
+        deg R = deg A - 1,   deg S = max(deg B - 1, deg P - deg A)    [Landau & Zito 2006]
+
+    A, B  without common roots; the delay stands in B as leading zeros
+    P     the polynomial to be placed, of any degree
+
+    B is balanced by its largest coefficient, so that gains of 1e-6 m/V and of 1e2 neper/V are
+    solved alike. Raises ``DesignError`` naming the root that A and B (nearly) share.
+    """
+    a, b, p = trimmed(A), trimmed(B), trimmed(P)
+    scale = float(np.abs(b).max())
+    if scale == 0.0 or len(a) < 2:
+        raise ValueError("solve_bezout needs a non-zero B and a denominator A of degree >= 1")
+    degree_s = max(len(b) - 2, len(p) - len(a), 0)
+    matrix = sylvester(a, b / scale, degree_s)
+    target = np.zeros(len(matrix))
+    target[: len(p)] = p
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    if singular[-1] < _NEARLY_COMMON * singular[0]:
+        _refuse_common_root(a, b, float(singular[-1] / singular[0]))
+    solution = np.linalg.solve(matrix, target)
+    solution += np.linalg.solve(matrix, target - matrix @ solution)
+    S, R = solution[: degree_s + 1], solution[degree_s + 1 :] / scale
+    left = total(product(a, S), product(b, R), -target)
+    return BezoutSolution(
+        S=S,
+        R=R,
+        residual=float(np.abs(left).max() / np.abs(p).max()),
+        condition=float(singular[0] / singular[-1]),
+    )
+
+
+def sylvester(A: Array, B: Array, degree_s: int) -> Array:
+    """Return the square matrix M of A S + B R = M [S; R] with deg R = deg A - 1.
+
+    returned  (deg A + degree_s + 1,) squared; columns: shifts of A, then shifts of B
+    """
+    rows = len(A) + degree_s
+    matrix = np.zeros((rows, rows))
+    for column in range(degree_s + 1):
+        matrix[column : column + len(A), column] = A
+    for column in range(len(A) - 1):
+        stop = min(rows, column + len(B))
+        matrix[column:stop, degree_s + 1 + column] = B[: stop - column]
+    return matrix
+
+
+def _refuse_common_root(A: Array, B: Array, ratio: float) -> None:
+    poles, zeros = roots_of(A), roots_of(B)
+    if not zeros.size:
+        zeros = np.array([np.inf + 0j])
+    distance = np.abs(poles[:, None] - zeros[None, :])
+    row, column = np.unravel_index(int(np.argmin(distance)), distance.shape)
+    raise DesignError(
+        f"the pole z = {poles[row]:.6g} and the zero z = {zeros[column]:.6g} of the plant with "
+        f"its fixed parts nearly cancel (singular values in the ratio {ratio:.1e})",
+        needed="A H_S and B H_R must have no common root",
+        remedy="Remove the fixed part that makes the root, or reduce the model's order.",
+        pole=complex(poles[row]),
+        zero=complex(zeros[column]),
+    )
