@@ -1,0 +1,67 @@
+"""Sweeps with known truth, and the one real file, read with nothing but a split on tabs."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.identification.tunnelling.approach import ApproachCurve, Direction, read_approach
+from piezoid.numerics.arrays import Array
+
+DECAY_PER_M = 20.5e9
+HEIGHT_M = np.linspace(-0.21e-9, 0.49e-9, 200)
+OFFSET_A = -0.04e-12
+
+
+def correlated(rng: np.random.Generator, samples: int, correlation: float) -> Array:
+    """Unit-variance noise whose neighbours are correlated."""
+    noise = rng.standard_normal(samples)
+    for n in range(1, samples):
+        noise[n] = correlation * noise[n - 1] + np.sqrt(1.0 - correlation**2) * noise[n]
+    return noise
+
+
+def sweep(
+    rng: np.random.Generator,
+    *,
+    decay_per_m: float = DECAY_PER_M,
+    peak_A: float = 750e-12,
+    floor_A: float = 0.015e-12,
+    relative: float = 0.01,
+    correlation: float = 0.0,
+    jump_nepers: float = 0.0,
+    polarity: float = -1.0,
+    direction: Direction = Direction.FORWARD,
+    shift_m: float = 0.0,
+) -> ApproachCurve:
+    """A sweep like the real one; the jump lies at height zero, away from the surface."""
+    above_m = HEIGHT_M - HEIGHT_M[0] - shift_m
+    tunnelling_A = peak_A * np.exp(-decay_per_m * above_m + jump_nepers * (HEIGHT_M > 0.0))
+    jitter = np.exp(relative * correlated(rng, len(HEIGHT_M), correlation))
+    dark_A = OFFSET_A + floor_A * rng.standard_normal(len(HEIGHT_M))
+    return read_approach(
+        HEIGHT_M,
+        polarity * tunnelling_A * jitter + dark_A,
+        bias_V=polarity * 0.02,
+        direction=direction,
+        label="simulated",
+    )
+
+
+def real_columns(realdata: Path) -> dict[str, Array]:
+    """All columns of the recorded Z spectroscopy by name."""
+    text = (realdata / "stm_current_vs_z" / "z.dat").read_text(encoding="latin-1")
+    header, *rows = text.split("[DATA]")[1].strip("\n").splitlines()
+    values = np.array([[float(cell) for cell in row.split("\t")] for row in rows if row.strip()])
+    return dict(zip(header.split("\t"), values.T, strict=True))
+
+
+def real_sweep(columns: dict[str, Array], number: str, direction: Direction) -> ApproachCurve:
+    """One sweep of the real file: number "AVG", "00001", ..."""
+    way = " [bwd]" if direction is Direction.BACKWARD else ""
+    return read_approach(
+        columns["Z rel (m)"],
+        columns[f"Current [{number}]{way} (A)"],
+        bias_V=float(columns[f"Bias [{number}]{way} (V)"][0]),
+        direction=direction,
+        label=f"Current [{number}]{way}",
+    )

@@ -1,0 +1,94 @@
+"""The recorded Z spectroscopy: three sweeps each way, nothing selected."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.identification.tunnelling.approach import Direction, read_approach
+from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
+from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.directions import compare_directions
+from tests.identification.tunnelling.sweeps import real_columns, real_sweep, sweep
+
+# The published fits of the two averages, in decays per nanometre.
+PUBLISHED_PER_M = {Direction.FORWARD: 20.60e9, Direction.BACKWARD: 20.76e9}
+
+
+def _fit(realdata: Path, direction: Direction, *numbers: str) -> BarrierFit:
+    columns = real_columns(realdata)
+    return fit_barrier([real_sweep(columns, number, direction) for number in numbers])
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_the_published_decay_lies_in_the_interval(realdata: Path, direction: Direction) -> None:
+    fit = _fit(realdata, direction, "AVG")
+    low, high = fit.decay_interval_per_m
+    assert low < PUBLISHED_PER_M[direction] < high
+    assert fit.decay_per_m == pytest.approx(PUBLISHED_PER_M[direction], rel=0.005)
+    assert (high - low) / fit.decay_per_m < 0.03
+    assert 3.9 < fit.barrier_interval_eV[0] < fit.barrier_interval_eV[1] < 4.3
+
+
+@pytest.mark.parametrize("direction", list(Direction))
+def test_three_sweeps_agree_with_their_average(realdata: Path, direction: Direction) -> None:
+    together = _fit(realdata, direction, "00001", "00002", "00003")
+    average = _fit(realdata, direction, "AVG")
+    assert together.decay_per_m == pytest.approx(average.decay_per_m, rel=0.003)
+    assert np.ptp(together.sweep_decay_per_m) < 0.003 * together.decay_per_m
+    assert together.confidence is Confidence.HIGH
+
+
+def test_the_negative_polarity_and_the_offset_are_found(realdata: Path) -> None:
+    fit = _fit(realdata, Direction.FORWARD, "AVG")
+    assert fit.polarity == -1.0
+    assert -0.05e-12 < fit.offset_A < -0.01e-12  # the far end rests at -0.036 pA
+
+
+def test_the_directions_differ_by_a_few_picometres(realdata: Path) -> None:
+    ways = [_fit(realdata, way, "00001", "00002", "00003") for way in Direction]
+    shift = compare_directions(*ways)
+    low, high = shift.shift_interval_m
+    assert -5e-12 < low < shift.shift_m < high < 0.0
+    assert shift.is_one_decay
+
+
+def test_two_thirds_of_the_rows_missing_lower_the_confidence(
+    realdata: Path, rng: np.random.Generator
+) -> None:
+    columns = real_columns(realdata)
+    current_A = columns["Current [00001] (A)"].copy()
+    current_A[rng.permutation(200)[:134]] = np.nan
+    holed = read_approach(
+        columns["Z rel (m)"], current_A, bias_V=-0.02, direction=Direction.FORWARD, label="holed"
+    )
+    fit = fit_barrier([holed])
+    assert fit.confidence is Confidence.LOW
+    assert fit.decay_interval_per_m[0] < 20.60e9 < fit.decay_interval_per_m[1]
+
+
+def test_the_part_below_700_femtoamperes_is_wide_and_says_why(realdata: Path) -> None:
+    columns = real_columns(realdata)
+    weak = np.abs(columns["Current [00001] (A)"]) < 0.7e-12
+    part = read_approach(
+        columns["Z rel (m)"][weak],
+        columns["Current [00001] (A)"][weak],
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="weak part",
+    )
+    fit = fit_barrier([part])
+    whole = _fit(realdata, Direction.FORWARD, "00001")
+    assert fit.confidence is Confidence.LOW
+    assert np.ptp(fit.decay_interval_per_m) > 5.0 * np.ptp(whole.decay_interval_per_m)
+    assert "decades above three times its noise" in fit.reasons[0].text
+
+
+def test_a_known_shift_between_directions_is_found(rng: np.random.Generator) -> None:
+    forward = fit_barrier([sweep(rng) for _ in range(3)])
+    backward = fit_barrier(
+        [sweep(rng, shift_m=10e-12, direction=Direction.BACKWARD) for _ in range(3)]
+    )
+    shift = compare_directions(forward, backward)
+    assert shift.shift_m == pytest.approx(10e-12, abs=0.5e-12)  # jitter is 0.5 pm a point
+    assert shift.shift_interval_m[0] < 10e-12 < shift.shift_interval_m[1]
