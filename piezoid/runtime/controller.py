@@ -1,0 +1,123 @@
+"""Controller: the shipped C, one axis, with its own state."""
+
+import ctypes
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piezoid.errors import ParameterFileError
+from piezoid.numerics.arrays import Array
+from piezoid.runtime.library import library
+from piezoid.runtime.values import complete
+
+
+class Status(IntFlag):
+    """What happened in a sample; bits of the runtime's status word."""
+
+    BAD_REFERENCE = 1
+    REFERENCE_LIMITED = 2
+    BAD_MEASUREMENT = 4
+    MEASUREMENT_LIMITED = 8
+    STUCK_SENSOR = 16
+    VOLTAGE_LIMITED = 32
+    VOLTAGE_STEP = 64
+    CURRENT_LOST = 128
+    RETRACTED = 256
+    RESTARTED = 512
+    NOT_STARTED = 1024
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """What the controller did with two arrays.
+
+    voltage_V  (samples,)  V
+    status     (samples,)  ``Status`` bits
+    """
+
+    voltage_V: Array
+    status: NDArray[np.uint32]
+
+
+class Controller:
+    """The runtime with parameters and a state of its own, in either precision.
+
+    given      parameters by name, completed as by ``values.complete``
+    precision  ``double`` or ``float``; what the target will be built with
+
+    The parameters never change; the state changes with every step, as in the firmware. Raises
+    ``ParameterFileError`` for parameters the runtime refuses.
+    """
+
+    def __init__(self, given: Mapping[str, ArrayLike | str], *, precision: str = "double") -> None:
+        self.library = library(precision)
+        self.parameters = self.library.pack(complete(given))
+        self._state = (ctypes.c_uint32 * (self.library.state_size // 4))()
+        self._addresses = (ctypes.addressof(self._state), ctypes.addressof(self.parameters))
+
+    @property
+    def addresses(self) -> tuple[int, int, int]:
+        """Addresses of ``pz_step``, the state and the parameters, for a plant written in C.
+
+        They are valid as long as this controller lives.
+        """
+        step = ctypes.cast(self.library.code.pz_step, ctypes.c_void_p).value
+        assert step is not None
+        return (step, *self._addresses)
+
+    @property
+    def status(self) -> Status:
+        """Status of the last step."""
+        return Status(self._state[1])
+
+    @property
+    def status_ever(self) -> Status:
+        """Every status since the start."""
+        return Status(self._state[2])
+
+    def start(self, voltage_V: float, measured: float) -> None:
+        """Go to rest: the next step with reference == measured returns ``voltage_V``.
+
+        voltage_V  V           what the converter puts out now
+        measured   m (Z: A)    what the sensor shows now
+        """
+        refused = self.library.code.pz_start(*self._addresses, voltage_V, measured)
+        if refused:
+            raise ParameterFileError(
+                f"the runtime refuses parameter {refused}",
+                needed="parameters nobody has written to",
+                remedy="Make a new Controller from the parameter file.",
+            )
+
+    def schedule(self, ratio: float) -> None:
+        """Z: the plant's gain is now ``ratio`` times the one designed for."""
+        self.library.code.pz_schedule(*self._addresses, ratio)
+
+    def step(self, reference: float, measured: float) -> float:
+        """Return the voltage for one sample; reference and measured in m (Z: A)."""
+        return float(self.library.code.pz_step(*self._addresses, reference, measured))
+
+    def run(self, reference: Array, measured: Array) -> Run:
+        """Step through arrays whose measurement does not depend on the output.
+
+        reference, measured  (samples,)  m (Z: A)
+        """
+        if reference.ndim != 1 or reference.shape != measured.shape:
+            raise ValueError(f"reference {reference.shape} and measured {measured.shape} differ")
+        dtype = np.dtype(self.library.real)
+        reference = np.ascontiguousarray(reference, dtype=dtype)
+        measured = np.ascontiguousarray(measured, dtype=dtype)
+        voltage = np.empty(len(reference), dtype=dtype)
+        status = np.empty(len(reference), dtype=np.uint32)
+        self.library.code.pz_run_many(
+            *self._addresses,
+            len(reference),
+            reference.ctypes.data,
+            measured.ctypes.data,
+            voltage.ctypes.data,
+            status.ctypes.data,
+        )
+        return Run(voltage_V=voltage.astype(np.float64), status=status)

@@ -1,0 +1,872 @@
+#include "piezoid_runtime.h"
+
+#include <float.h>
+#include <string.h>
+
+#ifdef PZ_REAL_FLOAT
+#define REAL_MAX FLT_MAX
+#define REAL_EPSILON FLT_EPSILON
+#else
+#define REAL_MAX DBL_MAX
+#define REAL_EPSILON DBL_EPSILON
+#endif
+
+#define ZERO PZ_REAL(0)
+#define ONE PZ_REAL(1)
+#define READY 0x507A1D01u /* in state->ready: pz_start has accepted the parameters */
+
+/* Comparisons only: NaN and infinity are on neither side. */
+static int is_finite(pz_real x) {
+    return x >= -REAL_MAX && x <= REAL_MAX;
+}
+
+static pz_real magnitude(pz_real x) {
+    return x < ZERO ? -x : x;
+}
+
+static pz_real clamp(pz_real x, pz_real low, pz_real high) {
+    const pz_real raised = x > low ? x : low;
+    return raised < high ? raised : high;
+}
+
+/* ---- operators ----------------------------------------------------------------------------- */
+
+/* H: sum of w_i z_i over the memory. */
+static pz_real play_sum(const pz_parameters *p, const pz_real *z) {
+    pz_real sum = ZERO;
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        sum += p->play_weight_m_per_V[i] * z[i];
+    }
+    return sum;
+}
+
+/* The memory follows u: z_i = max(u - r_i, min(u + r_i, z_i)). */
+static void play_follow(const pz_parameters *p, pz_real *z, pz_real u) {
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        z[i] = clamp(z[i], u - p->play_threshold_V[i], u + p->play_threshold_V[i]);
+    }
+}
+
+/* H^-1 from the forward memory z: the u at which the sum of plays is `wanted`.
+ *
+ * From the present input z_0 outwards, in either direction, play i starts to move where u has gone
+ * r_i beyond z_i. Admissible memory is nested (|z_i - z_{i-1}| <= r_i - r_{i-1}), so those places
+ * come in the order of i, and between them the sum has the slope w_0 + ... + w_i > 0. */
+static pz_real play_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
+    const pz_real rest = play_sum(p, z);
+    const pz_real sign = wanted < rest ? -ONE : ONE;
+    const pz_real way = sign * (wanted - rest);
+    pz_real done = ZERO;
+    pz_real u = sign * z[0];
+    pz_real slope = p->play_weight_m_per_V[0];
+    for (int32_t i = 1; i < p->play_count; ++i) {
+        const pz_real next = sign * z[i] + p->play_threshold_V[i];
+        if (next > u) {
+            const pz_real rise = slope * (next - u);
+            if (done + rise >= way) {
+                break;
+            }
+            done += rise;
+            u = next;
+        }
+        slope += p->play_weight_m_per_V[i];
+    }
+    return sign * (u + (way - done) / slope);
+}
+
+/* Psi or its inverse: through the kinks on the side of x, away from 0. */
+static pz_real dead_zones(const pz_parameters *p, pz_real x, int inverse) {
+    if (p->knot_count == 0) {
+        return x;
+    }
+    const int32_t step = x < ZERO ? -1 : 1;
+    const pz_real sign = x < ZERO ? -ONE : ONE;
+    const pz_real way = sign * x;
+    pz_real slope = p->knot_weight[p->knot_zero];
+    pz_real at = ZERO;  /* distance of the last kink from 0, before Psi */
+    pz_real out = ZERO; /* the same after Psi */
+    for (int32_t i = p->knot_zero + step; i >= 0 && i < p->knot_count; i += step) {
+        const pz_real next = sign * p->knot_m[i];
+        const pz_real next_out = out + slope * (next - at);
+        if ((inverse ? next_out : next) >= way) {
+            break;
+        }
+        at = next;
+        out = next_out;
+        slope += p->knot_weight[i];
+    }
+    return sign * (inverse ? at + (way - out) / slope : out + slope * (way - at));
+}
+
+static int has_plays(const pz_parameters *p) {
+    return p->method == PZ_METHOD_MPI || p->method == PZ_METHOD_MPI_DOB;
+}
+
+static int has_observer(const pz_parameters *p) {
+    return p->method == PZ_METHOD_DOB || p->method == PZ_METHOD_MPI_DOB;
+}
+
+/* The static model: displacement of the voltage the memory has just followed. */
+static pz_real static_displacement(const pz_parameters *p, const pz_state *s) {
+    const pz_real u = s->voltage_V - p->voltage_offset_V;
+    return has_plays(p) ? dead_zones(p, play_sum(p, s->play_V), 0) : p->gain_m_per_V * u;
+}
+
+/* Its inverse: the voltage for a displacement, not yet clipped. */
+static pz_real static_voltage(const pz_parameters *p, const pz_state *s, pz_real y) {
+    const pz_real u =
+        has_plays(p) ? play_inverse(p, s->play_V, dead_zones(p, y, 1)) : y / p->gain_m_per_V;
+    return u + p->voltage_offset_V;
+}
+
+static pz_real creep(const pz_parameters *p, const pz_state *s) {
+    pz_real sum = ZERO;
+    for (int32_t i = 0; i < p->relaxation_count; ++i) {
+        sum += p->relaxation_share[i] * s->relaxation_m[i];
+    }
+    return sum;
+}
+
+static void relax(const pz_parameters *p, pz_state *s, pz_real y) {
+    for (int32_t i = 0; i < p->relaxation_count; ++i) {
+        s->relaxation_m[i] += p->relaxation_rate[i] * (y - s->relaxation_m[i]);
+    }
+}
+
+/* Biquads in series, transposed direct form II: b0 b1 b2 a1 a2. */
+static pz_real filter(const pz_real section[][5], int32_t count, pz_real memory[][2], pz_real x) {
+    for (int32_t i = 0; i < count; ++i) {
+        const pz_real *c = section[i];
+        const pz_real y = c[0] * x + memory[i][0];
+        memory[i][0] = c[1] * x - c[3] * y + memory[i][1];
+        memory[i][1] = c[2] * x - c[4] * y;
+        x = y;
+    }
+    return x;
+}
+
+/* Their memory after a long time at x; every section has unit gain at rest. */
+static void filter_rest(const pz_real section[][5], int32_t count, pz_real memory[][2],
+                        pz_real x) {
+    for (int32_t i = 0; i < count; ++i) {
+        const pz_real *c = section[i];
+        memory[i][1] = (c[2] - c[4]) * x;
+        memory[i][0] = (c[1] - c[3]) * x + memory[i][1];
+    }
+}
+
+static pz_real dot(const pz_real *a, const pz_real *b, int32_t count) {
+    pz_real sum = ZERO;
+    for (int32_t i = 0; i < count; ++i) {
+        sum += a[i] * b[i];
+    }
+    return sum;
+}
+
+pz_real pz_log(pz_real x) {
+    static const pz_real power[7] = {PZ_REAL(18446744073709551616.0),
+                                     PZ_REAL(4294967296.0),
+                                     PZ_REAL(65536.0),
+                                     PZ_REAL(256.0),
+                                     PZ_REAL(16.0),
+                                     PZ_REAL(4.0),
+                                     PZ_REAL(2.0)};
+    pz_real exponent = ZERO;
+    pz_real step = PZ_REAL(64);
+    /* x = m 2^exponent with m in [1, 2): all products are with powers of two, so exact. */
+    for (int32_t i = 0; i < 7; ++i) {
+        if (x >= power[i]) {
+            x /= power[i];
+            exponent += step;
+        } else if (x * power[i] < PZ_REAL(2)) {
+            x *= power[i];
+            exponent -= step;
+        }
+        step *= PZ_REAL(0.5);
+    }
+    if (x > PZ_REAL(1.4142135623730951)) {
+        x *= PZ_REAL(0.5);
+        exponent += ONE;
+    }
+    /* ln m = 2 artanh((m - 1) / (m + 1)); the first term left out is below 1e-18 of the sum. */
+    const pz_real s = (x - ONE) / (x + ONE);
+    const pz_real square = s * s;
+    pz_real series = ZERO;
+    for (int32_t odd = 21; odd >= 3; odd -= 2) {
+        series = square * (ONE / (pz_real)odd + series);
+    }
+    /* ln 2 = 355/512 - 2.12e-4: the first factor has few bits, its product is exact. */
+    return exponent * PZ_REAL(0.693359375) +
+           (PZ_REAL(2) * s +
+            (PZ_REAL(2) * s * series - exponent * PZ_REAL(2.12194440054690583e-4)));
+}
+
+/* ---- background: the parameters ------------------------------------------------------------ */
+
+#define COUNT(member, lower, upper)                                                               \
+    {#member, offsetof(pz_parameters, member), 1, 0, PZ_REAL(lower), PZ_REAL(upper)}
+#define REAL(member, lower, upper)                                                                \
+    {#member,                                                                                     \
+     offsetof(pz_parameters, member),                                                             \
+     sizeof(((const pz_parameters *)0)->member) / sizeof(pz_real),                                \
+     1,                                                                                           \
+     PZ_REAL(lower),                                                                              \
+     PZ_REAL(upper)}
+
+static const pz_field fields[PZ_PARAMETER_END] = {
+    [PZ_OK] = {"ok", 0, 0, 0, PZ_REAL(0), PZ_REAL(0)},
+    [PZ_SCHEMA] = COUNT(schema, PZ_SCHEMA_VERSION, PZ_SCHEMA_VERSION),
+    [PZ_SIZE_BYTES] = COUNT(size_bytes, sizeof(pz_parameters), sizeof(pz_parameters)),
+    [PZ_CHECKSUM] = COUNT(checksum, 0, 4294967295.0),
+    [PZ_METHOD] = COUNT(method, 0, 4),
+    [PZ_PLAY_COUNT] = COUNT(play_count, 0, PZ_MAX_PLAYS),
+    [PZ_KNOT_COUNT] = COUNT(knot_count, 0, PZ_MAX_KNOTS),
+    [PZ_KNOT_ZERO] = COUNT(knot_zero, 0, PZ_MAX_KNOTS - 1),
+    [PZ_RELAXATION_COUNT] = COUNT(relaxation_count, 0, PZ_MAX_RELAXATIONS),
+    [PZ_REFERENCE_SECTION_COUNT] = COUNT(reference_section_count, 0, PZ_MAX_SECTIONS),
+    [PZ_COMMAND_SECTION_COUNT] = COUNT(command_section_count, 0, PZ_MAX_SECTIONS),
+    [PZ_OBSERVER_ORDER] = COUNT(observer_order, 0, PZ_MAX_ORDER),
+    [PZ_STUCK_SAMPLES] = COUNT(stuck_samples, 0, 1e6),
+    [PZ_BAD_SAMPLES] = COUNT(bad_samples, 0, 1e6),
+    [PZ_RETRACT_SAMPLES] = COUNT(retract_samples, 0, 1e6),
+    [PZ_RST_T_COUNT] = COUNT(rst_T_count, 0, PZ_MAX_TAPS),
+    [PZ_RST_R_COUNT] = COUNT(rst_R_count, 0, PZ_MAX_TAPS),
+    [PZ_RST_S_COUNT] = COUNT(rst_S_count, 0, PZ_MAX_TAPS),
+    [PZ_RST_A0_COUNT] = COUNT(rst_A0_count, 0, PZ_MAX_TAPS),
+    [PZ_SAMPLING_RATE] = REAL(sampling_rate_Hz, 1, 1e7),
+    [PZ_GAIN] = REAL(gain_m_per_V, 0, 1e3),
+    [PZ_VOLTAGE_OFFSET] = REAL(voltage_offset_V, -1e4, 1e4),
+    [PZ_DISPLACEMENT_OFFSET] = REAL(displacement_offset_m, -1e3, 1e3),
+    [PZ_VOLTAGE_MINIMUM] = REAL(voltage_minimum_V, -1e4, 1e4),
+    [PZ_VOLTAGE_MAXIMUM] = REAL(voltage_maximum_V, -1e4, 1e4),
+    [PZ_VOLTAGE_STEP] = REAL(voltage_step_V, 0, 1e5),
+    [PZ_LSB] = REAL(lsb_V, 0, 1e3),
+    [PZ_REFERENCE_MINIMUM] = REAL(reference_minimum_m, -1e3, 1e3),
+    [PZ_REFERENCE_MAXIMUM] = REAL(reference_maximum_m, -1e3, 1e3),
+    [PZ_REFERENCE_STEP] = REAL(reference_step_m, 0, 1e4),
+    [PZ_DISPLACEMENT_MINIMUM] = REAL(displacement_minimum_m, -1e3, 1e3),
+    [PZ_DISPLACEMENT_MAXIMUM] = REAL(displacement_maximum_m, -1e3, 1e3),
+    [PZ_STUCK_VOLTAGE] = REAL(stuck_voltage_V, 0, 1e5),
+    [PZ_PLAY_THRESHOLD] = REAL(play_threshold_V, 0, 1e4),
+    [PZ_PLAY_WEIGHT] = REAL(play_weight_m_per_V, -1e3, 1e3),
+    [PZ_PLAY_MEMORY] = REAL(play_memory_V, -1e4, 1e4),
+    [PZ_KNOT] = REAL(knot_m, -1e3, 1e3),
+    [PZ_KNOT_WEIGHT] = REAL(knot_weight, -1e6, 1e6),
+    [PZ_RELAXATION_RATE] = REAL(relaxation_rate, 0, 1),
+    [PZ_RELAXATION_SHARE] = REAL(relaxation_share, -1, 1),
+    [PZ_REFERENCE_SECTION] = REAL(reference_section, -1e9, 1e9),
+    [PZ_COMMAND_SECTION] = REAL(command_section, -1e9, 1e9),
+    [PZ_OBSERVER_A] = REAL(observer_A, -1e12, 1e12),
+    [PZ_OBSERVER_B] = REAL(observer_B, -1e12, 1e12),
+    [PZ_OBSERVER_C] = REAL(observer_C, -1e12, 1e12),
+    [PZ_OBSERVER_L] = REAL(observer_L, -1e12, 1e12),
+    [PZ_OBSERVER_DISTURBANCE_L] = REAL(observer_disturbance_L_V_per_m, -1e12, 1e12),
+    [PZ_OBSERVER_REST] = REAL(observer_rest, -1e12, 1e12),
+    [PZ_FEEDBACK_K] = REAL(feedback_K_V, -1e12, 1e12),
+    [PZ_FEEDBACK_N] = REAL(feedback_N_V_per_m, -1e12, 1e12),
+    [PZ_CURRENT_REFERENCE] = REAL(current_reference_A, 0, 1),
+    [PZ_CURRENT_FLOOR] = REAL(current_floor_A, 0, 1),
+    [PZ_CURRENT_CEILING] = REAL(current_ceiling_A, 0, 1),
+    [PZ_RETRACT_VOLTAGE] = REAL(retract_voltage_V, -1e4, 1e4),
+    [PZ_SCHEDULE_LIMIT] = REAL(schedule_limit, 1, 1e3),
+    [PZ_RST_T] = REAL(rst_T_V, -1e9, 1e9),
+    [PZ_RST_R] = REAL(rst_R_V, -1e9, 1e9),
+    [PZ_RST_S] = REAL(rst_S, -1e9, 1e9),
+    [PZ_RST_A0] = REAL(rst_A0, -1e9, 1e9),
+};
+
+const pz_field *pz_describe(int32_t index) {
+    return index > PZ_OK && index < PZ_PARAMETER_END ? &fields[index] : NULL;
+}
+
+uint32_t pz_checksum(const pz_parameters *parameters) {
+    const unsigned char *byte = (const unsigned char *)parameters;
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t i = offsetof(pz_parameters, method); i < sizeof(pz_parameters); ++i) {
+        crc ^= byte[i];
+        for (int32_t bit = 0; bit < 8; ++bit) {
+            crc = (crc >> 1) ^ ((crc & 1u) != 0u ? 0xEDB88320u : 0u);
+        }
+    }
+    return ~crc;
+}
+
+static int in_bounds(const pz_parameters *p, const pz_field *field) {
+    const unsigned char *place = (const unsigned char *)p + field->offset_bytes;
+    if (field->is_real == 0) {
+        const pz_real value = (pz_real) * (const int32_t *)(const void *)place;
+        return value >= field->lower && value <= field->upper;
+    }
+    const pz_real *value = (const pz_real *)(const void *)place;
+    for (size_t i = 0; i < field->count; ++i) {
+        if (!(value[i] >= field->lower && value[i] <= field->upper)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* Equal up to what rounding the coefficients to pz_real can do; `scale` sums the magnitudes. */
+static int near(pz_real a, pz_real b, pz_real scale) {
+    return magnitude(a - b) <= PZ_REAL(64) * REAL_EPSILON * scale;
+}
+
+static int32_t check_converter(const pz_parameters *p) {
+    if (!(p->voltage_minimum_V < p->voltage_maximum_V)) {
+        return PZ_VOLTAGE_MAXIMUM;
+    }
+    if (p->lsb_V > ZERO) {
+        const pz_real window = p->voltage_maximum_V - p->voltage_minimum_V;
+        const pz_real largest = magnitude(p->voltage_maximum_V) > magnitude(p->voltage_minimum_V)
+                                    ? magnitude(p->voltage_maximum_V)
+                                    : magnitude(p->voltage_minimum_V);
+        /* A code inside the window must exist, and every code number be exact in a float. */
+        if (window < PZ_REAL(2) * p->lsb_V || largest > PZ_REAL(8388608) * p->lsb_V) {
+            return PZ_LSB;
+        }
+    }
+    return PZ_OK;
+}
+
+static int32_t check_plays(const pz_parameters *p) {
+    const pz_real *r = p->play_threshold_V;
+    const pz_real *z = p->play_memory_V;
+    pz_real slope = ZERO;
+    if (p->play_count < 1) {
+        return PZ_PLAY_COUNT;
+    }
+    if (r[0] > ZERO) {
+        return PZ_PLAY_THRESHOLD;
+    }
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        slope += p->play_weight_m_per_V[i];
+        if (!(slope > ZERO)) {
+            return PZ_PLAY_WEIGHT;
+        }
+        if (i > 0 && !(r[i] > r[i - 1])) {
+            return PZ_PLAY_THRESHOLD;
+        }
+        if (i > 0 && magnitude(z[i] - z[i - 1]) > r[i] - r[i - 1] &&
+            !near(magnitude(z[i] - z[i - 1]), r[i] - r[i - 1],
+                  r[i] + magnitude(z[i]) + magnitude(z[i - 1]))) {
+            return PZ_PLAY_MEMORY;
+        }
+    }
+    return PZ_OK;
+}
+
+static int32_t check_knots(const pz_parameters *p) {
+    const int32_t zero = p->knot_zero;
+    pz_real slope = ZERO;
+    if (p->knot_count == 0) {
+        return PZ_OK;
+    }
+    if (zero >= p->knot_count) {
+        return PZ_KNOT_ZERO;
+    }
+    if (p->knot_m[zero] < ZERO || p->knot_m[zero] > ZERO) {
+        return PZ_KNOT;
+    }
+    for (int32_t i = 1; i < p->knot_count; ++i) {
+        if (!(p->knot_m[i] > p->knot_m[i - 1])) {
+            return PZ_KNOT;
+        }
+    }
+    for (int32_t i = zero; i < p->knot_count; ++i) {
+        slope += p->knot_weight[i];
+        if (!(slope > ZERO)) {
+            return PZ_KNOT_WEIGHT;
+        }
+    }
+    slope = ZERO;
+    for (int32_t i = zero; i >= 0; --i) {
+        slope += p->knot_weight[i];
+        if (!(slope > ZERO)) {
+            return PZ_KNOT_WEIGHT;
+        }
+    }
+    return PZ_OK;
+}
+
+/* Stable poles (Jury's conditions for two), and unit gain at rest. */
+static int sections_usable(const pz_real section[][5], int32_t count) {
+    for (int32_t i = 0; i < count; ++i) {
+        const pz_real *c = section[i];
+        const pz_real scale = ONE + magnitude(c[0]) + magnitude(c[1]) + magnitude(c[2]) +
+                              magnitude(c[3]) + magnitude(c[4]);
+        if (!(magnitude(c[4]) < ONE && magnitude(c[3]) < ONE + c[4])) {
+            return 0;
+        }
+        if (!near(c[0] + c[1] + c[2], ONE + c[3] + c[4], scale)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+/* The observer's model must be at rest where it says, and its static gains must agree: else the
+ * start bumps and the reference is missed. */
+static int32_t check_observer(const pz_parameters *p) {
+    const int32_t n = p->observer_order;
+    const pz_real *rest = p->observer_rest;
+    pz_real gain_scale = p->gain_m_per_V;
+    pz_real feedback_scale = ONE;
+    if (n < 1) {
+        return PZ_OBSERVER_ORDER;
+    }
+    for (int32_t i = 0; i < n; ++i) {
+        pz_real scale = magnitude(rest[i]) + magnitude(p->observer_B[i]);
+        for (int32_t j = 0; j < n; ++j) {
+            scale += magnitude(p->observer_A[i][j] * rest[j]);
+        }
+        if (!near(dot(p->observer_A[i], rest, n) + p->observer_B[i], rest[i], scale)) {
+            return PZ_OBSERVER_REST;
+        }
+        gain_scale += magnitude(p->observer_C[i] * rest[i]);
+        feedback_scale += magnitude(p->feedback_K_V[i] * rest[i]);
+    }
+    if (!near(dot(p->observer_C, rest, n), p->gain_m_per_V, gain_scale)) {
+        return PZ_OBSERVER_C;
+    }
+    if (!near(p->feedback_N_V_per_m * p->gain_m_per_V, ONE + dot(p->feedback_K_V, rest, n),
+              feedback_scale)) {
+        return PZ_FEEDBACK_N;
+    }
+    return PZ_OK;
+}
+
+static int32_t check_lateral(const pz_parameters *p) {
+    int32_t answer = has_plays(p) ? check_plays(p) : PZ_OK;
+    if (answer == PZ_OK && has_plays(p)) {
+        answer = check_knots(p);
+    }
+    if (answer != PZ_OK) {
+        return answer;
+    }
+    if (!(p->gain_m_per_V > ZERO)) {
+        return PZ_GAIN;
+    }
+    if (!(p->reference_minimum_m < p->reference_maximum_m)) {
+        return PZ_REFERENCE_MAXIMUM;
+    }
+    if (!(p->displacement_minimum_m < p->displacement_maximum_m)) {
+        return PZ_DISPLACEMENT_MAXIMUM;
+    }
+    for (int32_t i = 0; i < p->relaxation_count; ++i) {
+        if (!(p->relaxation_rate[i] > ZERO)) {
+            return PZ_RELAXATION_RATE;
+        }
+    }
+    if (!sections_usable(p->command_section, p->command_section_count)) {
+        return PZ_COMMAND_SECTION;
+    }
+    return has_observer(p) ? check_observer(p) : PZ_OK;
+}
+
+static int is_monic(const pz_real *polynomial, int32_t count) {
+    return count >= 1 && !(polynomial[0] < ONE) && !(polynomial[0] > ONE);
+}
+
+static int32_t check_rst(const pz_parameters *p) {
+    if (!(p->current_floor_A > ZERO)) {
+        return PZ_CURRENT_FLOOR;
+    }
+    if (!(p->current_reference_A >= p->current_floor_A)) {
+        return PZ_CURRENT_REFERENCE;
+    }
+    if (!(p->current_ceiling_A > p->current_reference_A) ||
+        p->current_ceiling_A > PZ_REAL(1e12) * p->current_floor_A) {
+        return PZ_CURRENT_CEILING;
+    }
+    if (p->retract_voltage_V < p->voltage_minimum_V ||
+        p->retract_voltage_V > p->voltage_maximum_V) {
+        return PZ_RETRACT_VOLTAGE;
+    }
+    if (p->retract_samples < 1) {
+        return PZ_RETRACT_SAMPLES;
+    }
+    if (p->rst_T_count < 1) {
+        return PZ_RST_T_COUNT;
+    }
+    if (p->rst_R_count < 1) {
+        return PZ_RST_R_COUNT;
+    }
+    if (!is_monic(p->rst_S, p->rst_S_count)) {
+        return PZ_RST_S;
+    }
+    if (!is_monic(p->rst_A0, p->rst_A0_count)) {
+        return PZ_RST_A0;
+    }
+    /* Both belong into R, S and T, where the margins were computed. */
+    if (p->command_section_count != 0) {
+        return PZ_COMMAND_SECTION_COUNT;
+    }
+    return p->relaxation_count != 0 ? PZ_RELAXATION_COUNT : PZ_OK;
+}
+
+int32_t pz_check(const pz_parameters *parameters) {
+    for (int32_t i = PZ_SCHEMA; i <= PZ_SIZE_BYTES; ++i) {
+        if (!in_bounds(parameters, &fields[i])) {
+            return i;
+        }
+    }
+    if (parameters->checksum != pz_checksum(parameters)) {
+        return PZ_CHECKSUM;
+    }
+    for (int32_t i = PZ_METHOD; i < PZ_PARAMETER_END; ++i) {
+        if (!in_bounds(parameters, &fields[i])) {
+            return i;
+        }
+    }
+    if (!sections_usable(parameters->reference_section, parameters->reference_section_count)) {
+        return PZ_REFERENCE_SECTION;
+    }
+    const int32_t answer = check_converter(parameters);
+    if (answer != PZ_OK) {
+        return answer;
+    }
+    return parameters->method == PZ_METHOD_RST ? check_rst(parameters) : check_lateral(parameters);
+}
+
+/* ---- converter ----------------------------------------------------------------------------- */
+
+/* To the nearest code; half codes go away from 0, and never out of the limits. */
+static pz_real to_code(const pz_parameters *p, pz_real volts) {
+    if (!(p->lsb_V > ZERO)) {
+        return volts;
+    }
+    const pz_real half = volts < ZERO ? PZ_REAL(-0.5) : PZ_REAL(0.5);
+    int32_t code = (int32_t)(volts / p->lsb_V + half);
+    if ((pz_real)code * p->lsb_V > p->voltage_maximum_V) {
+        --code;
+    }
+    if ((pz_real)code * p->lsb_V < p->voltage_minimum_V) {
+        ++code;
+    }
+    return (pz_real)code * p->lsb_V;
+}
+
+/* Put out what can be put out of `wanted`; remembers it before and after rounding. */
+static void convert(pz_state *s, const pz_parameters *p, pz_real wanted) {
+    pz_real command = clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V);
+    if (command < wanted || command > wanted) {
+        s->status |= PZ_STATUS_VOLTAGE_LIMITED;
+    }
+    if (p->voltage_step_V > ZERO) {
+        const pz_real near_enough =
+            clamp(command, s->command_V - p->voltage_step_V, s->command_V + p->voltage_step_V);
+        if (near_enough < command || near_enough > command) {
+            s->status |= PZ_STATUS_VOLTAGE_STEP;
+        }
+        command = clamp(near_enough, p->voltage_minimum_V, p->voltage_maximum_V);
+    }
+    s->command_V = command;
+    s->voltage_V = to_code(p, command);
+}
+
+/* ---- background: rest ---------------------------------------------------------------------- */
+
+static void rest_rst(pz_state *s, const pz_parameters *p, pz_real measured_log) {
+    for (int32_t i = 0; i < PZ_MAX_TAPS; ++i) {
+        s->rst_reference[i] = measured_log;
+        s->rst_measured[i] = measured_log;
+        s->rst_change_V[i] = ZERO;
+        s->rst_excess_V[i] = ZERO;
+    }
+    filter_rest(p->reference_section, p->reference_section_count, s->reference_filter,
+                measured_log);
+}
+
+static pz_real log_current(const pz_parameters *p, pz_real current_A) {
+    const pz_real kept = clamp(current_A, p->current_floor_A, p->current_ceiling_A);
+    return pz_log(kept / p->current_reference_A);
+}
+
+/* Rest at s->voltage_V, with the memory of the plays as it is; `y` is relative to the offset. */
+static void rest_lateral(pz_state *s, const pz_parameters *p, pz_real y) {
+    const pz_real model = static_displacement(p, s);
+    for (int32_t i = 0; i < p->relaxation_count; ++i) {
+        s->relaxation_m[i] = model;
+    }
+    const pz_real moved = model + creep(p, s);
+    s->bias_m = has_observer(p) ? ZERO : y - moved;
+    s->disturbance_V = (y - moved) / p->gain_m_per_V;
+    for (int32_t i = 0; i < p->observer_order; ++i) {
+        s->observer[i] = p->observer_rest[i] * (y / p->gain_m_per_V);
+    }
+    filter_rest(p->reference_section, p->reference_section_count, s->reference_filter, y);
+    filter_rest(p->command_section, p->command_section_count, s->command_filter, moved);
+}
+
+static void start_lateral(pz_state *s, const pz_parameters *p, pz_real measured) {
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        s->play_V[i] = p->play_memory_V[i];
+    }
+    play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
+    const pz_real model = static_displacement(p, s) + p->displacement_offset_m;
+    s->measured = is_finite(measured)
+                      ? clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m)
+                      : model;
+    s->reference_m = clamp(s->measured, p->reference_minimum_m, p->reference_maximum_m);
+    rest_lateral(s, p, s->measured - p->displacement_offset_m);
+}
+
+int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
+                 pz_real measured) {
+    const int32_t answer = pz_check(parameters);
+    memset(state, 0, sizeof *state); /* all bits 0 is 0 in IEEE arithmetic */
+    state->status = PZ_STATUS_NOT_STARTED;
+    state->status_ever = PZ_STATUS_NOT_STARTED;
+    if (answer != PZ_OK) {
+        return answer;
+    }
+    state->ready = READY;
+    state->status = 0;
+    state->status_ever = 0;
+    state->gain_ratio = ONE;
+    state->command_V = clamp(is_finite(voltage_V) ? voltage_V : ZERO,
+                             parameters->voltage_minimum_V, parameters->voltage_maximum_V);
+    state->voltage_V = to_code(parameters, state->command_V);
+    state->moved_V = state->voltage_V;
+    if (parameters->method == PZ_METHOD_RST) {
+        state->measured = is_finite(measured) ? measured : parameters->current_floor_A;
+        state->reference_m = state->measured;
+        rest_rst(state, parameters, log_current(parameters, state->measured));
+    } else {
+        start_lateral(state, parameters, measured);
+    }
+    return PZ_OK;
+}
+
+void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio) {
+    if (is_finite(ratio)) {
+        state->gain_ratio =
+            clamp(ratio, ONE / parameters->schedule_limit, parameters->schedule_limit);
+    }
+}
+
+/* ---- real time: X and Y -------------------------------------------------------------------- */
+
+/* The reference made usable, filtered, relative to the offset. */
+static pz_real take_reference(pz_state *s, const pz_parameters *p, pz_real reference) {
+    if (!is_finite(reference)) {
+        s->status |= PZ_STATUS_BAD_REFERENCE;
+        reference = s->reference_m;
+    }
+    pz_real kept = clamp(reference, p->reference_minimum_m, p->reference_maximum_m);
+    if (p->reference_step_m > ZERO) {
+        kept = clamp(kept, s->reference_m - p->reference_step_m,
+                     s->reference_m + p->reference_step_m);
+    }
+    if (kept < reference || kept > reference) {
+        s->status |= PZ_STATUS_REFERENCE_LIMITED;
+    }
+    s->reference_m = kept;
+    return filter(p->reference_section, p->reference_section_count, s->reference_filter,
+                  kept - p->displacement_offset_m);
+}
+
+/* Whether the sensor has shown the same number for too long while the voltage moved. */
+static int is_stuck(pz_state *s, const pz_parameters *p, pz_real measured) {
+    if (p->stuck_samples == 0) {
+        return 0;
+    }
+    if (measured < s->measured || measured > s->measured) {
+        s->unchanged = 0;
+        s->moved_V = s->voltage_V;
+        return 0;
+    }
+    if (s->unchanged < p->stuck_samples) {
+        ++s->unchanged;
+    }
+    return s->unchanged >= p->stuck_samples &&
+           magnitude(s->voltage_V - s->moved_V) >= p->stuck_voltage_V;
+}
+
+/* What the observer learns from the measurement; nothing from an unusable one. */
+static pz_real take_innovation(pz_state *s, const pz_parameters *p, pz_real measured) {
+    if (!is_finite(measured)) {
+        s->status |= PZ_STATUS_BAD_MEASUREMENT;
+        return ZERO;
+    }
+    const int stuck = is_stuck(s, p, measured);
+    s->measured = measured;
+    if (stuck) {
+        s->status |= PZ_STATUS_STUCK_SENSOR;
+        return ZERO;
+    }
+    const pz_real kept = clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m);
+    if (kept < measured || kept > measured) {
+        s->status |= PZ_STATUS_MEASUREMENT_LIMITED;
+    }
+    return kept - p->displacement_offset_m - dot(p->observer_C, s->observer, p->observer_order);
+}
+
+static void correct(pz_state *s, const pz_parameters *p, pz_real innovation) {
+    for (int32_t i = 0; i < p->observer_order; ++i) {
+        s->observer[i] += p->observer_L[i] * innovation;
+    }
+    s->disturbance_V += p->observer_disturbance_L_V_per_m * innovation;
+}
+
+/* x = A x + B (v_a + d). Answers whether everything is still a number. */
+static int predict(pz_state *s, const pz_parameters *p, pz_real applied_V) {
+    const int32_t n = p->observer_order;
+    const pz_real drive = applied_V + s->disturbance_V;
+    pz_real next[PZ_MAX_ORDER];
+    pz_real sum = drive;
+    for (int32_t i = 0; i < n; ++i) {
+        next[i] = dot(p->observer_A[i], s->observer, n) + p->observer_B[i] * drive;
+        sum += next[i];
+    }
+    for (int32_t i = 0; i < n; ++i) {
+        s->observer[i] = next[i];
+    }
+    return is_finite(sum);
+}
+
+/* After an overflow: the voltage stays, the memory of the plays stays, the rest starts anew. */
+static void restart_lateral(pz_state *s, const pz_parameters *p) {
+    const pz_real y = clamp(s->measured, p->displacement_minimum_m, p->displacement_maximum_m) -
+                      p->displacement_offset_m;
+    s->status |= PZ_STATUS_RESTARTED;
+    rest_lateral(s, p, y);
+}
+
+static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
+                         pz_real measured) {
+    const pz_real wanted = take_reference(s, p, reference);
+    pz_real command = wanted - s->bias_m; /* a v: carried in metres, so that no gain rounds it */
+    if (has_observer(p)) {
+        correct(s, p, take_innovation(s, p, measured));
+        const pz_real feedback = dot(p->feedback_K_V, s->observer, p->observer_order);
+        command = p->gain_m_per_V * (p->feedback_N_V_per_m * wanted - feedback - s->disturbance_V);
+    }
+    command = filter(p->command_section, p->command_section_count, s->command_filter, command);
+    const pz_real crept = creep(p, s);
+    const pz_real volts = static_voltage(p, s, command - crept);
+    if (!is_finite(volts) || !is_finite(command)) {
+        restart_lateral(s, p);
+        return;
+    }
+    convert(s, p, volts);
+    play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
+    const pz_real moved = static_displacement(p, s);
+    relax(p, s, moved);
+    if (has_observer(p) && !predict(s, p, (moved + crept) / p->gain_m_per_V)) {
+        restart_lateral(s, p);
+    }
+}
+
+/* ---- real time: Z -------------------------------------------------------------------------- */
+
+static void retract(pz_state *s, const pz_parameters *p, pz_real measured_log) {
+    s->status |= PZ_STATUS_RETRACTED;
+    s->command_V = p->retract_voltage_V;
+    s->voltage_V = to_code(p, s->command_V);
+    rest_rst(s, p, measured_log);
+}
+
+/* 1: regulate with this current; 0: the tip was held or retracted. */
+static int take_current(pz_state *s, const pz_parameters *p, pz_real current_A) {
+    if (!is_finite(current_A)) {
+        s->status |= PZ_STATUS_BAD_MEASUREMENT;
+        if (s->unusable < p->bad_samples) {
+            ++s->unusable;
+        } else {
+            s->retract_left = p->retract_samples;
+        }
+    } else {
+        const int stuck = current_A > p->current_floor_A && is_stuck(s, p, current_A);
+        s->unusable = 0;
+        s->measured = current_A;
+        if (stuck) {
+            s->status |= PZ_STATUS_STUCK_SENSOR;
+        }
+        if (current_A >= p->current_ceiling_A) {
+            s->status |= PZ_STATUS_MEASUREMENT_LIMITED;
+        }
+        if (stuck || current_A >= p->current_ceiling_A) {
+            s->retract_left = p->retract_samples;
+        } else if (current_A < p->current_floor_A) {
+            s->status |= PZ_STATUS_CURRENT_LOST;
+        }
+    }
+    if (s->retract_left > 0) {
+        --s->retract_left;
+        retract(s, p, log_current(p, s->measured));
+        s->unchanged = 0;
+        s->moved_V = s->voltage_V;
+        return 0;
+    }
+    return is_finite(current_A);
+}
+
+static pz_real take_current_reference(pz_state *s, const pz_parameters *p, pz_real reference_A) {
+    if (!is_finite(reference_A)) {
+        s->status |= PZ_STATUS_BAD_REFERENCE;
+        reference_A = s->reference_m;
+    }
+    const pz_real kept = clamp(reference_A, p->current_floor_A, p->current_ceiling_A);
+    if (kept < reference_A || kept > reference_A) {
+        s->status |= PZ_STATUS_REFERENCE_LIMITED;
+    }
+    s->reference_m = kept;
+    return filter(p->reference_section, p->reference_section_count, s->reference_filter,
+                  log_current(p, kept));
+}
+
+static void shift_in(pz_real *history, int32_t count, pz_real newest) {
+    for (int32_t i = count - 1; i > 0; --i) {
+        history[i] = history[i - 1];
+    }
+    history[0] = newest;
+}
+
+static void step_rst(pz_state *s, const pz_parameters *p, pz_real reference_A, pz_real current_A) {
+    if (!take_current(s, p, current_A)) {
+        return;
+    }
+    const pz_real before_V = s->command_V;
+    shift_in(s->rst_measured, p->rst_R_count, log_current(p, current_A));
+    shift_in(s->rst_reference, p->rst_T_count, take_current_reference(s, p, reference_A));
+    const pz_real drive = (dot(p->rst_T_V, s->rst_reference, p->rst_T_count) -
+                           dot(p->rst_R_V, s->rst_measured, p->rst_R_count)) /
+                          s->gain_ratio;
+    const pz_real change = drive - dot(p->rst_S + 1, s->rst_change_V, p->rst_S_count - 1) +
+                           dot(p->rst_A0 + 1, s->rst_excess_V, p->rst_A0_count - 1);
+    const pz_real wanted = before_V + change;
+    if (!is_finite(wanted)) {
+        s->status |= PZ_STATUS_RESTARTED;
+        rest_rst(s, p, log_current(p, current_A));
+        return;
+    }
+    convert(s, p, wanted);
+    shift_in(s->rst_change_V, p->rst_S_count, s->command_V - before_V);
+    shift_in(s->rst_excess_V, p->rst_A0_count, s->command_V - wanted);
+}
+
+/* ---- real time ----------------------------------------------------------------------------- */
+
+/* Without usable parameters: the voltage nearest 0 that the limits allow, if they are limits. */
+static pz_real idle_voltage(const pz_parameters *p) {
+    const int usable = is_finite(p->voltage_minimum_V) && is_finite(p->voltage_maximum_V) &&
+                       p->voltage_minimum_V < p->voltage_maximum_V;
+    return usable ? clamp(ZERO, p->voltage_minimum_V, p->voltage_maximum_V) : ZERO;
+}
+
+pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
+                pz_real measured) {
+    if (state->ready != READY) {
+        state->status = PZ_STATUS_NOT_STARTED;
+        return idle_voltage(parameters);
+    }
+    state->status = 0;
+    if (parameters->method == PZ_METHOD_RST) {
+        step_rst(state, parameters, reference, measured);
+    } else {
+        step_lateral(state, parameters, reference, measured);
+    }
+    state->status_ever |= state->status;
+    return state->voltage_V;
+}

@@ -1,0 +1,307 @@
+/* piezoid runtime: the controller of one axis of a piezo stage. Two files; nothing to configure.
+ *
+ * The loop, once per sample (X and Y; all quantities relative to their offsets):
+ *
+ *     nu = y - C x,   x = x + L nu,   d = d + L_d nu                 correct      (observer)
+ *     v  = N r - K x - d                                             feedback     [V, linearised]
+ *     u  = Gamma^-1[a v - creep]      or  (a v - creep) / a          inverse      [V]
+ *     u_a = lsb round(clip(u) / lsb)                                 converter    [V]
+ *     v_a = (Gamma[u_a] + creep) / a  or  u_a + creep / a            really applied, linearised
+ *     x = A x + B (v_a + d)                                          predict      (observer)
+ *
+ * Gamma = Psi o H is the Modified Prandtl-Ishlinskii model (Kuhnen 2003): weighted plays, then
+ * one-sided dead zones. Its inverse is solved from the forward memory, which follows the voltage
+ * really applied; there is no second memory that rounding or clipping could lead astray.
+ * creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
+ *
+ * Z, on the logarithm of the tunnelling current (Landau's letters: R acts on the measurement, S
+ * on the output; Longchamp exchanges them; polynomials in q^-1, S and A_0 monic):
+ *
+ *     (1 - q^-1) S u = T ln(r / i_0) - R ln(max(i, i_floor) / i_0)
+ *     and while the converter limits u: (1 - q^-1) S u_a + A_0 (u - u_a) = the same right side
+ *
+ * Floating point: one type, pz_real: double, or float when PZ_REAL_FLOAT is defined. No call of
+ * the mathematical library, no contraction needed: with -ffp-contract=off every IEEE machine gives
+ * the same bits. Never compile this with -ffast-math (refused below).
+ *
+ * Ownership: the caller owns both structures; nothing is allocated, kept or printed here. Any
+ * number of axes may run at the same time, each with its own state; parameters may be in ROM.
+ */
+#ifndef PIEZOID_RUNTIME_H
+#define PIEZOID_RUNTIME_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "piezoid: NaN must stay NaN; compile without -ffast-math and -ffinite-math-only"
+#endif
+
+#ifdef PZ_REAL_FLOAT
+typedef float pz_real;
+#else
+typedef double pz_real;
+#endif
+/* A literal of that type: PZ_REAL(0.5). */
+#define PZ_REAL(literal) ((pz_real)(literal))
+
+#define PZ_SCHEMA_VERSION 1
+#define PZ_MAX_PLAYS 32
+#define PZ_MAX_KNOTS 32
+#define PZ_MAX_RELAXATIONS 8
+#define PZ_MAX_SECTIONS 4
+#define PZ_MAX_ORDER 12
+#define PZ_MAX_TAPS 32
+
+/* What pz_step does. */
+enum {
+    PZ_METHOD_NONE = 0,    /* static gain, no feedback */
+    PZ_METHOD_MPI = 1,     /* inverse hysteresis model, no feedback */
+    PZ_METHOD_DOB = 2,     /* disturbance observer on the affine model */
+    PZ_METHOD_MPI_DOB = 3, /* disturbance observer on top of the inverse hysteresis model */
+    PZ_METHOD_RST = 4      /* Z: polynomial controller on the logarithm of the current */
+};
+
+/* Constant while the loop runs. Unused places hold 0. Order and sizes are the schema's. */
+typedef struct {
+    int32_t schema;                  /* PZ_SCHEMA_VERSION */
+    int32_t size_bytes;              /* sizeof(pz_parameters) */
+    uint32_t checksum;               /* pz_checksum of everything below */
+    int32_t method;                  /* PZ_METHOD_... */
+    int32_t play_count;              /* plays in use */
+    int32_t knot_count;              /* dead zones in use; 0: Psi is the identity */
+    int32_t knot_zero;               /* index of the dead zone at 0 */
+    int32_t relaxation_count;        /* creep elements in use; 0: no creep block */
+    int32_t reference_section_count; /* biquads on the reference; 0: none */
+    int32_t command_section_count;   /* biquads on the linearised command; 0: none */
+    int32_t observer_order;          /* states of x, the disturbance not counted */
+    int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
+    int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
+    int32_t retract_samples;         /* Z: samples to stay retracted */
+    int32_t rst_T_count;             /* coefficients of T */
+    int32_t rst_R_count;             /* coefficients of R */
+    int32_t rst_S_count;             /* coefficients of S, its integrator not counted */
+    int32_t rst_A0_count;            /* coefficients of A_0 */
+
+    pz_real sampling_rate_Hz;       /* how often pz_step is called */
+    pz_real gain_m_per_V;           /* a: static gain of the affine model */
+    pz_real voltage_offset_V;       /* centre of the model: u = voltage - offset */
+    pz_real displacement_offset_m;  /* centre of the model: y = displacement - offset */
+    pz_real voltage_minimum_V;      /* converter, lower end */
+    pz_real voltage_maximum_V;      /* converter, upper end */
+    pz_real voltage_step_V;         /* largest change in a sample; 0: any */
+    pz_real lsb_V;                  /* converter step, codes at multiples; 0: no rounding */
+    pz_real reference_minimum_m;    /* references below are raised to this */
+    pz_real reference_maximum_m;    /* references above are lowered to this */
+    pz_real reference_step_m;       /* largest change of the reference in a sample; 0: any */
+    pz_real displacement_minimum_m; /* measurements below are raised to this */
+    pz_real displacement_maximum_m; /* measurements above are lowered to this */
+    pz_real stuck_voltage_V;        /* a sensor that ignores such a change may be stuck */
+
+    pz_real play_threshold_V[PZ_MAX_PLAYS];       /* r_i, increasing from r_0 = 0 */
+    pz_real play_weight_m_per_V[PZ_MAX_PLAYS];    /* w_i, all partial sums > 0 */
+    pz_real play_memory_V[PZ_MAX_PLAYS];          /* z_i before the start, nested */
+    pz_real knot_m[PZ_MAX_KNOTS];                 /* dead-zone thresholds, increasing, one is 0 */
+    pz_real knot_weight[PZ_MAX_KNOTS];            /* dead-zone weights, all slopes > 0 */
+    pz_real relaxation_rate[PZ_MAX_RELAXATIONS];  /* 1 - exp(-T_s / tau_i) */
+    pz_real relaxation_share[PZ_MAX_RELAXATIONS]; /* c_i, creep per displacement */
+
+    pz_real reference_section[PZ_MAX_SECTIONS][5]; /* b0 b1 b2 a1 a2, unit gain at rest */
+    pz_real command_section[PZ_MAX_SECTIONS][5];   /* b0 b1 b2 a1 a2, unit gain at rest */
+
+    pz_real observer_A[PZ_MAX_ORDER][PZ_MAX_ORDER]; /* row-major */
+    pz_real observer_B[PZ_MAX_ORDER];               /* per V */
+    pz_real observer_C[PZ_MAX_ORDER];               /* m */
+    pz_real observer_L[PZ_MAX_ORDER];               /* per m */
+    pz_real observer_disturbance_L_V_per_m;         /* L_d */
+    pz_real observer_rest[PZ_MAX_ORDER];            /* x at rest for 1 V: x = A x + B, C x = a */
+    pz_real feedback_K_V[PZ_MAX_ORDER];             /* V */
+    pz_real feedback_N_V_per_m;                     /* N = (1 + K x) / (C x) at rest */
+
+    pz_real current_reference_A; /* i_0: the logarithm is 0 here */
+    pz_real current_floor_A;     /* smaller currents count as this: bounds the approach */
+    pz_real current_ceiling_A;   /* from here on retract at once */
+    pz_real retract_voltage_V;   /* where retracting goes */
+    pz_real schedule_limit;      /* gain ratios stay in [1 / limit, limit]; >= 1 */
+    pz_real rst_T_V[PZ_MAX_TAPS];
+    pz_real rst_R_V[PZ_MAX_TAPS];
+    pz_real rst_S[PZ_MAX_TAPS];  /* monic, without the factor 1 - q^-1 */
+    pz_real rst_A0[PZ_MAX_TAPS]; /* monic; 1 alone: shortest anti-windup */
+} pz_parameters;
+
+/* Schema index of every parameter, what pz_check answers with. */
+enum {
+    PZ_OK = 0,
+    PZ_SCHEMA,
+    PZ_SIZE_BYTES,
+    PZ_CHECKSUM,
+    PZ_METHOD,
+    PZ_PLAY_COUNT,
+    PZ_KNOT_COUNT,
+    PZ_KNOT_ZERO,
+    PZ_RELAXATION_COUNT,
+    PZ_REFERENCE_SECTION_COUNT,
+    PZ_COMMAND_SECTION_COUNT,
+    PZ_OBSERVER_ORDER,
+    PZ_STUCK_SAMPLES,
+    PZ_BAD_SAMPLES,
+    PZ_RETRACT_SAMPLES,
+    PZ_RST_T_COUNT,
+    PZ_RST_R_COUNT,
+    PZ_RST_S_COUNT,
+    PZ_RST_A0_COUNT,
+    PZ_SAMPLING_RATE,
+    PZ_GAIN,
+    PZ_VOLTAGE_OFFSET,
+    PZ_DISPLACEMENT_OFFSET,
+    PZ_VOLTAGE_MINIMUM,
+    PZ_VOLTAGE_MAXIMUM,
+    PZ_VOLTAGE_STEP,
+    PZ_LSB,
+    PZ_REFERENCE_MINIMUM,
+    PZ_REFERENCE_MAXIMUM,
+    PZ_REFERENCE_STEP,
+    PZ_DISPLACEMENT_MINIMUM,
+    PZ_DISPLACEMENT_MAXIMUM,
+    PZ_STUCK_VOLTAGE,
+    PZ_PLAY_THRESHOLD,
+    PZ_PLAY_WEIGHT,
+    PZ_PLAY_MEMORY,
+    PZ_KNOT,
+    PZ_KNOT_WEIGHT,
+    PZ_RELAXATION_RATE,
+    PZ_RELAXATION_SHARE,
+    PZ_REFERENCE_SECTION,
+    PZ_COMMAND_SECTION,
+    PZ_OBSERVER_A,
+    PZ_OBSERVER_B,
+    PZ_OBSERVER_C,
+    PZ_OBSERVER_L,
+    PZ_OBSERVER_DISTURBANCE_L,
+    PZ_OBSERVER_REST,
+    PZ_FEEDBACK_K,
+    PZ_FEEDBACK_N,
+    PZ_CURRENT_REFERENCE,
+    PZ_CURRENT_FLOOR,
+    PZ_CURRENT_CEILING,
+    PZ_RETRACT_VOLTAGE,
+    PZ_SCHEDULE_LIMIT,
+    PZ_RST_T,
+    PZ_RST_R,
+    PZ_RST_S,
+    PZ_RST_A0,
+    PZ_PARAMETER_END
+};
+
+/* Bits of the status words: what happened in a sample. 0: nothing. */
+enum {
+    PZ_STATUS_BAD_REFERENCE = 1,       /* NaN or infinite: the last one was kept */
+    PZ_STATUS_REFERENCE_LIMITED = 2,   /* outside its range, or faster than its step */
+    PZ_STATUS_BAD_MEASUREMENT = 4,     /* NaN or infinite: X, Y go on by the model; Z holds */
+    PZ_STATUS_MEASUREMENT_LIMITED = 8, /* outside its range */
+    PZ_STATUS_STUCK_SENSOR = 16,       /* unchanged although the voltage moved */
+    PZ_STATUS_VOLTAGE_LIMITED = 32,    /* the converter's end was reached */
+    PZ_STATUS_VOLTAGE_STEP = 64,       /* voltage_step_V was reached */
+    PZ_STATUS_CURRENT_LOST = 128,      /* Z: current below its floor */
+    PZ_STATUS_RETRACTED = 256,         /* Z: retracted */
+    PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage held, memory set to rest */
+    PZ_STATUS_NOT_STARTED = 1024       /* pz_start was not called, or refused */
+};
+
+/* Everything that changes from one sample to the next. One per axis. Read it, never write it. */
+typedef struct {
+    uint32_t ready;
+    uint32_t status;      /* PZ_STATUS_... of the last sample */
+    uint32_t status_ever; /* of all samples since pz_start */
+    int32_t unchanged;    /* samples since the measurement last changed */
+    int32_t unusable;     /* Z: unusable currents in a row */
+    int32_t retract_left; /* Z: samples until the next approach */
+
+    pz_real voltage_V;     /* u_a: the last returned */
+    pz_real command_V;     /* clipped, before rounding */
+    pz_real reference_m;   /* after range and step */
+    pz_real bias_m;        /* without feedback: what start found between model and stage */
+    pz_real measured;      /* the last usable, m or A */
+    pz_real moved_V;       /* voltage when the measurement last changed */
+    pz_real gain_ratio;    /* Z: set by pz_schedule */
+    pz_real disturbance_V; /* d */
+
+    pz_real play_V[PZ_MAX_PLAYS];             /* z_i, forward memory */
+    pz_real relaxation_m[PZ_MAX_RELAXATIONS]; /* x_i of the creep block */
+    pz_real reference_filter[PZ_MAX_SECTIONS][2];
+    pz_real command_filter[PZ_MAX_SECTIONS][2];
+    pz_real observer[PZ_MAX_ORDER];     /* x */
+    pz_real rst_reference[PZ_MAX_TAPS]; /* ln(r / i_0), newest first, as all below */
+    pz_real rst_measured[PZ_MAX_TAPS];  /* ln(i / i_0) */
+    pz_real rst_change_V[PZ_MAX_TAPS];  /* u_a[k] - u_a[k-1], before rounding */
+    pz_real rst_excess_V[PZ_MAX_TAPS];  /* u_a - u: what the limits took */
+} pz_state;
+
+/* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
+#define PZ_INTEGERS 18
+#define PZ_REALS                                                                                  \
+    (14 + 3 * PZ_MAX_PLAYS + 2 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
+     PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 5 + 4 * PZ_MAX_TAPS)
+typedef char pz_parameters_have_no_holes
+    [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];
+
+/* What is known of a parameter; the same table as in the schema. */
+typedef struct {
+    const char *name;
+    size_t offset_bytes;
+    size_t count;    /* elements */
+    int32_t is_real; /* 1: pz_real, 0: 32-bit integer */
+    pz_real lower;   /* every element lies in [lower, upper] */
+    pz_real upper;
+} pz_field;
+
+/* ---- background: any time, not from the interrupt ------------------------------------------ */
+
+/* What is known of the parameter with this schema index; NULL outside 1 .. PZ_PARAMETER_END - 1.
+ * The answer lives as long as the program. */
+const pz_field *pz_describe(int32_t index);
+
+/* CRC-32 (IEEE 802.3) of all bytes behind the member `checksum`. About 30 000 byte operations. */
+uint32_t pz_checksum(const pz_parameters *parameters);
+
+/* PZ_OK, or the schema index of the first unusable parameter: other schema or size, changed bytes,
+ * NaN, out of bounds, not invertible, not stable, not consistent. Any bytes may be given. */
+int32_t pz_check(const pz_parameters *parameters);
+
+/* Set `state` to rest so that the next step with reference == measured returns voltage_V (clipped
+ * and rounded as the converter does). Checks first and answers as pz_check; a refused state makes
+ * pz_step return the voltage nearest 0 inside the limits, and say NOT_STARTED.
+ *   voltage_V  V       what the converter puts out now; not finite: nearest 0 inside the limits
+ *   measured   m or A  what the sensor shows now; not finite: what the model says */
+int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
+                 pz_real measured);
+
+/* Z: the plant's gain is now `ratio` times the one designed for; the controller's is divided by
+ * it, without a bump. Kept inside the schedule limit; not finite: ignored. */
+void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio);
+
+/* ---- real time: from the interrupt, once per sample ---------------------------------------- */
+
+/* One sample: the voltage to put out now. Always finite and inside the limits, whatever comes in;
+ * state->status says why when it is not what was asked for.
+ *   reference  m  X, Y: wanted displacement.  A  Z: wanted current
+ *   measured   m  X, Y: displacement.         A  Z: current, positive for the bias in use
+ *   returned   V
+ * Cost: linear in plays + knots + taps + (order + 1)^2; no loop depends on the data's values
+ * except early exits. */
+pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
+                pz_real measured);
+
+/* Natural logarithm of a positive number in [2^-120, 2^120], without the mathematical library.
+ * Error below 2 units in the last place of max(|ln x|, 2^-1). */
+pz_real pz_log(pz_real x);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif

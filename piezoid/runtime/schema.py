@@ -1,0 +1,232 @@
+"""The one table of what the runtime consumes. Everything else about parameters is a loop over it.
+
+The C structure is written by hand, because engineers read it; its layout, names and bounds are
+compared with this table when the library is loaded (library.py) and its size when it is compiled.
+"""
+
+import ctypes
+from dataclasses import dataclass
+from typing import Any
+
+SCHEMA = "piezoid.params/1"
+VERSION = 1
+
+MAX_PLAYS = 32
+MAX_KNOTS = 32
+MAX_RELAXATIONS = 8
+MAX_SECTIONS = 4
+MAX_ORDER = 12
+MAX_TAPS = 32
+
+METHODS = ("none", "mpi", "dob", "mpi_dob", "rst")
+
+NO_BOUND_V = 1e4
+NO_BOUND_m = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One member of the runtime's parameter structure.
+
+    name          the member, with its unit
+    kind          ``integer`` (32 bits) or ``real`` (float or double, as the runtime is built)
+    shape         () for one number; unused places of an array hold 0
+    unit          SI; ``1`` for none
+    meaning       half a sentence
+    lower, upper  every element lies between them, ends included
+    default       what stands there when nothing is said
+    """
+
+    name: str
+    kind: str
+    unit: str
+    meaning: str
+    lower: float
+    upper: float
+    shape: tuple[int, ...] = ()
+    default: float = 0.0
+
+    @property
+    def count(self) -> int:
+        """Number of elements."""
+        count = 1
+        for extent in self.shape:
+            count *= extent
+        return count
+
+
+def _integer(name: str, upper: float, meaning: str, *, unit: str = "1") -> Parameter:
+    return Parameter(name=name, kind="integer", unit=unit, meaning=meaning, lower=0, upper=upper)
+
+
+def _real(
+    name: str,
+    unit: str,
+    lower: float,
+    upper: float,
+    meaning: str,
+    *,
+    shape: tuple[int, ...] = (),
+    default: float = 0.0,
+) -> Parameter:
+    return Parameter(
+        name=name,
+        kind="real",
+        unit=unit,
+        meaning=meaning,
+        lower=lower,
+        upper=upper,
+        shape=shape,
+        default=default,
+    )
+
+
+_HEADER = (
+    Parameter(
+        name="schema",
+        kind="integer",
+        unit="1",
+        meaning="version of this table",
+        lower=VERSION,
+        upper=VERSION,
+        default=VERSION,
+    ),
+    # Depends on the precision; the library fills it in and checks it.
+    _integer("size_bytes", 2**24, "size of the structure", unit="byte"),
+    _integer("checksum", 2**32 - 1, "CRC-32 of everything below"),
+)
+
+_COUNTS = (
+    _integer("method", len(METHODS) - 1, "what the controller does: " + ", ".join(METHODS)),
+    _integer("play_count", MAX_PLAYS, "plays in use"),
+    _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: the identity"),
+    _integer("knot_zero", MAX_KNOTS - 1, "index of the dead zone at 0"),
+    _integer("relaxation_count", MAX_RELAXATIONS, "creep elements in use"),
+    _integer("reference_section_count", MAX_SECTIONS, "biquads on the reference"),
+    _integer("command_section_count", MAX_SECTIONS, "biquads on the linearised command"),
+    _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
+    _integer("stuck_samples", 1e6, "equal measurements that mean a stuck sensor; 0: off"),
+    _integer("bad_samples", 1e6, "Z: unusable currents in a row that mean retract"),
+    _integer("retract_samples", 1e6, "Z: samples to stay retracted"),
+    _integer("rst_T_count", MAX_TAPS, "coefficients of T"),
+    _integer("rst_R_count", MAX_TAPS, "coefficients of R"),
+    _integer("rst_S_count", MAX_TAPS, "coefficients of S, its integrator not counted"),
+    _integer("rst_A0_count", MAX_TAPS, "coefficients of the anti-windup polynomial"),
+)
+
+_SIGNALS = (
+    _real("sampling_rate_Hz", "Hz", 1, 1e7, "how often the controller steps", default=20000),
+    _real("gain_m_per_V", "m/V", 0, 1e3, "static gain of the affine model"),
+    _real("voltage_offset_V", "V", -NO_BOUND_V, NO_BOUND_V, "centre of the model, voltage"),
+    _real("displacement_offset_m", "m", -NO_BOUND_m, NO_BOUND_m, "centre of the model, position"),
+    _real("voltage_minimum_V", "V", -NO_BOUND_V, NO_BOUND_V, "converter, lower end"),
+    _real("voltage_maximum_V", "V", -NO_BOUND_V, NO_BOUND_V, "converter, upper end"),
+    _real("voltage_step_V", "V", 0, 1e5, "largest change of the voltage in a sample; 0: any"),
+    _real("lsb_V", "V", 0, 1e3, "converter step; 0: no rounding"),
+    _real("reference_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest reference followed"),
+    _real("reference_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest reference followed"),
+    _real("reference_step_m", "m", 0, 1e4, "largest change of the reference in a sample; 0: any"),
+    _real("displacement_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest measurement believed"),
+    _real("displacement_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest measurement believed"),
+    _real("stuck_voltage_V", "V", 0, 1e5, "a sensor that ignores such a change may be stuck"),
+)
+
+_MODEL = (
+    _real("play_threshold_V", "V", 0, NO_BOUND_V, "half-widths of the plays", shape=(MAX_PLAYS,)),
+    _real("play_weight_m_per_V", "m/V", -1e3, 1e3, "weights of the plays", shape=(MAX_PLAYS,)),
+    _real(
+        "play_memory_V",
+        "V",
+        -NO_BOUND_V,
+        NO_BOUND_V,
+        "states of the plays before the start",
+        shape=(MAX_PLAYS,),
+    ),
+    _real("knot_m", "m", -NO_BOUND_m, NO_BOUND_m, "dead-zone thresholds", shape=(MAX_KNOTS,)),
+    _real("knot_weight", "1", -1e6, 1e6, "dead-zone weights", shape=(MAX_KNOTS,)),
+    _real(
+        "relaxation_rate",
+        "1",
+        0,
+        1,
+        "creep: 1 - exp(-T_s / tau_i)",
+        shape=(MAX_RELAXATIONS,),
+    ),
+    _real(
+        "relaxation_share",
+        "1",
+        -1,
+        1,
+        "creep: displacement added per displacement",
+        shape=(MAX_RELAXATIONS,),
+    ),
+    _real(
+        "reference_section",
+        "1",
+        -1e9,
+        1e9,
+        "biquads b0 b1 b2 a1 a2 on the reference",
+        shape=(MAX_SECTIONS, 5),
+    ),
+    _real(
+        "command_section",
+        "1",
+        -1e9,
+        1e9,
+        "biquads b0 b1 b2 a1 a2 on the command",
+        shape=(MAX_SECTIONS, 5),
+    ),
+)
+
+
+def _vector(name: str, unit: str, meaning: str) -> Parameter:
+    return _real(name, unit, -1e12, 1e12, meaning, shape=(MAX_ORDER,))
+
+
+_OBSERVER = (
+    _real("observer_A", "1", -1e12, 1e12, "state matrix, row-major", shape=(MAX_ORDER, MAX_ORDER)),
+    _vector("observer_B", "1/V", "input vector"),
+    _vector("observer_C", "m", "output vector"),
+    _vector("observer_L", "1/m", "correction of the states"),
+    _real("observer_disturbance_L_V_per_m", "V/m", -1e12, 1e12, "correction of the disturbance"),
+    _vector("observer_rest", "1/V", "state at rest for 1 V"),
+    _vector("feedback_K_V", "V", "state feedback"),
+    _real("feedback_N_V_per_m", "V/m", -1e12, 1e12, "reference gain"),
+)
+
+
+def _taps(name: str, unit: str, meaning: str) -> Parameter:
+    return _real(name, unit, -1e9, 1e9, meaning, shape=(MAX_TAPS,))
+
+
+_TUNNELLING = (
+    _real("current_reference_A", "A", 0, 1, "the logarithm is 0 here"),
+    _real("current_floor_A", "A", 0, 1, "smaller currents count as this"),
+    _real("current_ceiling_A", "A", 0, 1, "from here on retract at once"),
+    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "where retracting goes"),
+    _real("schedule_limit", "1", 1, 1e3, "gain ratios stay in [1/limit, limit]", default=1),
+    _taps("rst_T_V", "V", "T, on the reference"),
+    _taps("rst_R_V", "V", "R, on the measurement"),
+    _taps("rst_S", "1", "S without its integrator, monic"),
+    _taps("rst_A0", "1", "anti-windup polynomial, monic"),
+)
+
+PARAMETERS: tuple[Parameter, ...] = _HEADER + _COUNTS + _SIGNALS + _MODEL + _OBSERVER + _TUNNELLING
+
+INDEX: dict[str, int] = {p.name: place for place, p in enumerate(PARAMETERS, start=1)}
+
+
+def structure(real: Any) -> type[ctypes.Structure]:
+    """Return the mirror of ``pz_parameters``.
+
+    real  ``ctypes.c_double`` or ``ctypes.c_float``
+    """
+    members: list[tuple[str, Any]] = []
+    for parameter in PARAMETERS:
+        member: Any = real if parameter.kind == "real" else ctypes.c_int32
+        if parameter.name == "checksum":
+            member = ctypes.c_uint32
+        for extent in reversed(parameter.shape):
+            member = member * extent
+        members.append((parameter.name, member))
+    return type("Parameters", (ctypes.Structure,), {"_fields_": members})

@@ -1,0 +1,84 @@
+"""The runtime's inverse hysteresis, against the worked example and an independent closed form."""
+
+import numpy as np
+import pytest
+
+from piezoid.runtime.controller import Controller
+from tests.runtime.runtime_parameters import WORKED, hysteresis
+from tests.runtime.runtime_reference import compensate, forward, random_model
+
+
+def rounding_V(model, y):
+    """What some ten roundings of the largest displacement make at the flattest slope."""
+    up = np.cumsum(model["weight"][model["knot"] >= 0])
+    down = np.cumsum(model["weight"][model["knot"] <= 0][::-1])
+    flattest = np.cumsum(model["w"]).min() * min(up.min(), down.min())
+    return 10 * np.finfo(float).eps * max(1.0, np.abs(y).max()) / flattest
+
+
+def inverse(model, y, **others):
+    """Open loop from the model's own memory: the start's measurement is what the model says."""
+    controller = Controller(hysteresis(model, **others))
+    controller.start(model["last"], np.nan)
+    return controller.run(y, np.full(len(y), np.nan)).voltage_V
+
+
+def test_the_worked_example_comes_back():
+    u = np.array([0, 3, -1, 2, -4, 4, 0, 1.5, -0.5])
+    y = np.array([0, 2.4575, -0.35, 1.52, -2.605, 3.5075, 0.65, 1.52, 0.2])
+    assert np.abs(inverse(WORKED, y) - u).max() < 5e-15
+
+
+def test_the_worked_example_comes_back_from_a_memory_that_is_not_virgin():
+    u = np.array([0, 3, -1, 2, -4, 4, 0, 1.5, -0.5])
+    y = np.array([0.575, 2.64125, -0.25, 1.65, -2.605, 3.5075, 0.65, 1.52, 0.2])
+    model = {**WORKED, "z": np.array([0.5, 1.0, 1.5, 1.0]), "last": 0.5}
+    assert np.abs(inverse(model, y) - u).max() < 5e-15
+
+
+@pytest.mark.parametrize("negative", [False, True])
+def test_the_inverse_of_random_models_undoes_them(rng, negative):
+    for _ in range(40):
+        model = random_model(
+            rng, plays=int(rng.integers(1, 20)), knots_each_side=3, negative=negative
+        )
+        u = model["last"] + np.cumsum(rng.uniform(-1, 1, 300))
+        y, _ = forward(u, model["r"], model["w"], model["z"], model["knot"], model["weight"])
+        assert np.abs(inverse(model, y) - u).max() < rounding_V(model, y)
+
+
+@pytest.mark.parametrize("negative", [False, True])
+def test_the_inverse_is_that_of_the_closed_form_with_its_own_memory(rng, negative):
+    for _ in range(20):
+        model = random_model(rng, plays=12, knots_each_side=4, negative=negative)
+        arguments = [model[key] for key in ("r", "w", "z", "knot", "weight")]
+        y = np.cumsum(rng.uniform(-0.3, 0.3, 400))
+        y += forward(np.array([model["last"]]), *arguments)[0]
+        u = compensate(y, *arguments, limit_V=3.5, lsb_V=0.0, synchronise=True)
+        limits = {"voltage_minimum_V": -3.5, "voltage_maximum_V": 3.5}
+        assert np.abs(inverse(model, y, **limits) - u).max() < 2 * rounding_V(model, y)
+
+
+def test_one_play_and_no_dead_zone_is_a_gain():
+    model = {**WORKED, "r": np.zeros(1), "w": np.array([0.25]), "z": np.zeros(1)}
+    y = np.array([0.0, 1.0, -2.0, 0.5])
+    u = inverse(model, y, knot_count=0)
+    assert np.array_equal(u, y / 0.25)
+
+
+def test_memory_stays_true_through_clipping_and_rounding():
+    """While the converter is not at its end, only half a step of it is left as an error."""
+    lsb_V, limit_V = 0.05, 3.5
+    arguments = [WORKED[key] for key in ("r", "w", "z", "knot", "weight")]
+    y = 3.2 * np.sin(np.linspace(0, 60, 5000)) * np.linspace(0.2, 1.4, 5000)
+    u = inverse(WORKED, y, voltage_minimum_V=-limit_V, voltage_maximum_V=limit_V, lsb_V=lsb_V)
+    reached, _ = forward(u, *arguments)
+    free = np.abs(u) < limit_V - lsb_V
+    steepest = 1.0 * 1.3
+    assert free.mean() > 0.5
+    assert (~free).any()
+    assert np.abs(reached - y)[free].max() <= 0.5 * lsb_V * steepest + 1e-12
+
+    lost = compensate(y, *arguments, limit_V=limit_V, lsb_V=lsb_V, synchronise=False)
+    astray, _ = forward(lost, *arguments)
+    assert np.abs(astray - y)[np.abs(lost) < limit_V - lsb_V].max() > 0.3
