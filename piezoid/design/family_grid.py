@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification
-from piezoid.design.templates import delay_limit
+from piezoid.design.templates import FUNCTIONS, delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, decibel, grid_Hz, polynomial_response, unit_circle
 
@@ -85,21 +85,32 @@ def family_grid(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class WorstPlace:
+    """Where a loop is worst against its limits.
+
+    function      Syp, Sup, Syb or Syv
+    frequency_Hz  there
+    excess_dB     over the limit; <= 0 if every limit is met
+    rejection     max over members and f <= bandwidth of |Syp(f)| bandwidth / f
+    """
+
+    function: str
+    frequency_Hz: float
+    excess_dB: float
+    rejection: float
+
+
 def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     """Judge one loop over the family.
 
     Stability is read from the winding of P(e^jw): a polynomial in q^-1 that starts with 1 winds
     once around zero for each root outside the unit circle.
     """
-    r, s = polynomial_response(R, grid.q), polynomial_response(S, grid.q)
-    p = grid.A * s + grid.B * r
-    functions = np.stack(
-        [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
-    ) / np.abs(p)
+    functions, outside = _magnitudes(grid, R, S)
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
-    outside = np.abs(np.unwrap(np.angle(p))[:, -1] - np.angle(p[:, 0])).max() / np.pi
-    if outside > 0.5:
-        excess_dB = _UNSTABLE_dB + max(excess_dB, 0.0) + outside
+    if outside:
+        excess_dB = _UNSTABLE_dB * outside + max(excess_dB, 0.0)
     disturbance = _disturbance_rms(grid, R, S)
     noise = _noise_rms(grid, functions)
     limit = grid.specification.noise_limit_rms
@@ -113,15 +124,43 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     )
 
 
+def worst_place(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstPlace:
+    """Say where a loop is worst, over the family."""
+    functions, outside = _magnitudes(grid, R, S)
+    ratio = (functions / grid.limits[:, None, :]).max(axis=1)
+    row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
+    band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
+    scale = grid.specification.bandwidth_Hz / grid.frequency_Hz[band]
+    excess_dB = float(decibel(ratio[row, column]))
+    return WorstPlace(
+        function=FUNCTIONS[row],
+        frequency_Hz=float(grid.frequency_Hz[column]),
+        excess_dB=_UNSTABLE_dB * outside + max(excess_dB, 0.0) if outside else excess_dB,
+        rejection=float((functions[0][:, band].max(axis=0) * scale).max()),
+    )
+
+
+def _magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:
+    """Return |Syp|, |Sup|, |Syb|, |Syv|, (functions, members, frequencies), and the largest
+    number of unstable poles of a member.
+    """
+    r, s = polynomial_response(R, grid.q), polynomial_response(S, grid.q)
+    p = grid.A * s + grid.B * r
+    functions = np.stack(
+        [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
+    ) / np.abs(p)
+    turned = np.unwrap(np.angle(p))[:, -1] - np.angle(p[:, 0])
+    return functions, int(np.round(np.abs(turned) / np.pi).max())
+
+
 def _limits(specification: Specification, f: Array) -> Array:
     """Return the tightest limit of each function; margins become limits of Syp and Syb."""
     limits = np.full((4, len(f)), np.inf)
     limits[0] = 1.0 / specification.modulus_margin
     limits[2] = delay_limit(f, specification.delay_margin_s)
-    order = {"Syp": 0, "Sup": 1, "Syb": 2, "Syv": 3}
     for template in specification.all_templates:
         level = 10.0 ** (template.limit_dB(f) / 20.0)
-        row = order[template.function]
+        row = FUNCTIONS.index(template.function)
         limits[row] = np.minimum(limits[row], level)
     return limits
 

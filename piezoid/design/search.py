@@ -12,6 +12,7 @@ Judge = Callable[[Array], tuple[float, float]]
 """Parameters in; (cost to minimise, excess over the limits in dB) out."""
 
 _PATIENCE = 1e-3
+_POLISHING_STEPS = (0.1, 0.05, 0.1, 0.05)
 _FLOOR_dB = 1.0
 
 
@@ -43,7 +44,8 @@ def search(
     """Minimise the cost where the excess is at most -reserve_dB; else minimise the excess.
 
     From each start COBYLA [Powell 1994] descends in the unit cube for at most ``evaluations``
-    calls. The best point ever asked is kept, so the same input gives the same output.
+    calls, then again from the best point with smaller steps, as the maximum over members has
+    edges it can stop at. The best point ever asked is kept; the same input gives the same output.
 
     reserve_dB  what the search's grid may overlook between its points
     """
@@ -60,13 +62,18 @@ def search(
         return cost, excess_dB
 
     for start in starts:
-        _descend(nlopt, ask, (start - lower) / span, evaluations, reserve_dB)
+        _descend(nlopt, ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
+    for step in _POLISHING_STEPS:
+        best = min(seen, key=lambda item: item[:2])
+        _descend(nlopt, ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
     best = min(seen, key=lambda item: item[:2])
     cost, _ = judge(best[3])
     return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))
 
 
-def _descend(nlopt: Any, ask: Judge, start: Array, evaluations: int, reserve_dB: float) -> None:
+def _descend(
+    nlopt: Any, ask: Judge, start: Array, step: float, evaluations: int, reserve_dB: float
+) -> None:
     last: dict[bytes, tuple[float, float]] = {}
 
     def remembered(unit: Array) -> tuple[float, float]:
@@ -79,7 +86,7 @@ def _descend(nlopt: Any, ask: Judge, start: Array, evaluations: int, reserve_dB:
     optimiser = nlopt.opt(nlopt.LN_COBYLA, len(start))
     optimiser.set_lower_bounds(np.zeros(len(start)))
     optimiser.set_upper_bounds(np.ones(len(start)))
-    optimiser.set_initial_step(0.15)
+    optimiser.set_initial_step(step)
     optimiser.set_xtol_abs(_PATIENCE)
     optimiser.set_maxeval(evaluations)
     optimiser.set_min_objective(lambda unit, _: remembered(unit)[0])

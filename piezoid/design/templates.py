@@ -90,11 +90,15 @@ def attenuation(name: str, bandwidth_Hz: float, level_dB: float) -> Template:
 
 
 def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
-    """Return 1 / |1 - exp(-j w tau)|: where |Syb| stays below, a delay tau keeps the loop stable.
+    """Return the limit of |Syb| below which every additional delay up to tau keeps stability.
 
-    [Landau & Zito 2006] for tau of one sample.
+        1 / max over t <= tau of |1 - exp(-j w t)|:   1/(2 sin(w tau / 2)), 1/2 from w tau = pi on
+
+    For tau of one sample this is Landau's template; above one sample the smaller delays rule at
+    high frequency, and the plain formula would let them through.
     """
-    return np.asarray(0.5 / np.maximum(np.abs(np.sin(np.pi * frequency_Hz * delay_s)), 1e-12))
+    angle = np.minimum(np.pi * frequency_Hz * delay_s, 0.5 * np.pi)
+    return np.asarray(0.5 / np.maximum(np.sin(angle), 1e-12))
 
 
 def violations(

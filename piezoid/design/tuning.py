@@ -119,21 +119,21 @@ def _placed_choices(plant: Plant) -> tuple[Choice, ...]:
     The starts are a quick, a moderate and a slow observer: a slow one is not the most robust
     with a lightly damped mode.
     """
-    f, highest = slowest_Hz(plant), 0.1 * plant.sampling_rate_Hz
+    f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
     return (
-        _frequency("feedback_Hz", f, highest, (1.0, 1.0, 0.6)),
-        Choice(name="feedback_damping", lowest=0.6, highest=1.6, starts=(0.9, 0.9, 1.0)),
+        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 1.0, 0.6)),
+        Choice(name="feedback_damping", lowest=0.5, highest=1.6, starts=(0.9, 0.9, 1.0)),
         _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9)),
-        Choice(name="observer_damping", lowest=0.6, highest=1.6, starts=(0.8, 0.8, 1.0)),
+        Choice(name="observer_damping", lowest=0.5, highest=1.6, starts=(0.8, 0.8, 1.0)),
         _frequency("disturbance_Hz", f, highest, (1.27, 0.5, 0.3)),
     )
 
 
 def _kalman_choices(plant: Plant) -> tuple[Choice, ...]:
-    f, highest = slowest_Hz(plant), 0.1 * plant.sampling_rate_Hz
+    f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
     return (
-        _frequency("feedback_Hz", f, highest, (1.0, 0.6)),
-        Choice(name="feedback_damping", lowest=0.6, highest=1.6, starts=(0.9, 1.0)),
+        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 0.6)),
+        Choice(name="feedback_damping", lowest=0.5, highest=1.6, starts=(0.9, 1.0)),
         Choice(name="drift_ratio", lowest=1e-8, highest=1e4, starts=(0.1, 1e-3)),
         Choice(name="input_ratio", lowest=1e-8, highest=1e4, starts=(1.0, 0.1)),
     )

@@ -1,0 +1,155 @@
+"""Iterative sensitivity shaping: pole placement, and a band-stop wherever a template is left.
+
+After Landau & Zito 2006: dominant pair, auxiliary poles, then pairs of fixed part and auxiliary
+pole around the frequency of the worst violation, and the equation is solved again.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.design.band_stop import BandStop, band_stop_polynomials
+from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
+from piezoid.design.plant import Plant, PlantFamily, Section
+from piezoid.design.rst import (
+    INTEGRATOR,
+    OPEN_AT_NYQUIST,
+    RstController,
+    closed_loop_target,
+    place,
+)
+from piezoid.design.search import search
+from piezoid.design.specification import Specification, rest_delay_s
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.polynomial import product
+
+_HOPELESS = (1e3, 1e3)
+_DEEPEST = 0.25
+_DENOMINATOR_DAMPING = 0.8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ShapedController:
+    """A controller by pole placement and what was chosen for it.
+
+    controller      R, S, T
+    dominant        the pair of P_D
+    auxiliary_root  alpha of P_F = (1 - alpha q^-1)^n
+    band_stops      in the order they were added
+    rejection       max over members and f <= bandwidth of |Syp| bandwidth / f: the leading
+                    figure by which designs are compared; smaller is better
+    excess_dB       <= 0: every member meets every limit on the search's grid
+    """
+
+    controller: RstController
+    dominant: Section
+    auxiliary_root: float
+    band_stops: tuple[BandStop, ...]
+    rejection: float
+    excess_dB: float
+
+
+def shaped(
+    plant: Plant,
+    dominant: Section,
+    auxiliary_root: float,
+    band_stops: tuple[BandStop, ...] = (),
+) -> RstController:
+    """Place P_D P_F with an integrator, no gain at Nyquist, and the given band-stops."""
+    part_r, part_s, denominators = OPEN_AT_NYQUIST, INTEGRATOR, np.ones(1)
+    for stop in band_stops:
+        numerator, denominator = band_stop_polynomials(stop, plant.sampling_rate_Hz)
+        denominators = product(denominators, denominator)
+        if stop.part == "S":
+            part_s = product(part_s, numerator)
+        else:
+            part_r = product(part_r, numerator)
+    free = len(plant.A) + len(plant.B) - 3
+    target = closed_loop_target(
+        dominant, plant.sampling_rate_Hz, auxiliary_root=auxiliary_root, auxiliary_count=free
+    )
+    return place(plant, product(target, denominators), H_R=part_r, H_S=part_s)
+
+
+def shape(
+    family: PlantFamily, specification: Specification, *, most_band_stops: int = 3
+) -> ShapedController:
+    """Choose P_D and P_F for the least rejection figure under all limits, and add band-stops
+    while they help.
+
+    A band-stop is tried at the frequency where the worst limit, or failing that the rejection,
+    is worst; its depth is what is missing there, 12 dB at most. It is kept where it brings the
+    excess down, or the rejection without excess.
+    """
+    grid = family_grid(family, specification)
+    best = _best_placement(family.nominal, grid, ())
+    for _ in range(most_band_stops):
+        better = _with_one_more(family.nominal, grid, best)
+        if _rank(better) >= _rank(best):
+            break
+        best = better
+    return best
+
+
+def _with_one_more(plant: Plant, grid: FamilyGrid, best: ShapedController) -> ShapedController:
+    """Return the best placement with a band-stop where the present one is worst."""
+    where = worst_place(grid, best.controller.R, best.controller.S)
+    part = "R" if where.function == "Sup" else "S"
+    depth = float(np.clip(10.0 ** (-max(where.excess_dB, 3.0) / 20.0), _DEEPEST, 0.7))
+    stop = BandStop(
+        part=part,
+        frequency_Hz=where.frequency_Hz,
+        numerator_damping=depth * _DENOMINATOR_DAMPING,
+        denominator_damping=_DENOMINATOR_DAMPING,
+    )
+    return _best_placement(plant, grid, (*best.band_stops, stop))
+
+
+def _rank(design: ShapedController) -> tuple[float, float]:
+    return (max(design.excess_dB, 0.0), design.rejection)
+
+
+def _best_placement(
+    plant: Plant, grid: FamilyGrid, band_stops: tuple[BandStop, ...]
+) -> ShapedController:
+    """Search the dominant pair and the auxiliary root for fixed band-stops."""
+    lower, upper, starts = _bounds(plant)
+
+    def build(x: Array) -> RstController:
+        dominant = Section(frequency_Hz=float(np.exp(x[0])), damping=float(x[1]))
+        return shaped(plant, dominant, float(x[2]), band_stops)
+
+    def cost(x: Array) -> tuple[float, float]:
+        try:
+            controller = build(x)
+        except DesignError:
+            return _HOPELESS
+        worst = worst_place(grid, controller.R, controller.S)
+        return float(np.log(worst.rejection)), worst.excess_dB
+
+    found = search(cost, lower, upper, starts)
+    controller = build(found.parameters)
+    worst = worst_place(grid, controller.R, controller.S)
+    return ShapedController(
+        controller=controller,
+        dominant=Section(
+            frequency_Hz=float(np.exp(found.parameters[0])), damping=float(found.parameters[1])
+        ),
+        auxiliary_root=float(found.parameters[2]),
+        band_stops=band_stops,
+        rejection=worst.rejection,
+        excess_dB=worst.excess_dB,
+    )
+
+
+def _bounds(plant: Plant) -> tuple[Array, Array, list[Array]]:
+    """Return the box of (log f0, zeta, alpha): f0 around the reach the plant's delay allows."""
+    reach_Hz = min(0.1 / rest_delay_s(plant), 0.2 * plant.sampling_rate_Hz)
+    lower = np.array([np.log(0.02 * reach_Hz), 0.5, 0.02])
+    upper = np.array([np.log(min(5.0 * reach_Hz, 0.3 * plant.sampling_rate_Hz)), 1.5, 0.8])
+    starts = [
+        np.array([np.log(share * reach_Hz), 0.9, root])
+        for share, root in ((1.0, 0.2), (0.3, 0.2), (0.1, 0.4))
+    ]
+    return lower, upper, starts

@@ -1,0 +1,213 @@
+"""Convex sensitivity shaping over a plant family: R' and S' as free coefficients.
+
+On the nominal plant every stabilising pair is the central one plus a Youla parameter, and all
+sensitivities are affine in it. Over a family the closed-loop polynomials P_i differ, and affine
+becomes a condition around reference polynomials: with P_d,i stable,
+
+    Re{P_i conj(P_d,i)} > 0 for all w   implies   P_i stable (it cannot wind around zero)
+
+so that limits on |A_i S| / |P_i| are implied by second-order cones. P_d,i are the polynomials of
+the design so far, and the problem is solved again until it stops gaining. Each step keeps every
+member stable and every limit met.      [Landau & Zito 2006; Karimi & Galdos 2010, for the family]
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
+from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
+from piezoid.design.specification import Specification
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import Response, polynomial_response
+from piezoid.numerics.polynomial import product, total
+
+_RESERVES_dB = (0.05, 0.2, 0.5)
+"""The cones are tightened for what happens between grid points: more where less did not do."""
+_LEAST_REAL = 0.05
+_SLACK_PRICE = 100.0
+_LEAST_GAIN = 0.01
+_TIE = 1e-4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConvexController:
+    """A controller by convex optimisation over a family.
+
+    controller   R, S, T; its P is the nominal closed-loop polynomial that resulted
+    taps         free coefficients of R' and of S'
+    rejection    max over members and f <= bandwidth of |Syp| bandwidth / f, on the fine grid
+    excess_dB    <= 0: every member meets every limit on the fine grid
+    iterations   convex problems solved
+    history      (iterations + 1,)  the rejection after each
+    """
+
+    controller: RstController
+    taps: int
+    rejection: float
+    excess_dB: float
+    iterations: int
+    history: tuple[float, ...]
+
+
+def optimise(
+    family: PlantFamily,
+    specification: Specification,
+    start: RstController,
+    *,
+    taps: int = 10,
+    most_iterations: int = 8,
+) -> ConvexController:
+    """Minimise the rejection figure over R' and S' from a start that stabilises every member.
+
+        minimise    gamma
+        subject to  |A_i S| <= gamma (f / bandwidth) |P_d,i|,  Re_i >= |P_d,i|    f <= bandwidth
+                    |A_i S| <= Syp_max Re_i,  |A_i R| <= Sup_max Re_i,  |B_i R| <= Syb_max Re_i
+        with        Re_i = Re{P_i conj(P_d,i)} / |P_d,i|,  S = H_S S',  R = H_R R',  s'_0 = 1
+
+    Limits that the start exceeds are relaxed together, as little as possible. Each step is
+    checked on a grid ten times finer, and solved again with more reserve where it fails there.
+    """
+    count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
+    coarse = family_grid(family, specification, count=20 * count)
+    fine = family_grid(family, specification, count=200 * count)
+    best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
+    history = [best.rejection]
+    while len(history) <= most_iterations:
+        step = _checked_step(coarse, fine, family.nominal, (R, S), count)
+        if step is None:
+            break
+        reached = worst_place(fine, *step)
+        tightened = max(best.excess_dB, 0.0) - max(reached.excess_dB, 0.0)
+        gained = history[-1] - reached.rejection
+        if tightened <= _TIE and gained <= _LEAST_GAIN * history[-1]:
+            break
+        (R, S), best = step, reached
+        history.append(reached.rejection)
+    return ConvexController(
+        controller=_controller(family.nominal, R, S, start),
+        taps=count,
+        rejection=best.rejection,
+        excess_dB=best.excess_dB,
+        iterations=len(history) - 1,
+        history=tuple(history),
+    )
+
+
+def _checked_step(
+    coarse: FamilyGrid,
+    fine: FamilyGrid,
+    plant: Plant,
+    present: tuple[Array, Array],
+    count: int,
+) -> tuple[Array, Array] | None:
+    """Return the solution that passes the finer grid as well as the present one does."""
+    allowed_dB = max(worst_place(fine, *present).excess_dB, 0.0) + _TIE
+    for reserve_dB in _RESERVES_dB:
+        solution = _solve(coarse, plant, *present, count, 10.0 ** (-reserve_dB / 20.0))
+        if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
+            return solution
+    return None
+
+
+def _controller(plant: Plant, R: Array, S: Array, start: RstController) -> RstController:
+    return RstController(
+        R=R,
+        S=S,
+        T=np.array([R.sum()]),
+        H_R=OPEN_AT_NYQUIST,
+        H_S=INTEGRATOR,
+        P=total(product(plant.A, S), product(plant.B, R)),
+        residual=start.residual,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Cones:
+    """One convex problem in numbers; rows run over members and frequencies together.
+
+    A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
+    real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
+    reference      (rows,)  |P_d,i|
+    limits         (functions, rows)
+    slope          (rows,)  f / bandwidth, nan above the bandwidth
+    """
+
+    A_S: tuple[Response, Response]
+    A_R: tuple[Response, Response]
+    B_R: tuple[Response, Response]
+    real: tuple[Array, Array]
+    reference: Array
+    limits: Array
+    slope: Array
+
+
+def _cones(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int) -> _Cones:
+    """Set up the problem around the closed loops of R, S. Unknowns: s'_1.., then scale r'_0.. ."""
+    members = len(grid.A)
+    q = np.tile(grid.q, members)
+    A, B = grid.A.ravel()[:, None], grid.B.ravel()[:, None]
+    powers = q[:, None] ** np.arange(count)
+    fixed_s = polynomial_response(INTEGRATOR, q)[:, None]
+    fixed_r = polynomial_response(OPEN_AT_NYQUIST, q)[:, None] / scale
+    s_rows = np.hstack([fixed_s * powers[:, 1:], np.zeros((len(q), count))])
+    r_rows = np.hstack([np.zeros((len(q), count - 1)), fixed_r * powers])
+    desired = A[:, 0] * polynomial_response(S, q) + B[:, 0] * polynomial_response(R, q)
+    turn = np.conj(desired) / np.abs(desired)
+    constant = A[:, 0] * fixed_s[:, 0]
+    f, bandwidth_Hz = grid.frequency_Hz, grid.specification.bandwidth_Hz
+    slope = np.where(f <= bandwidth_Hz * (1.0 + 1e-12), f / bandwidth_Hz, np.nan)
+    none = np.zeros(len(q), dtype=np.complex128)
+    return _Cones(
+        A_S=(A * s_rows, constant),
+        A_R=(A * r_rows, none),
+        B_R=(B * r_rows, none),
+        real=((turn[:, None] * (A * s_rows + B * r_rows)).real, (turn * constant).real),
+        reference=np.abs(desired),
+        limits=np.tile(grid.limits, members),
+        slope=np.tile(slope, members),
+    )
+
+
+def _solve(
+    grid: FamilyGrid, plant: Plant, R: Array, S: Array, count: int, reserve: float
+) -> tuple[Array, Array] | None:
+    """Solve one convex problem around the closed loops of R, S; None where the solver fails.
+
+    A slack on all limits together, at a high price, lets a start that exceeds them come back.
+    """
+    import cvxpy as cp
+
+    scale = abs(plant.gain)
+    cones = _cones(grid, scale, R, S, count)
+    x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
+    real = cones.real[0] @ x + cones.real[1]
+    constraints = [real >= _LEAST_REAL * cones.reference]
+    for (rows, constant), limit in (
+        (cones.A_S, cones.limits[0]),
+        (cones.A_R, cones.limits[1]),
+        (cones.B_R, cones.limits[2]),
+    ):
+        held = np.isfinite(limit)
+        bound = real[held] + slack * cones.reference[held]
+        size = _magnitude(cp, rows[held], constant[held], x)
+        constraints.append(size <= cp.multiply(reserve * limit[held], bound))
+    band = np.isfinite(cones.slope)
+    size = _magnitude(cp, cones.A_S[0][band], cones.A_S[1][band], x)
+    constraints.append(size <= gamma * (cones.slope * cones.reference)[band])
+    constraints.append(real[band] >= cones.reference[band])
+    problem = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), constraints)
+    problem.solve(solver=cp.CLARABEL)
+    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or x.value is None:
+        return None
+    s_free = np.concatenate([[1.0], x.value[: count - 1]])
+    r_free = x.value[count - 1 :] / scale
+    return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
+
+
+def _magnitude(cp: Any, rows: Response, constant: Response, x: Any) -> Any:
+    """Return |rows x + constant| as a convex expression, (rows,)."""
+    real, imaginary = rows.real @ x + constant.real, rows.imag @ x + constant.imag
+    return cp.norm(cp.vstack([real, imaginary]), 2, axis=0)
