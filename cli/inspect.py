@@ -1,0 +1,124 @@
+"""`piezoid inspect`: shows what was understood of each file, and every problem with its place."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from piezoid.records.inspection import ColumnSummary, Inspection
+
+
+def inspect(
+    files: Annotated[list[Path], typer.Argument(help="Recordings in any format piezoid reads.")],
+    lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
+) -> None:
+    """Show the channels, units, clock, noise and problems of recordings.
+
+    A file that cannot be used as a recording is shown with the reason; the exit status is then 3,
+    after all files have been shown.
+    """
+    from piezoid.records.inspection import inspect_files
+    from piezoid.records.lab import read_lab
+
+    inspections = inspect_files(files, None if lab is None else read_lab(lab))
+    if json:
+        typer.echo(_json(inspections))
+    else:
+        _show(inspections)
+    if any(inspection.refusal for inspection in inspections):
+        raise typer.Exit(3)
+
+
+def _json(inspections: "tuple[Inspection, ...]") -> str:
+    import dataclasses
+    from json import dumps
+
+    content = [dataclasses.asdict(inspection) for inspection in inspections]
+    return dumps({"schema": "piezoid.inspection/1", "files": content}, indent=1, allow_nan=False)
+
+
+def _show(inspections: "tuple[Inspection, ...]") -> None:
+    from rich.console import Console
+
+    console = Console(soft_wrap=False)
+    for inspection in inspections:
+        for part in _parts(inspection):
+            console.print(part)
+        console.print()
+
+
+def _parts(inspection: "Inspection") -> "list[RenderableType]":
+    """Return what is shown of one file; all of it as text, since names in files are not markup."""
+    from rich.text import Text
+
+    parts: list[RenderableType] = [Text(_headline(inspection), style="bold")]
+    if inspection.columns:
+        parts.append(_table(inspection.columns))
+    if inspection.axis is not None:
+        parts.append(Text(_clock_line(inspection)))
+    parts += [Text(f"  {p.kind} ({p.place}): {p.text}", "yellow") for p in inspection.problems]
+    if inspection.refusal is not None:
+        parts.append(Text(f"  no recording: {inspection.refusal}", style="red"))
+    return parts
+
+
+def _headline(inspection: "Inspection") -> str:
+    if inspection.format is None:
+        return inspection.name
+    return f"{inspection.name}: {inspection.format}, {inspection.rows} rows"
+
+
+def _clock_line(inspection: "Inspection") -> str:
+    line = (
+        f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
+        f"{inspection.duration_s:.6g} s, {inspection.breaks} breaks"
+    )
+    if inspection.reversals is not None:
+        line += f", {inspection.reversals} reversals of the drive"
+    if inspection.levels_V:
+        line += " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+    return line
+
+
+def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 1))
+    for name in ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state"):
+        table.add_column(name, overflow="fold")
+    for column in columns:
+        cells = (
+            str(column.number),
+            column.label,
+            column.meaning,
+            column.unit,
+            _quantity(column.minimum, column.si_unit),
+            _quantity(column.maximum, column.si_unit),
+            _quantity(column.noise_rms, column.si_unit),
+            _quantity(column.step or None, column.si_unit),
+            _state(column),
+        )
+        table.add_row(*(Text(cell) for cell in cells))
+    return table
+
+
+def _quantity(value: float | None, unit: str) -> str:
+    return "" if value is None else f"{value:.4g} {unit}".strip()
+
+
+def _state(column: "ColumnSummary") -> str:
+    found = []
+    if column.minimum is None:
+        found.append("empty")
+    elif column.missing:
+        found.append(f"{column.missing} missing")
+    if column.is_dead:
+        found.append("dead")
+    if column.clipped:
+        found.append(f"{100 * column.clipped:.2g} % clipped")
+    return ", ".join(found)

@@ -1,0 +1,291 @@
+"""Which column is which: from lab.toml where it says so, else from the headings; never a guess."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import LabFileError, UnitError
+from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.meaning import DIMENSION_OF, Meaning, Role, meaning_of
+from piezoid.records.recording import Problem, Quantity
+from piezoid.records.table import Column, RawTable
+from piezoid.records.units import Dimension, Unit, unit_of
+
+_KEYS = {quantity.name.lower(): quantity for quantity in Quantity}
+_PIEZO = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+_SHOWN_COLUMNS = 8
+_SHOWN_VALUES = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assigned:
+    """One column with its part in the recording.
+
+    quantity  None for the time column
+    axis      empty for the time column
+    unit      it was converted from, of the heading or of lab.toml
+    values    (rows,)  SI units, NaN kept
+    """
+
+    column: Column
+    quantity: Quantity | None
+    axis: str
+    unit: Unit
+    values: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Assignment:
+    """All columns that are read.
+
+    time      None where the table has no time column
+    channels  one per quantity and axis, in the order of the columns
+    problems  units taken from the convention of lab.toml
+    """
+
+    time: Assigned | None
+    channels: tuple[Assigned, ...]
+    problems: tuple[Problem, ...]
+
+
+def assign(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
+    """Decide what every column is, or refuse with what was seen and what to write.
+
+    Raises ``UnitError`` for a column without unit or axis, or for two that claim the same part;
+    ``LabFileError`` where lab.toml names a column that is not there.
+    """
+    _check_keys(lab, entry)
+    if entry.columns:
+        meanings = _declared(table, lab, entry)
+    else:
+        meanings = {c.number: (c, meaning_of(c.heading)) for c in table.columns if _has_values(c)}
+        meanings = _with_lone_volts_settled(meanings)
+    read = [(column, m) for column, m in meanings.values() if m.role is not Role.UNREAD]
+    clocks = [(column, m) for column, m in read if m.role is Role.TIME]
+    channels = _with_axes(table, entry, [(c, m) for c, m in read if m.role is Role.CHANNEL])
+    if len(clocks) > 1:
+        raise _refuse(table, f"{_names([c for c, _ in clocks])} are both a time")
+    if not channels:
+        raise _refuse(table, "no column is a drive voltage or a displacement")
+    time = [_converted(table, lab, entry, column, None, "") for column, _ in clocks]
+    converted = [
+        _converted(table, lab, entry, c, quantity, axis) for c, quantity, axis in channels
+    ]
+    assumed = [p for _, problems in (*time, *converted) for p in problems]
+    return Assignment(
+        time=time[0][0] if time else None,
+        channels=tuple(assigned for assigned, _ in converted),
+        problems=tuple(assumed),
+    )
+
+
+def _has_values(column: Column) -> bool:
+    return bool(np.isfinite(column.values).any())
+
+
+def _declared(
+    table: RawTable, lab: Lab, entry: RecordingEntry
+) -> dict[int, tuple[Column, Meaning]]:
+    """Return the columns lab.toml names, and the time column if the heading is plain."""
+    found: dict[int, tuple[Column, Meaning]] = {}
+    for key, wanted in entry.columns.items():
+        column = table.find(wanted)
+        if column is None or column.number in found:
+            held = ", ".join(f"{c.number} {c.label!r}" for c in table.columns[:20])
+            raise LabFileError(
+                f"{lab.place}: {table.name} has no column {wanted!r} of its own for {key!r}, only "
+                f"{held}",
+                needed="one column of the file, by heading or by number from 1, for each name",
+                remedy=f"Correct 'columns' of the entry for {table.name}.",
+            )
+        quantity, axis = _part(key)
+        role = Role.TIME if quantity is None else Role.CHANNEL
+        found[column.number] = (
+            column,
+            Meaning(role=role, quantity=quantity, axis=axis, by_name=True),
+        )
+    if "time" not in entry.columns and entry.sampling_rate_Hz is None:
+        clocks = [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
+        for column in clocks[:1]:
+            found.setdefault(column.number, (column, Meaning(role=Role.TIME)))
+    return found
+
+
+def _part(key: str) -> tuple[Quantity | None, str | None]:
+    name, _, axis = key.partition("_")
+    return _KEYS.get(name), axis or None
+
+
+def _check_keys(lab: Lab, entry: RecordingEntry) -> None:
+    for key in (*entry.columns, *entry.units):
+        name = key.partition("_")[0]
+        if key != "time" and name not in _KEYS:
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r} names {key!r}",
+                needed=f"one of time, {', '.join(_KEYS)}, with an axis as in voltage_y",
+                remedy="Correct the name.",
+            )
+    for key, symbol in entry.units.items():
+        unit = unit_of(symbol)
+        if unit is None or unit.dimension is Dimension.OTHER:
+            raise LabFileError(
+                f"{lab.place}: [[recording]] {entry.file!r}: the unit of {key} is {symbol!r}",
+                needed="a unit of time, voltage, length, current, temperature or humidity",
+                remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC, % or the like.",
+            )
+
+
+def _with_lone_volts_settled(
+    meanings: dict[int, tuple[Column, Meaning]],
+) -> dict[int, tuple[Column, Meaning]]:
+    """Drop what only a unit speaks for where a name speaks for another column.
+
+    ``voltage [V], position [um], Monitor [V]``: the monitor is one more volt column, not a rival.
+    """
+    named = {(m.quantity, m.axis) for _, m in meanings.values() if m.by_name}
+    named_quantities = {quantity for quantity, _ in named}
+    settled = {}
+    for number, (column, m) in meanings.items():
+        is_lone = m.role is Role.CHANNEL and not m.by_name and m.quantity in named_quantities
+        if is_lone and (m.axis is None or (m.quantity, m.axis) in named):
+            reason = "another column is named for this quantity"
+            settled[number] = (column, Meaning(role=Role.UNREAD, reason=reason))
+        else:
+            settled[number] = (column, m)
+    return settled
+
+
+def _with_axes(
+    table: RawTable, entry: RecordingEntry, channels: list[tuple[Column, Meaning]]
+) -> list[tuple[Column, Quantity, str]]:
+    """Give every channel its axis and refuse two of one kind, or volts that may be anything."""
+    parts = [(column, m.quantity, m.axis, m.by_name) for column, m in channels if m.quantity]
+    lone = [c for c, quantity, _, named in parts if quantity is Quantity.VOLTAGE and not named]
+    if lone and not any(quantity is Quantity.DISPLACEMENT for _, quantity, _, _ in parts):
+        raise _refuse(table, f"{_names(lone)} in volts may be a drive or a sensor's output")
+    default = _default_axis(table, entry, [(quantity, axis) for _, quantity, axis, _ in parts])
+    found: dict[tuple[Quantity, str], Column] = {}
+    for column, quantity, axis, _ in parts:
+        key = (quantity, axis or default)
+        if key in found:
+            pair = _names([found[key], column])
+            raise _refuse(
+                table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
+            )
+        found[key] = column
+    return [(column, quantity, axis) for (quantity, axis), column in found.items()]
+
+
+def _default_axis(
+    table: RawTable, entry: RecordingEntry, parts: list[tuple[Quantity, str | None]]
+) -> str:
+    """The axis of columns that name none: the entry's, else the file's only one, else x."""
+    if entry.axis is not None:
+        return entry.axis
+    named = sorted({axis for quantity, axis in parts if axis is not None and quantity in _PIEZO})
+    bare = [quantity for quantity, axis in parts if axis is None and quantity in _PIEZO]
+    taken = {quantity for quantity, axis in parts if axis is not None}
+    if len(named) == 1 and not taken & set(bare):
+        return named[0]
+    if len(named) > 1 and bare and "x" in named:
+        kinds = ", ".join(quantity.name.lower() for quantity in bare)
+        raise _refuse(
+            table, f"the file names the axes {', '.join(named)}, but not that of {kinds}"
+        )
+    return "x"
+
+
+def _converted(
+    table: RawTable,
+    lab: Lab,
+    entry: RecordingEntry,
+    column: Column,
+    quantity: Quantity | None,
+    axis: str,
+) -> tuple[Assigned, tuple[Problem, ...]]:
+    """Convert a column to SI units, volts of a sensor by the sensor's gain."""
+    wanted = Dimension.TIME if quantity is None else DIMENSION_OF[quantity]
+    unit = _unit_for(entry, column, quantity, axis)
+    problems: tuple[Problem, ...] = ()
+    if unit is None and quantity is Quantity.VOLTAGE and entry.columns:
+        unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
+        text = f"{column.place} has no unit; a voltage that lab.toml names is taken to be in volts"
+        problems = (Problem(kind="unit_assumed", place=column.place, text=text),)
+    if unit is None:
+        raise _refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
+    values = column.values * unit.factor + unit.offset
+    if quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
+        gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
+        if gain_V_per_m is None:
+            raise UnitError(
+                f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
+                needed="the sensor's gain is needed to know it in metres",
+                remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
+            )
+        values = values / gain_V_per_m
+    elif unit.dimension is not wanted:
+        raise _refuse(
+            table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
+        )
+    assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
+    return assigned, problems
+
+
+def _unit_for(
+    entry: RecordingEntry, column: Column, quantity: Quantity | None, axis: str
+) -> Unit | None:
+    name = _name_of(quantity)
+    keys = (f"{name}_{axis}", name) if axis else (name,)
+    for key in keys:
+        if key in entry.units:
+            return unit_of(entry.units[key])
+    return column.heading.unit
+
+
+def _name_of(quantity: Quantity | None) -> str:
+    return "time" if quantity is None else quantity.name.lower()
+
+
+def _names(columns: list[Column]) -> str:
+    return " and ".join(column.place for column in columns)
+
+
+def _refuse(table: RawTable, found: str) -> UnitError:
+    """Refuse, showing the columns and the lines of lab.toml that would decide."""
+    seen = [
+        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_SHOWN_VALUES])}, ..."
+        for c in table.columns[:_SHOWN_COLUMNS]
+    ]
+    more = len(table.columns) - _SHOWN_COLUMNS
+    seen += [f"and {more} more columns"] if more > 0 else []
+    return UnitError(
+        f"{table.name}: {found} (seen: {'; '.join(seen)})",
+        needed="every column that is read needs one meaning, one axis and one unit",
+        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
+        f"columns:\n\n{lab_block(table)}\n",
+        columns=tuple(column.label for column in table.columns),
+    )
+
+
+def lab_block(table: RawTable) -> str:
+    """Return the ``[[recording]]`` entry to complete for this file, as TOML."""
+    clock = [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
+    columns = [f"time = {_toml(clock[0].label)}"] if clock else []
+    columns += ['voltage = "..."', 'displacement = "..."']
+    lines = [
+        "[[recording]]",
+        f"file = {_toml(table.name)}",
+        'axis = "x"',
+        f"columns = {{ {', '.join(columns)} }}",
+        'units = { voltage = "...", displacement = "..." }',
+    ]
+    if not clock and table.sampling_rate_Hz is None:
+        lines.append("sampling_rate_Hz = ...")
+    return "\n".join(lines)
+
+
+def _toml(text: str) -> str:
+    import json
+
+    return json.dumps(text, ensure_ascii=True)

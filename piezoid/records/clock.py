@@ -1,0 +1,224 @@
+"""The clock of a recording: its rate, and where its time stamps are not those of a uniform one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Problem
+
+# A stamp this far (in sampling intervals) off its place is jitter worth telling.
+JITTER_LIMIT = 0.01
+# A robust spread of the steps above this share of their median is no uniform clock at all.
+UNIFORM_LIMIT = 0.35
+# Steps are averaged over this many samples before the interval is taken: stamps printed with few
+# digits repeat and jump, their averages do not.
+_WINDOW = 64
+# Beyond this many units a double rounds too coarsely to tell a printed digit from noise.
+_COUNTABLE = 1e12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clock:
+    """What the stamps say.
+
+    sampling_rate_Hz  of the samples between gaps
+    jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
+    breaks            first sample after each gap or step backwards
+    problems          ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
+    """
+
+    sampling_rate_Hz: float
+    jitter_rms_s: float
+    breaks: tuple[int, ...]
+    problems: tuple[Problem, ...]
+
+
+def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
+    """Find the sampling rate and the faults of a column of time stamps.
+
+    time_s  (samples,)  s, finite
+    name    of the file, for messages
+    place   says where a row stands
+
+    Stamps that lie within half a unit of their last printed digit of a uniform clock are uniform:
+    few digits are not jitter. Stamps that share no interval are refused.
+    """
+    if len(time_s) < 3:
+        raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")
+    resolution_s = print_resolution_s(time_s)
+    k = np.arange(len(time_s))
+    uniform_s = (time_s[-1] - time_s[0]) / k[-1]
+    tolerance_s = 0.51 * resolution_s + 8 * np.spacing(np.abs(time_s).max())
+    if uniform_s > 0 and np.abs(time_s - _line(time_s)).max() <= tolerance_s:
+        uncertain = 2 * tolerance_s / (time_s[-1] - time_s[0])
+        return Clock(
+            sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertain),
+            jitter_rms_s=0.0,
+            breaks=(),
+            problems=(),
+        )
+    return _faulty_clock(time_s, resolution_s, name, place)
+
+
+def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:
+    """Return the number of fewest digits within a relative uncertainty of at least 1e-9.
+
+    Two recordings of one rig then have one and the same rate, however their stamps were rounded.
+    """
+    for digits in range(1, 16):
+        plain = float(f"{rate_Hz:.{digits}g}")
+        if abs(plain - rate_Hz) <= max(uncertainty, 1e-9) * rate_Hz:
+            return plain
+    return rate_Hz
+
+
+def print_resolution_s(time_s: Array) -> float:
+    """Return the power of ten all stamps are multiples of, 0 where they are of full precision.
+
+    A thousand stamps spread over the file decide; the later ones carry the fewest decimals.
+    """
+    stamps = time_s[np.unique(np.linspace(0, len(time_s) - 1, 1000).astype(int))]
+    for exponent in range(0, -16, -1):
+        scaled = stamps * 10.0**-exponent
+        largest = float(np.abs(scaled).max())
+        if largest > _COUNTABLE:
+            break
+        rounding = 8 * np.finfo(float).eps * max(1.0, largest)
+        if np.abs(scaled - np.round(scaled)).max() <= rounding:
+            return float(10.0**exponent)
+    return 0.0
+
+
+def _line(time_s: Array) -> Array:
+    """The uniform clock nearest to the stamps in the middle of their errors."""
+    k = np.arange(len(time_s))
+    slope, start = np.polyfit(k, time_s - time_s[0], 1)
+    error = time_s - time_s[0] - (start + slope * k)
+    middle = (error.max() + error.min()) / 2
+    line: Array = time_s[0] + start + middle + slope * k
+    return line
+
+
+def _faulty_clock(
+    time_s: Array, resolution_s: float, name: str, place: Callable[[int], str]
+) -> Clock:
+    steps = np.diff(time_s)
+    interval_s = _interval_s(time_s)
+    spread_s = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    if not interval_s > 0 or spread_s > UNIFORM_LIMIT * interval_s + resolution_s:
+        raise _no_clock(
+            name,
+            f"time steps from {steps.min():.4g} s to {steps.max():.4g} s, median "
+            f"{np.median(steps):.4g} s",
+            "samples at a uniform rate",
+        )
+    excess_s = max(0.5 * interval_s, 6 * spread_s) + 1.01 * resolution_s
+    stands = np.flatnonzero(np.abs(steps) <= 1e-9 * interval_s) + 1
+    back = np.flatnonzero(steps < -excess_s) + 1
+    gaps = _gaps(time_s, interval_s, excess_s)
+    if resolution_s > 0.5 * interval_s:
+        stands = stands[:0]  # printed too coarsely to tell: equal stamps are their rounding
+    breaks = tuple(sorted({*gaps.tolist(), *back.tolist()}))
+    jitter_s = _jitter_s(steps, interval_s, excess_s)
+    problems = (
+        *_told("gap", gaps, time_s, place, lambda k: f"{time_s[k] - time_s[k - 1]:.6g} s"),
+        *_told("duplicate_time", stands, time_s, place, lambda _: "the stamp before repeated"),
+        *_told("time_reversed", back, time_s, place, lambda k: f"{steps[k - 1]:.6g} s"),
+        *_jitter_problem(jitter_s, interval_s, resolution_s),
+    )
+    return Clock(
+        sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
+        jitter_rms_s=jitter_s,
+        breaks=breaks,
+        problems=problems,
+    )
+
+
+def _interval_s(time_s: Array) -> float:
+    """The interval between samples: the median step, refined over stretches without faults."""
+    width = min(_WINDOW, len(time_s) - 1)
+    rough = float(np.median(time_s[width:] - time_s[:-width])) / width
+    spans = time_s[width:] - time_s[:-width]
+    whole = np.abs(spans - rough * width) < 0.5 * rough
+    return float(np.mean(spans[whole])) / width if whole.any() else rough
+
+
+def _gaps(time_s: Array, interval_s: float, excess_s: float) -> np.ndarray:
+    """First samples after missing time: a late stamp, or a clock catching up, is no gap.
+
+    The time lost must stay lost over the samples around the step, so the step is compared between
+    stretches of stamps, not between two stamps.
+    """
+    steps = np.diff(time_s)
+    candidates = np.flatnonzero(steps > interval_s + excess_s) + 1
+    kept = []
+    for k in candidates.tolist():
+        before = _first_equal(time_s, k - 1)
+        after = min(k + 1, len(time_s) - 1)
+        expected_s = (after - before) * interval_s
+        if time_s[after] - time_s[before] > expected_s + excess_s:
+            kept.append(k)
+    return np.array(kept, dtype=int)
+
+
+def _first_equal(time_s: Array, k: int) -> int:
+    while k > 0 and time_s[k - 1] == time_s[k]:
+        k -= 1
+    return k
+
+
+def _jitter_s(steps: Array, interval_s: float, excess_s: float) -> float:
+    """Root mean square of the stamps about uniform ones, from the steps that are neither fault.
+
+    Two independent stamps make one step, hence the root of two.
+    """
+    errors = steps - interval_s
+    regular = np.abs(errors) < excess_s
+    return float(np.sqrt(np.mean(errors[regular] ** 2) / 2)) if regular.any() else 0.0
+
+
+def _jitter_problem(
+    jitter_s: float, interval_s: float, resolution_s: float
+) -> tuple[Problem, ...]:
+    if jitter_s <= JITTER_LIMIT * interval_s or jitter_s <= 0.51 * resolution_s:
+        return ()
+    text = (
+        f"the time stamps scatter by {jitter_s:.3g} s rms about a uniform clock, "
+        f"{100 * jitter_s / interval_s:.2g} % of the sampling interval"
+    )
+    return (Problem(kind="jitter", place="the time column", text=text),)
+
+
+_SENTENCES = {
+    "gap": "time is missing between samples",
+    "duplicate_time": "the clock stands still",
+    "time_reversed": "the clock goes backwards",
+}
+
+
+def _told(
+    kind: str,
+    rows: np.ndarray,
+    time_s: Array,
+    place: Callable[[int], str],
+    size: Callable[[int], str],
+) -> tuple[Problem, ...]:
+    """Return one problem for all places of a kind: the count, and the first three."""
+    if not len(rows):
+        return ()
+    first = [f"{place(k)}, t = {time_s[k]:.6g} s ({size(k)})" for k in rows[:3].tolist()]
+    more = f" and {len(rows) - 3} more" if len(rows) > 3 else ""
+    text = f"{_SENTENCES[kind]} at {len(rows)} places: {'; '.join(first)}{more}"
+    return (Problem(kind=kind, place=place(int(rows[0])), text=text),)
+
+
+def _no_clock(name: str, found: str, needed: str) -> RecordingError:
+    return RecordingError(
+        f"{name}: {found}",
+        needed=f"needed are {needed}",
+        remedy="Record with a hardware clock, or state sampling_rate_Hz for this file in lab.toml "
+        "and name no time column if the samples are known to be uniform.",
+    )

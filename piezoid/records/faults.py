@@ -1,0 +1,107 @@
+"""What is wrong with a channel's samples: dead, clipped, equal to another; its noise and step."""
+
+import hashlib
+import math
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Problem
+from piezoid.records.table import Column, RawTable
+
+# A clipped converter rests on its last code; noise and slope let nothing else rest this long.
+_CLIPPED_RUN = 5
+_CLIPPED_RATIO = 3
+# A drive that arrives at its extreme by a jump was commanded there.
+_JUMP = 5.0
+
+
+def noise_rms(values: Array) -> float:
+    """Return the white noise on a smooth signal, from its second differences.
+
+    The second difference of white noise has six times its variance; a smooth signal leaves little
+    there, and the median keeps out jumps. A median of zero means noise below the converter step,
+    whose rounding error is then the bound: step / sqrt(12).
+    """
+    if len(values) < 5:
+        return 0.0
+    second = np.diff(values, 2)
+    spread = 1.4826 * float(np.median(np.abs(second - np.median(second))))
+    return spread / math.sqrt(6.0) if spread > 0 else step_size(values) / math.sqrt(12.0)
+
+
+def step_size(values: Array) -> float:
+    """Return the smallest step all values are multiples of, 0 where there is none.
+
+    Values printed with few digits have a step as well: it is the resolution of what was written.
+    """
+    distinct = np.unique(values)
+    if len(distinct) < 3 or 2 * len(distinct) > len(values):
+        return 0.0
+    gaps = np.diff(distinct)
+    gaps = gaps[gaps > 1e-9 * max(abs(distinct[0]), abs(distinct[-1]))]
+    if not len(gaps):
+        return 0.0
+    smallest = float(np.min(gaps))
+    step = float(np.mean(gaps[gaps < 1.5 * smallest]))
+    multiples = gaps / step
+    fits = np.abs(multiples - np.round(multiples)) < 0.1
+    return step if fits.mean() > 0.9 else 0.0
+
+
+def is_dead(values: Array) -> bool:
+    """Tell whether a channel never changes."""
+    return bool(np.ptp(values) == 0)
+
+
+def clipped_share(values: Array) -> float:
+    """Return the share of samples clipped at the largest or smallest value.
+
+    Clipped means: run into the extreme without a jump, stay for at least five samples, and rest
+    nowhere else a third as long. A staircase rests elsewhere too; a step arrives by a jump.
+    """
+    if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
+        return 0.0
+    edges = np.flatnonzero(np.diff(values)) + 1
+    begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
+    lengths, levels = ends - begins, values[begins]
+    extreme = (levels == values.max()) | (levels == values.min())
+    typical = float(np.median(np.abs(np.diff(levels))))
+    inner = begins > 0
+    arrival = np.zeros(len(begins))
+    arrival[inner] = np.abs(levels[inner] - values[begins[inner] - 1])
+    elsewhere = int(lengths[~extreme].max(initial=1))
+    longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
+    clipped = extreme & inner & (lengths >= longest) & (arrival <= _JUMP * typical)
+    return float(lengths[clipped].sum() / len(values))
+
+
+def faults_of(table: RawTable, read: frozenset[int]) -> tuple[Problem, ...]:
+    """Return the problems of all columns: empty, dead, saturated, equal to another.
+
+    read  numbers of the columns that become channels; only there does clipping mean anything
+    """
+    found: list[Problem] = []
+    seen: dict[bytes, Column] = {}
+    for column in table.columns:
+        held = column.values[np.isfinite(column.values)]
+        if not len(held):
+            found.append(_problem("empty", column, "holds no number"))
+        elif is_dead(held):
+            unit = "" if column.heading.unit is None else f" {column.heading.unit.symbol}"
+            found.append(_problem("dead", column, f"is {held[0]:.6g}{unit} throughout"))
+        else:
+            share = clipped_share(held) if column.number in read else 0.0
+            if share > 0:
+                ends = f"rests on {held.min():.6g} or {held.max():.6g} (as found)"
+                text = f"{ends} for {100 * share:.2g} % of the samples: clipped?"
+                found.append(_problem("saturated", column, text))
+            twin = seen.setdefault(hashlib.sha256(column.values.tobytes()).digest(), column)
+            if twin is not column:
+                text = f"holds the same numbers as {twin.place}"
+                found.append(_problem("equal_columns", column, text))
+    return tuple(found)
+
+
+def _problem(kind: str, column: Column, text: str) -> Problem:
+    return Problem(kind=kind, place=column.place, text=f"{column.place} {text}")

@@ -1,0 +1,251 @@
+"""ingest: from a file, and what lab.toml says about it, to a Recording."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.errors import LabFileError, RecordingError, UnitError
+from piezoid.records.assignment import Assigned, Assignment, assign, lab_block
+from piezoid.records.clock import Clock, plain_rate_Hz, read_clock
+from piezoid.records.faults import faults_of
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.readers import read_table
+from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.table import RawTable
+
+Rows = NDArray[np.intp]
+
+# lab.toml and the time column may differ by this much: crystals do, mistaken rates do not.
+_RATE_TOLERANCE = 0.01
+
+
+def ingest(path: Path, lab: Lab | None = None) -> Recording:
+    """Read one file as one recording.
+
+    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
+    merely odd (gaps, jitter, dead or clipped channels, rows without numbers) is in ``problems``.
+    """
+    lab = Lab() if lab is None else lab
+    entries = lab.entries_of(path)
+    if len(entries) > 1:
+        raise LabFileError(
+            f"{lab.place}: {path.name} has {len(entries)} [[recording]] entries",
+            needed="one entry where one recording is asked for",
+            remedy="Read them all with ingest_all, or keep one entry.",
+        )
+    return ingest_table(read_table(path), lab, entries[0] if entries else None)
+
+
+def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording, ...]:
+    """Read several files, one recording for each ``[[recording]]`` entry of a file, or for it."""
+    lab = Lab() if lab is None else lab
+    found = []
+    for path in paths:
+        table = read_table(path)
+        found += [ingest_table(table, lab, entry) for entry in lab.entries_of(path) or (None,)]
+    return tuple(found)
+
+
+def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
+    """Make a recording of a table that has been read."""
+    if table.independent and (entry is None or not entry.columns):
+        raise RecordingError(
+            f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
+            needed="a recording needs its columns as functions of time",
+            remedy="Use it where a table is asked for (a tunnelling current against height), or "
+            "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
+        )
+    entry = RecordingEntry(file=table.name) if entry is None else entry
+    assignment = assign(table, lab, entry)
+    kept, row_problems = _kept_rows(table, assignment)
+    clock = _clock(table, lab, entry, assignment, kept)
+    breaks = {*clock.breaks, *_skips(kept), *_segments(table, kept)}
+    part = _part(entry, clock, len(kept))
+    rows = kept[part]
+    channels = tuple(_channel(assigned, rows) for assigned in assignment.channels)
+    return Recording(
+        name=table.name,
+        digest=table.digest,
+        axis=_own_axis(entry, channels, lab.place),
+        sampling_rate_Hz=clock.sampling_rate_Hz,
+        channels=channels,
+        breaks=tuple(sorted(b - part.start for b in breaks if part.start < b < part.stop)),
+        problems=(
+            *table.problems,
+            *assignment.problems,
+            *row_problems,
+            *clock.problems,
+            *faults_of(table, frozenset(a.column.number for a in assignment.channels)),
+            *_incomplete(channels),
+            *_several_axes(entry, channels),
+        ),
+    )
+
+
+def _kept_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Problem, ...]]:
+    """Return the rows in which every column that is read holds a number."""
+    read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
+    whole = np.ones(table.rows, dtype=bool)
+    for assigned in read:
+        whole &= np.isfinite(assigned.values)
+    kept = np.flatnonzero(whole)
+    if len(kept) < 2:
+        counts = ", ".join(f"{a.column.place} {np.isfinite(a.values).sum()}" for a in read)
+        raise RecordingError(
+            f"{table.name}: {len(kept)} of {table.rows} rows hold a number in every column "
+            f"(numbers in {counts})",
+            needed="at least two whole rows",
+            remedy="Leave the empty column out by naming the others in lab.toml.",
+        )
+    lost = table.rows - len(kept)
+    if not lost:
+        return kept, ()
+    ends = int(kept[0]) + table.rows - 1 - int(kept[-1])
+    first = int(np.flatnonzero(~whole)[0])
+    empty = [a.column.place for a in read if not np.isfinite(a.values[first])]
+    text = (
+        f"{lost} rows lack a number, {ends} of them at the ends, {lost - ends} inside (behind a "
+        f"break); the first is {table.place_of_row(first)}, {' and '.join(empty)}"
+    )
+    return kept, (Problem(kind="missing_values", place=table.place_of_row(first), text=text),)
+
+
+def _skips(kept: Rows) -> list[int]:
+    """First kept rows after rows that were left out."""
+    return (np.flatnonzero(np.diff(kept) > 1) + 1).tolist()
+
+
+def _segments(table: RawTable, kept: Rows) -> list[int]:
+    starts = np.searchsorted(kept, np.array(table.segment_starts, dtype=int))
+    return [int(k) for k in starts if 0 < k < len(kept)]
+
+
+def _clock(
+    table: RawTable, lab: Lab, entry: RecordingEntry, assignment: Assignment, kept: Rows
+) -> Clock:
+    """Return the clock, its breaks counted in kept rows.
+
+    It is read from every row with a stamp, so that a row left out for another column's sake is no
+    gap in time besides.
+    """
+    declared_Hz = entry.sampling_rate_Hz
+    if assignment.time is None:
+        return _stated_clock(table, lab, declared_Hz)
+    stamped = np.flatnonzero(np.isfinite(assignment.time.values))
+    clock = read_clock(
+        assignment.time.values[stamped],
+        table.name,
+        lambda row: table.place_of_row(int(stamped[row])),
+    )
+    if declared_Hz is not None:
+        _check_rate(table, lab, declared_Hz, clock.sampling_rate_Hz)
+    at = np.searchsorted(kept, stamped[list(clock.breaks)])
+    return replace(clock, breaks=tuple(sorted({int(k) for k in at if 0 < k < len(kept)})))
+
+
+def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock:
+    """The clock of a table without time column: the format's, the entry's, the laboratory's."""
+    stated_Hz = table.sampling_rate_Hz
+    if stated_Hz is not None and declared_Hz is not None:
+        _check_rate(table, lab, declared_Hz, stated_Hz)
+    rate_Hz = stated_Hz or declared_Hz or lab.acquisition.sampling_rate_Hz
+    if rate_Hz is None:
+        raise UnitError(
+            f"{table.name}: no column is a time and the file states no sampling rate",
+            needed="a clock",
+            remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
+            f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
+        )
+    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0, breaks=(), problems=())
+
+
+def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, found_Hz: float) -> None:
+    if abs(declared_Hz - found_Hz) > _RATE_TOLERANCE * found_Hz:
+        raise LabFileError(
+            f"{lab.place}: sampling_rate_Hz of {table.name} is {declared_Hz:.9g} Hz, the file's "
+            f"own clock says {found_Hz:.9g} Hz",
+            needed="one rate, or no time column",
+            remedy="Correct the rate or the unit of the time column.",
+        )
+
+
+def _part(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
+    """Return the samples between start_s and stop_s, counted from the first sample."""
+    start = 0 if entry.start_s is None else round(entry.start_s * clock.sampling_rate_Hz)
+    stop = samples if entry.stop_s is None else round(entry.stop_s * clock.sampling_rate_Hz) + 1
+    start, stop = max(0, start), min(samples, stop)
+    if stop - start < 2:
+        raise LabFileError(
+            f"lab.toml: {entry.file} from {entry.start_s} s to {entry.stop_s} s holds "
+            f"{max(0, stop - start)} samples of its {samples / clock.sampling_rate_Hz:.6g} s",
+            needed="at least two samples",
+            remedy="Correct start_s and stop_s, counted from the first sample of the file.",
+        )
+    return slice(start, stop)
+
+
+def _channel(assigned: Assigned, rows: Rows) -> Channel:
+    assert assigned.quantity is not None
+    column = assigned.column
+    return Channel(
+        quantity=assigned.quantity,
+        axis=assigned.axis,
+        values=assigned.values[rows],
+        label=column.label or f"column {column.number}",
+    )
+
+
+def _complete_axes(channels: tuple[Channel, ...]) -> list[str]:
+    held = {(c.quantity, c.axis) for c in channels}
+    axes = sorted({c.axis for c in channels})
+    pair = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+    return [axis for axis in axes if all((quantity, axis) in held for quantity in pair)]
+
+
+def _own_axis(entry: RecordingEntry, channels: tuple[Channel, ...], place: str) -> str:
+    """The axis of the entry, else the one with drive and response that is driven the most."""
+    axes = sorted({c.axis for c in channels})
+    if entry.axis is not None:
+        if entry.axis not in axes:
+            raise LabFileError(
+                f"{place}: {entry.file} is said to be about axis {entry.axis!r}, its columns are "
+                f"of {', '.join(axes)}",
+                needed="an axis one of its columns belongs to",
+                remedy="Correct the axis, or name the columns.",
+            )
+        return entry.axis
+    complete = _complete_axes(channels)
+    spans = {c.axis: float(np.ptp(c.values)) for c in channels if c.quantity is Quantity.VOLTAGE}
+    if complete:
+        return max(complete, key=lambda axis: spans[axis])
+    displaced = [c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT]
+    return min(displaced or axes)
+
+
+def _several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
+    complete = _complete_axes(channels)
+    if entry.axis is not None or len(complete) < 2:
+        return ()
+    own = _own_axis(entry, channels, "")
+    text = (
+        f"drive and response of the axes {', '.join(complete)} are here; taken to be about {own}, "
+        "whose drive moves the most, as lab.toml names none"
+    )
+    return (Problem(kind="several_axes", place="columns", text=text),)
+
+
+def _incomplete(channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
+    held = {c.quantity for c in channels}
+    wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+    return tuple(
+        Problem(
+            kind="incomplete",
+            place="columns",
+            text=f"no {quantity.name.lower()} here: alone this recording cannot be fitted",
+        )
+        for quantity in wanted
+        if quantity not in held
+    )

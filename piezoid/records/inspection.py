@@ -1,0 +1,213 @@
+"""Inspection: what was understood of a file, whether or not it can become a recording."""
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.errors import PiezoidError
+from piezoid.numerics.arrays import Array
+from piezoid.records.assignment import Assignment, assign
+from piezoid.records.faults import clipped_share, faults_of, is_dead, noise_rms, step_size
+from piezoid.records.ingest import ingest_table
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.meaning import Meaning, Role, meaning_of
+from piezoid.records.readers import read_table
+from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.sweep import reversals_of
+from piezoid.records.table import Column, RawTable
+
+# A turn of the drive smaller than this share of its span is no sweep.
+_TURN_SHARE = 0.01
+# Turning points closer than this share of the span are one level of the drive.
+_LEVEL_SHARE = 0.02
+_MOST_LEVELS = 12
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColumnSummary:
+    """One column, for people.
+
+    number     its place in the file
+    label      its heading as found
+    meaning    ``time``, ``voltage of x``, or ``not read: ...`` with the reason
+    unit       as found, empty where none was
+    si_unit    of the numbers below, empty where none is known
+    minimum, maximum   of the numbers it holds; None where it holds none
+    noise_rms  robust white noise; None where there are too few samples
+    step       the smallest step of its values, 0 where there is none
+    is_dead    it never changes
+    clipped    share of samples resting on an extreme
+    missing    number of rows without a number
+    """
+
+    number: int
+    label: str
+    meaning: str
+    unit: str
+    si_unit: str
+    minimum: float | None
+    maximum: float | None
+    noise_rms: float | None
+    step: float
+    is_dead: bool
+    clipped: float
+    missing: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inspection:
+    """All that was understood of one file.
+
+    name              the file's name
+    digest, format    None where it could not be read at all
+    rows, columns     of its table
+    axis              of the recording, None where it is refused
+    sampling_rate_Hz, duration_s, breaks, reversals, levels_V
+                      of the recording; levels are the voltages the drive turns at
+    problems          everything odd, each with its place
+    refusal           why it is no recording, None where it is one
+    """
+
+    name: str
+    digest: str | None = None
+    format: str | None = None
+    rows: int = 0
+    columns: tuple[ColumnSummary, ...] = ()
+    axis: str | None = None
+    sampling_rate_Hz: float | None = None
+    duration_s: float | None = None
+    breaks: int = 0
+    reversals: int | None = None
+    levels_V: tuple[float, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    refusal: str | None = None
+
+
+def inspect_file(path: Path, lab: Lab | None = None) -> tuple[Inspection, ...]:
+    """Inspect one file: one inspection for each ``[[recording]]`` entry about it, or just one.
+
+    A file that cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
+    """
+    lab = Lab() if lab is None else lab
+    try:
+        table = read_table(path)
+    except PiezoidError as error:
+        return (Inspection(name=path.name, refusal=str(error)),)
+    return tuple(_inspect_table(table, lab, entry) for entry in lab.entries_of(path) or (None,))
+
+
+def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspection, ...]:
+    """Inspect several files."""
+    return tuple(itertools.chain.from_iterable(inspect_file(path, lab) for path in paths))
+
+
+def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+    try:
+        recording = ingest_table(table, lab, entry)
+    except PiezoidError as error:
+        return Inspection(
+            name=table.name,
+            digest=table.digest,
+            format=table.format,
+            rows=table.rows,
+            columns=tuple(
+                _summary(column, meaning_of(column.heading)) for column in table.columns
+            ),
+            sampling_rate_Hz=table.sampling_rate_Hz,
+            problems=(*table.problems, *faults_of(table, frozenset())),
+            refusal=str(error),
+        )
+    assignment = assign(table, lab, RecordingEntry(file=table.name) if entry is None else entry)
+    drive = recording.find(Quantity.VOLTAGE, recording.axis)
+    reversals = None if drive is None else _turns(recording, drive.values)
+    return Inspection(
+        name=table.name,
+        digest=table.digest,
+        format=table.format,
+        rows=table.rows,
+        columns=tuple(_read_summary(column, assignment) for column in table.columns),
+        axis=recording.axis,
+        sampling_rate_Hz=recording.sampling_rate_Hz,
+        duration_s=recording.duration_s,
+        breaks=len(recording.breaks),
+        reversals=None if reversals is None else len(reversals),
+        levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
+        problems=recording.problems,
+    )
+
+
+def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
+    """Summarise a column by what the recording made of it, lab.toml included."""
+    read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
+    for assigned in read:
+        if assigned.column is column:
+            quantity = assigned.quantity
+            return _numbers(
+                column,
+                assigned.values,
+                meaning=f"{quantity.name.lower()} of {assigned.axis}" if quantity else "time",
+                unit=assigned.unit.symbol,
+                si_unit=quantity.value if quantity else "s",
+            )
+    meaning = meaning_of(column.heading)
+    if meaning.role is not Role.UNREAD:
+        meaning = Meaning(role=Role.UNREAD, reason="another column was taken for this part")
+    return _summary(column, meaning)
+
+
+def _summary(column: Column, meaning: Meaning) -> ColumnSummary:
+    unit = column.heading.unit
+    return _numbers(
+        column,
+        column.si_values,
+        meaning=_sentence(meaning),
+        unit="" if unit is None else unit.symbol,
+        si_unit="" if unit is None else unit.si_symbol,
+    )
+
+
+def _sentence(meaning: Meaning) -> str:
+    if meaning.role is Role.CHANNEL and meaning.quantity is not None:
+        name = meaning.quantity.name.lower()
+        return f"{name} of {meaning.axis}" if meaning.axis else name
+    return f"not read: {meaning.reason}" if meaning.reason else meaning.role.value
+
+
+def _numbers(
+    column: Column, values: Array, *, meaning: str, unit: str, si_unit: str
+) -> ColumnSummary:
+    held = values[np.isfinite(values)]
+    return ColumnSummary(
+        number=column.number,
+        label=column.label,
+        meaning=meaning,
+        unit=unit,
+        si_unit=si_unit,
+        minimum=float(held.min()) if len(held) else None,
+        maximum=float(held.max()) if len(held) else None,
+        noise_rms=noise_rms(held) if len(held) > 4 else None,
+        step=step_size(held) if len(held) else 0.0,
+        is_dead=bool(len(held)) and is_dead(held),
+        clipped=clipped_share(held) if len(held) else 0.0,
+        missing=int(np.count_nonzero(~np.isfinite(column.values))),
+    )
+
+
+def _turns(recording: Recording, voltage_V: Array) -> list[int]:
+    """Return the reversals of the drive in all pieces, ignoring noise and small turns."""
+    ignored_V = max(_TURN_SHARE * float(np.ptp(voltage_V)), 6 * noise_rms(voltage_V))
+    found = []
+    for piece in recording.pieces:
+        found += [piece.start + k for k in reversals_of(voltage_V[piece], ignored_V)]
+    return found
+
+
+def _levels(voltage_V: Array, reversals: list[int]) -> tuple[float, ...]:
+    """Return the distinct voltages the drive turns at, ascending; none where they are too many."""
+    turns = np.sort(voltage_V[reversals])
+    apart = np.flatnonzero(np.diff(turns) > _LEVEL_SHARE * float(np.ptp(voltage_V))) + 1
+    groups = np.split(turns, apart)
+    return tuple(float(g.mean()) for g in groups) if len(groups) <= _MOST_LEVELS else ()

@@ -1,0 +1,235 @@
+"""lab.toml: what a laboratory knows about its rig and its files and no recording says.
+
+    [rig]            name
+    [amplifier]      gain_V_per_V, bandwidth_Hz, output_min_V, output_max_V, slew_V_per_s
+    [actuator]       gain_m_per_V
+    [sensor]         bandwidth_Hz, gain_V_per_m
+    [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
+    [axis.z.sensor]  the same tables for one axis, each replacing the one above it
+    [[recording]]    file, axis, columns, units, sampling_rate_Hz, start_s, stop_s
+
+Everything is optional. An unknown name is refused: it is a typing error more often than news.
+"""
+
+import math
+import tomllib
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from piezoid.errors import LabFileError
+from piezoid.provenance import digest_of_bytes
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of lab.toml."""
+
+
+class RigName(_Table, frozen=True, kw_only=True):
+    """``[rig]``: what the people there call it."""
+
+    name: str = ""
+
+
+class Amplifier(_Table, frozen=True, kw_only=True):
+    """``[amplifier]``: between the converter and the piezo."""
+
+    gain_V_per_V: float | None = None
+    bandwidth_Hz: float | None = None
+    output_min_V: float | None = None
+    output_max_V: float | None = None
+    slew_V_per_s: float | None = None
+
+
+class Actuator(_Table, frozen=True, kw_only=True):
+    """``[actuator]``: the data sheet's gain; the fitted one replaces it."""
+
+    gain_m_per_V: float | None = None
+
+
+class Sensor(_Table, frozen=True, kw_only=True):
+    """``[sensor]``: displacement to volts, where a recording holds the sensor's volts."""
+
+    bandwidth_Hz: float | None = None
+    gain_V_per_m: float | None = None
+
+
+class Acquisition(_Table, frozen=True, kw_only=True):
+    """``[acquisition]``: the converters, and the clock of recordings that carry none."""
+
+    sampling_rate_Hz: float | None = None
+    dac_bits: int | None = None
+    adc_bits: int | None = None
+    input_range_V: tuple[float, float] | None = None
+
+
+class RecordingEntry(_Table, frozen=True, kw_only=True):
+    """``[[recording]]``: how one file is to be read.
+
+    file              its name, from lab.toml's folder
+    axis              the axis it is about
+    columns           ``time``, ``voltage``, ``displacement``, ``current``, ``temperature``,
+                      ``humidity``, each also with ``_x``, ``_y``, ``_z``: a heading, or a number
+                      from 1; only what is named here is read
+    units             by the same names
+    sampling_rate_Hz  of this file, if it has no time column
+    start_s, stop_s   the part to use, in seconds from its first sample
+    """
+
+    file: str
+    axis: str | None = None
+    columns: dict[str, str | int] = {}
+    units: dict[str, str] = {}
+    sampling_rate_Hz: float | None = None
+    start_s: float | None = None
+    stop_s: float | None = None
+
+
+class AxisRig(_Table, frozen=True, kw_only=True):
+    """``[axis.<name>.*]``: what is different on one axis."""
+
+    amplifier: Amplifier | None = None
+    actuator: Actuator | None = None
+    sensor: Sensor | None = None
+
+
+class _Contents(_Table, frozen=True, kw_only=True):
+    rig: RigName = RigName()
+    amplifier: Amplifier = Amplifier()
+    actuator: Actuator = Actuator()
+    sensor: Sensor = Sensor()
+    acquisition: Acquisition = Acquisition()
+    recording: tuple[RecordingEntry, ...] = ()
+    axis: dict[str, AxisRig] = {}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lab:
+    """A whole lab.toml; without a file, the laboratory about which nothing is known.
+
+    name         from ``[rig]``
+    place        the file's name, for messages
+    folder       where recordings are named from
+    digest       of the file's bytes, empty without a file
+    amplifier, actuator, sensor, acquisition   its tables
+    recordings   its ``[[recording]]`` entries
+    axes         what differs on single axes
+    """
+
+    name: str = ""
+    place: str = "lab.toml"
+    folder: Path = Path()
+    digest: str = ""
+    amplifier: Amplifier = field(default_factory=Amplifier)
+    actuator: Actuator = field(default_factory=Actuator)
+    sensor: Sensor = field(default_factory=Sensor)
+    acquisition: Acquisition = field(default_factory=Acquisition)
+    recordings: tuple[RecordingEntry, ...] = ()
+    axes: dict[str, AxisRig] = field(default_factory=dict)
+
+    def amplifier_of(self, axis: str) -> Amplifier:
+        """Return the amplifier of an axis: its own table, or else the common one."""
+        own = self.axes.get(axis, AxisRig()).amplifier
+        return self.amplifier if own is None else own
+
+    def actuator_of(self, axis: str) -> Actuator:
+        """Return the actuator of an axis: its own table, or else the common one."""
+        own = self.axes.get(axis, AxisRig()).actuator
+        return self.actuator if own is None else own
+
+    def sensor_of(self, axis: str) -> Sensor:
+        """Return the sensor of an axis: its own table, or else the common one."""
+        own = self.axes.get(axis, AxisRig()).sensor
+        return self.sensor if own is None else own
+
+    def entries_of(self, path: Path) -> tuple[RecordingEntry, ...]:
+        """Return the entries about a file: those of its path, or else those of its bare name."""
+        wanted = path.resolve()
+        held = [e for e in self.recordings if (self.folder / e.file).resolve() == wanted]
+        return tuple(held or [e for e in self.recordings if Path(e.file).name == path.name])
+
+
+def read_lab(path: Path) -> Lab:
+    """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
+    try:
+        content = path.read_bytes()
+        record = tomllib.loads(content.decode("utf-8-sig"))
+    except OSError as error:
+        raise _refusal(path, error.strerror or str(error), "a file that can be read") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise _refusal(path, str(error), "text in TOML, UTF-8") from error
+    try:
+        contents = msgspec.convert(record, _Contents, strict=True)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at `$")
+        place = where.rstrip("`").lstrip(".") or "the top"
+        raise _refusal(path, f"{place}: {message}", "the names and types of a lab.toml") from error
+    lab = Lab(
+        name=contents.rig.name,
+        place=path.name,
+        folder=path.parent,
+        digest=digest_of_bytes(content),
+        amplifier=contents.amplifier,
+        actuator=contents.actuator,
+        sensor=contents.sensor,
+        acquisition=contents.acquisition,
+        recordings=contents.recording,
+        axes=contents.axis,
+    )
+    _check(path, lab)
+    return lab
+
+
+_POSITIVE = ("bandwidth_Hz", "slew_V_per_s", "sampling_rate_Hz", "dac_bits", "adc_bits")
+_NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m")
+_LARGEST_BITS = 64
+
+
+def _check(path: Path, lab: Lab) -> None:
+    tables: list[tuple[str, Any]] = [
+        ("[amplifier]", lab.amplifier),
+        ("[actuator]", lab.actuator),
+        ("[sensor]", lab.sensor),
+        ("[acquisition]", lab.acquisition),
+    ]
+    for name, rig in lab.axes.items():
+        held = (("amplifier", rig.amplifier), ("actuator", rig.actuator), ("sensor", rig.sensor))
+        tables += [(f"[axis.{name}.{kind}]", table) for kind, table in held if table is not None]
+    tables += [(f"[[recording]] {entry.file!r}", entry) for entry in lab.recordings]
+    for place, table in tables:
+        for key in table.__struct_fields__:
+            _check_number(path, place, key, getattr(table, key))
+        if isinstance(table, Amplifier):
+            _check_range(path, place, "output", table.output_min_V, table.output_max_V)
+        if isinstance(table, RecordingEntry):
+            _check_range(path, place, "start_s, stop_s", table.start_s, table.stop_s)
+    if lab.acquisition.input_range_V is not None:
+        _check_range(path, "[acquisition]", "input_range_V", *lab.acquisition.input_range_V)
+
+
+def _check_number(path: Path, place: str, key: str, value: object) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    if not math.isfinite(value):
+        raise _refusal(path, f"{place} {key} is {value}", "a finite number")
+    if key in _POSITIVE and not value > 0:
+        raise _refusal(path, f"{place} {key} is {value}", "a number above zero")
+    if key in _NOT_ZERO and value == 0:
+        raise _refusal(path, f"{place} {key} is zero", "a gain that is not zero")
+    if key.endswith("_bits") and value > _LARGEST_BITS:
+        raise _refusal(path, f"{place} {key} is {value}", f"at most {_LARGEST_BITS} bits")
+
+
+def _check_range(path: Path, place: str, name: str, low: float | None, high: float | None) -> None:
+    if low is not None and high is not None and not low < high:
+        raise _refusal(path, f"{place} {name} goes from {low} to {high}", "a range that ascends")
+
+
+def _refusal(path: Path, found: str, needed: str) -> LabFileError:
+    return LabFileError(
+        f"{path.name}: {found}",
+        needed=f"needed is {needed}",
+        remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
+    )

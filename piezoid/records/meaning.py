@@ -1,0 +1,121 @@
+"""What a column measures and on which axis, told from its name and its unit alone."""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+from piezoid.records.recording import Quantity
+from piezoid.records.units import Dimension, Heading
+
+DIMENSION_OF = {
+    Quantity.VOLTAGE: Dimension.VOLTAGE,
+    Quantity.DISPLACEMENT: Dimension.LENGTH,
+    Quantity.CURRENT: Dimension.CURRENT,
+    Quantity.TEMPERATURE: Dimension.TEMPERATURE,
+    Quantity.HUMIDITY: Dimension.RATIO,
+}
+
+
+class Role(Enum):
+    """What a column is to a recording."""
+
+    TIME = "time"
+    CHANNEL = "channel"
+    UNREAD = "not read"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Meaning:
+    """What one column is taken for.
+
+    role      time, a channel, or nothing of ours
+    quantity  of a channel
+    axis      of a channel; None where the name does not say
+    by_name   True where the name says the quantity; False where only the unit does
+    reason    why a column is not read
+    """
+
+    role: Role
+    quantity: Quantity | None = None
+    axis: str | None = None
+    by_name: bool = False
+    reason: str = ""
+
+
+_TIME_WORDS = frozenset({"time", "t", "zeit", "temps", "timestamp", "timestamps", "elapsed"})
+_NAME_WORDS = {
+    Quantity.VOLTAGE: frozenset(
+        {"voltage", "volt", "volts", "u", "v", "drive", "spannung", "tension"}
+    ),
+    Quantity.DISPLACEMENT: frozenset(
+        {
+            "displacement", "disp", "position", "pos", "deflection", "extension", "elongation",
+            "stroke", "weg", "auslenkung", "sensor",
+        }
+    ),
+    Quantity.CURRENT: frozenset({"current", "i", "strom", "tunnel", "tunnelling", "tunneling"}),
+    Quantity.TEMPERATURE: frozenset({"temperature", "temp", "temperatur", "temperatura"}),
+    Quantity.HUMIDITY: frozenset({"humidity", "rh", "feuchte", "feuchtigkeit"}),
+}  # fmt: skip
+
+# Columns of the right unit that are not what was applied or measured: a wish, a difference, a
+# property of an oscillation, the bias of the sample.
+_FOREIGN_WORDS = frozenset(
+    {
+        "setpoint", "target", "desired", "error", "reference", "ref", "command", "commanded",
+        "amplitude", "phase", "bias", "excitation", "offset", "std", "stddev", "model", "fit",
+        "residual",
+    }
+)  # fmt: skip
+
+_TOKENS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_]+|\d+")
+_SYMBOL_WITH_AXIS = re.compile(r"(?:[uv])([xyz])", re.IGNORECASE)
+_AXES = ("x", "y", "z")
+
+
+def meaning_of(heading: Heading) -> Meaning:
+    """Tell what a column is from its name, and from its unit where the name does not say.
+
+    A name and a unit that contradict each other are left to ``assignment.py``, which knows whether
+    lab.toml declares the sensor gain that reconciles them.
+    """
+    words, axis = _words_of(heading.stem)
+    dimension = None if heading.unit is None else heading.unit.dimension
+    if words & _TIME_WORDS and dimension in (None, Dimension.TIME):
+        return Meaning(role=Role.TIME)
+    named = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
+    foreign = words & _FOREIGN_WORDS
+    if foreign and not (dimension is Dimension.VOLTAGE and "command" in foreign):
+        return _unread(f"named {min(foreign)!r}: neither applied to the stage nor measured on it")
+    if named == [Quantity.VOLTAGE, Quantity.DISPLACEMENT]:
+        named = [Quantity.DISPLACEMENT]  # ``sensor voltage``: a position that comes as volts
+    if len(named) == 1:
+        return Meaning(role=Role.CHANNEL, quantity=named[0], axis=axis, by_name=True)
+    return _from_unit(dimension, axis, heading)
+
+
+def _from_unit(dimension: Dimension | None, axis: str | None, heading: Heading) -> Meaning:
+    if dimension is Dimension.TIME:
+        return _unread("a time that the name does not call the clock")
+    for quantity, wanted in DIMENSION_OF.items():
+        if wanted is dimension and dimension is not Dimension.RATIO:
+            return Meaning(role=Role.CHANNEL, quantity=quantity, axis=axis)
+    if heading.unit is None:
+        return _unread("neither name nor unit says what it is")
+    return _unread(f"{heading.unit.symbol} is no unit of a stage's drive or response")
+
+
+def _unread(reason: str) -> Meaning:
+    return Meaning(role=Role.UNREAD, reason=reason)
+
+
+def _words_of(stem: str) -> tuple[frozenset[str], str | None]:
+    tokens = [token.lower() for token in _TOKENS.findall(re.sub(r"\[.*?\]|\(.*?\)", " ", stem))]
+    axes = {token for token in tokens if token in _AXES}
+    words = set(tokens) - axes
+    for token in tokens:
+        match = _SYMBOL_WITH_AXIS.fullmatch(token)
+        if match:
+            axes.add(match.group(1))
+            words.add(token[0])
+    return frozenset(words), axes.pop() if len(axes) == 1 else None

@@ -1,0 +1,57 @@
+"""PI general command set arrays: ``# KEY = value`` lines, ``# END_HEADER``, then columns.
+
+What data recorders of Physik Instrumente controllers write. The separator is given by its
+character code, the clock by ``SAMPLE_TIME`` in seconds, the columns by ``NAME0``, ``NAME1``, ...
+"""
+
+import re
+
+from piezoid.records.readers.block import Layout, number_of, parse_block
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.table import Column, RawTable
+
+_PAIR = re.compile(r"^\s*#\s*([A-Z_]+\d*)\s*=\s*(.*?)\s*$")
+
+
+def recognises(source: Source) -> bool:
+    """Tell it by its end mark or its keys among the first bytes."""
+    return re.search(rb"^\s*#\s*END_HEADER\s*$", source.head, re.MULTILINE) is not None
+
+
+def read(source: Source) -> RawTable:
+    """Read the array; the file states no units, so they must come from names or lab.toml."""
+    lines = text_of(source).rstrip().split("\n")
+    end = next(k for k, line in enumerate(lines) if re.fullmatch(r"\s*#\s*END_HEADER\s*", line))
+    pairs = {m.group(1): m.group(2) for m in map(_PAIR.match, lines[:end]) if m}
+    fields = int(pairs["DIM"]) if pairs.get("DIM", "").isdigit() else 0
+    code = int(pairs["SEPARATOR"]) if pairs.get("SEPARATOR", "").isdigit() else 32
+    body = "\n".join(line.strip() for line in lines[end + 1 :])
+    if not 0 < fields < 1000 or code not in (9, 32, 44, 59) or not body.strip():
+        raise unreadable(
+            source.name,
+            f"DIM is {pairs.get('DIM')}, SEPARATOR is {pairs.get('SEPARATOR')}, "
+            f"{len(lines) - end - 1} rows follow line {end + 1}",
+            needed="a count of columns, a separator (tab, blank, comma, semicolon) and rows",
+            remedy="Write the array again from the controller's software.",
+            line=end + 1,
+        )
+    layout = Layout(separator="" if code == 32 else chr(code), decimal=".", fields=fields)
+    block = parse_block(body, layout, source.name, end + 2)
+    interval_s = number_of(pairs.get("SAMPLE_TIME", ""), ".")
+    return RawTable(
+        name=source.name,
+        digest=source.digest,
+        format="PI GCS array",
+        columns=tuple(
+            Column(number=k + 1, label=pairs.get(f"NAME{k}", ""), values=values)
+            for k, values in enumerate(block.columns)
+        ),
+        sampling_rate_Hz=1 / interval_s if interval_s is not None and interval_s > 0 else None,
+        first_line=end + 2,
+        metadata=pairs,
+        problems=block.problems,
+    )
+
+
+READER = Reader(name="PI GCS array", suffixes=(".dat", ".txt"), recognises=recognises, read=read)

@@ -1,0 +1,62 @@
+"""HDF5: the numeric vectors of all groups, units from the attribute ``unit`` or ``units``."""
+
+from typing import Any
+
+from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, check_size
+from piezoid.records.table import RawTable
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
+
+
+def check_datasets(source: Source) -> None:
+    """Refuse a file whose data would not fit into memory, before any of it is read."""
+    with source.open() as stream:
+        check_size(source.name, sum(dataset.nbytes for dataset in _datasets(stream).values()))
+
+
+def read(source: Source) -> RawTable:
+    """Read every numeric dataset; a name that two groups share keeps its group before it."""
+    with reading(source, "HDF5"):
+        check_datasets(source)
+        with source.open() as stream:
+            held = _datasets(stream)
+            short = [path.rsplit("/", 1)[-1] for path in held]
+            names = {
+                path: name if short.count(name) == 1 else path
+                for path, name in zip(held, short, strict=True)
+            }
+            arrays = {names[path]: dataset[()] for path, dataset in held.items()}
+            units = {names[path]: _unit(dataset) for path, dataset in held.items()}
+    return table_of(source, "HDF5", arrays, units=units)
+
+
+def _datasets(stream: object) -> dict[str, Any]:
+    import h5py
+
+    found: dict[str, Any] = {}
+
+    def keep(path: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf":
+            found[path] = item
+
+    h5py.File(stream, "r").visititems(keep)
+    return found
+
+
+def _unit(dataset: Any) -> str:
+    for key in _UNIT_ATTRIBUTES:
+        if key in dataset.attrs:
+            value = dataset.attrs[key]
+            return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    return ""
+
+
+READER = Reader(
+    name="HDF5",
+    suffixes=(".h5", ".hdf5"),
+    recognises=lambda source: source.head.startswith(SIGNATURE),
+    read=read,
+)

@@ -1,0 +1,226 @@
+"""LabVIEW ``.lvm``: a file header, then segments, each with its own header and its own rows.
+
+The line that ends the headers, the units and the clock of each channel follow the format's
+published description by National Instruments (Writer_Version 0.92 to 2).
+"""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.readers.block import Layout, number_of, parse_block
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, text_of, unreadable
+from piezoid.records.readers.text_table import metadata_of
+from piezoid.records.recording import Problem
+from piezoid.records.table import Column, RawTable
+
+_END = "***End_of_Header***"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Segment:
+    labels: tuple[str, ...]
+    header: dict[str, list[str]]
+    fields: tuple[Array, ...]
+    line: int
+    problems: tuple[Problem, ...]
+
+
+def read(source: Source) -> RawTable:
+    """Read all segments and put them one behind the other."""
+    lines = text_of(source).split("\n")
+    ends = [row for row, line in enumerate(lines) if line.startswith(_END)]
+    if len(ends) < 2:
+        raise unreadable(
+            source.name,
+            f"{len(ends)} header ends found",
+            needed="one for the file and one for each segment",
+            remedy="Write the file again from LabVIEW with headers.",
+        )
+    header = metadata_of(tuple(lines[: ends[0]]))
+    separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
+    decimal = header.get("Decimal_Separator") or _decimal_of(lines, ends[1], separator)
+    starts = [*(_segment_start(lines, end, ends) for end in ends[1:]), len(lines)]
+    segments = [
+        _segment(source.name, lines, begin, end, stop, separator, decimal)
+        for begin, end, stop in zip(starts[:-1], ends[1:], starts[1:], strict=True)
+    ]
+    return _joined(source, header, segments)
+
+
+def _segment_start(lines: list[str], end: int, ends: list[int]) -> int:
+    """Return the first row of the header that ends at ``end``."""
+    row = end
+    floor = max(other for other in ends if other < end) + 1
+    while row > floor and not lines[row].startswith("Channels"):
+        row -= 1
+    return row
+
+
+def _decimal_of(lines: list[str], end: int, separator: str) -> str:
+    """Older writers do not state their decimal mark: take the one the numbers are written with."""
+    for line in lines[end + 2 : end + 50]:
+        if separator == "\t" and re.search(r"\d,\d", line):
+            return ","
+    return "."
+
+
+def _segment(
+    name: str, lines: list[str], begin: int, end: int, stop: int, separator: str, decimal: str
+) -> _Segment:
+    pairs = [line.rstrip("\n").split(separator) for line in lines[begin:end] if line.strip()]
+    if end + 2 >= stop:
+        raise unreadable(
+            name,
+            f"no rows after the header that ends on line {end + 1}",
+            needed="a heading and rows of numbers",
+            remedy="Write the file again from LabVIEW.",
+            line=end + 1,
+        )
+    labels = [label.strip() for label in lines[end + 1].split(separator)]
+    labels = labels[:-1] if labels[-1] in ("Comment", "") else labels
+    rows = [line for line in lines[end + 2 : stop] if line.strip()]
+    # A comment column is text of its own; cut it off before the numbers are parsed.
+    width = len(labels)
+    if any(line.count(separator) >= width for line in rows):
+        rows = [separator.join(line.split(separator)[:width]) for line in rows]
+    layout = Layout(separator=separator, decimal=decimal, fields=width)
+    if not rows:
+        raise unreadable(
+            name,
+            f"no rows after the heading on line {end + 2}",
+            needed="rows of numbers",
+            remedy="Write the file again from LabVIEW.",
+            line=end + 2,
+        )
+    block = parse_block("\n".join(rows), layout, name, end + 3)
+    return _Segment(
+        labels=tuple(labels),
+        header={pair[0].strip(): [cell.strip() for cell in pair[1:]] for pair in pairs},
+        fields=block.columns,
+        line=end + 3,
+        problems=block.problems,
+    )
+
+
+def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) -> RawTable:
+    first = segments[0]
+    for segment in segments[1:]:
+        if segment.labels != first.labels:
+            raise unreadable(
+                source.name,
+                f"the segment at line {segment.line} has channels {segment.labels}, the first "
+                f"{first.labels}",
+                needed="the same channels in every segment",
+                remedy="Split the file into one for each set of channels.",
+                line=segment.line,
+            )
+    lengths = [len(segment.fields[0]) for segment in segments]
+    times = [k for k, label in enumerate(first.labels) if label == "X_Value"]
+    written = [k for k in times if np.isfinite(first.fields[k]).any()]
+    interval_s = _interval_s(source.name, first, header)
+    problems = [problem for segment in segments for problem in segment.problems]
+    return RawTable(
+        name=source.name,
+        digest=source.digest,
+        format="LabVIEW measurement",
+        columns=_columns(segments, written),
+        sampling_rate_Hz=1 / interval_s if interval_s > 0 and not written else None,
+        sampling_start_s=_number(first.header.get("X0", []), header) if not written else 0.0,
+        segment_starts=_segment_starts(segments, lengths, clocked=bool(written)),
+        first_line=first.line if len(segments) == 1 else 0,
+        metadata=header,
+        problems=(*problems, *_missing_samples(segments)),
+    )
+
+
+def _segment_starts(
+    segments: list[_Segment], lengths: list[int], *, clocked: bool
+) -> tuple[int, ...]:
+    """Return where acquisitions begin anew, also those written without a header of their own.
+
+    A file with ``Multi_Headings No`` repeats nothing: it only holds a multiple of the samples that
+    its one header declares. With a time column the clock tells.
+    """
+    starts = [int(k) for k in np.cumsum(lengths)[:-1]]
+    declared = max(_declared_samples(segments[0]), default=0)
+    if not starts and not clocked and declared > 1 and lengths[0] % declared == 0:
+        starts = list(range(declared, lengths[0], declared))
+    return tuple(starts)
+
+
+def _declared_samples(segment: _Segment) -> list[int]:
+    return [int(cell) for cell in segment.header.get("Samples", []) if cell.isdecimal()]
+
+
+def _columns(segments: list[_Segment], times: list[int]) -> tuple[Column, ...]:
+    """Return the channels with their units, and one clock where all clocks are the same."""
+    first = segments[0]
+    units = first.header.get("Y_Unit_Label", [])
+    joined = [np.concatenate([s.fields[k] for s in segments]) for k in range(len(first.labels))]
+    same = [k for k in times[1:] if np.array_equal(joined[k], joined[times[0]])]
+    columns = []
+    for k, label in enumerate(first.labels):
+        is_time = label == "X_Value"
+        if is_time and (k not in times or k in same):
+            continue
+        # The unit line has a cell for each channel, and in files with one clock for each channel a
+        # cell for each clock too; the row's first field is the key's place.
+        unit = units[k - 1] if 0 < k <= len(units) else ""
+        columns.append(
+            Column(
+                number=k + 1,
+                label="time (X_Value)" if is_time else label,
+                declared_unit="s" if is_time else unit,
+                values=joined[k],
+            )
+        )
+    return tuple(columns)
+
+
+def _interval_s(name: str, segment: _Segment, header: dict[str, str]) -> float:
+    intervals = {cell for cell in segment.header.get("Delta_X", []) if cell}
+    if len(intervals) > 1:
+        raise unreadable(
+            name,
+            f"its channels have different sampling intervals {sorted(intervals)}",
+            needed="one clock for all channels",
+            remedy="Write the channels of each rate into a file of their own.",
+        )
+    return _number(sorted(intervals), header)
+
+
+def _number(cells: list[str], header: dict[str, str]) -> float:
+    decimal = header.get("Decimal_Separator", ".")
+    for cell in cells:
+        value = number_of(cell, decimal) if cell else None
+        if value is not None and np.isfinite(value):
+            return value
+    return 0.0
+
+
+def _missing_samples(segments: list[_Segment]) -> list[Problem]:
+    found = []
+    for segment in segments:
+        declared = _declared_samples(segment)
+        held = len(segment.fields[0])
+        if declared and max(declared) > held and max(declared) > 1:
+            found.append(
+                Problem(
+                    kind="truncated",
+                    place=f"line {segment.line}",
+                    text=f"the header declares {max(declared)} samples, the file holds {held}",
+                )
+            )
+    return found
+
+
+READER = Reader(
+    name="LabVIEW measurement",
+    suffixes=(".lvm",),
+    recognises=lambda source: source.head.startswith(b"LabVIEW Measurement"),
+    read=read,
+)

@@ -1,0 +1,72 @@
+"""NumPy ``.npy`` and ``.npz``. Pickled objects are never loaded: they can run code."""
+
+import zipfile
+
+import numpy as np
+
+from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, check_size, unreadable
+from piezoid.records.table import RawTable
+
+
+def read_npy(source: Source) -> RawTable:
+    """Read one array of shape (samples,) or (samples, channels); it has no names and no units."""
+    with reading(source, "npy"), source.open() as stream:
+        version = np.lib.format.read_magic(stream)
+        header = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
+        shape, _, dtype = header(stream)
+        # The header decides how much is allocated: believe it only as far as the file goes.
+        declared = int(np.prod(shape, dtype=object)) * dtype.itemsize
+        if dtype.hasobject or declared > source.size():
+            raise unreadable(
+                source.name,
+                f"it declares {shape} of {dtype}, {declared} bytes, and has {source.size()}",
+                needed="a whole array of numbers, without Python objects",
+                remedy="Save it again with numpy.save of a plain float array.",
+            )
+        stream.seek(0)
+        array = np.load(stream, allow_pickle=False)
+    _check_axes(source, array)
+    return table_of(source, "npy", {"": array})
+
+
+def _check_axes(source: Source, array: np.ndarray) -> None:
+    if array.ndim > 2:
+        raise unreadable(
+            source.name,
+            f"the array has {array.ndim} axes of lengths {array.shape}",
+            needed="one recording: (samples,) or (samples, channels)",
+            remedy="Save one realisation at a time, drive and response side by side, and name the "
+            "columns by number in lab.toml.",
+            shape=array.shape,
+        )
+
+
+def read_npz(source: Source) -> RawTable:
+    """Read an archive of named vectors; the names may carry units (``displacement_um``)."""
+    with reading(source, "npz"), source.open() as stream:
+        with zipfile.ZipFile(stream) as archive:
+            check_size(source.name, sum(item.file_size for item in archive.infolist()))
+        stream.seek(0)
+        with np.load(stream, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+    return table_of(source, "npz", arrays)
+
+
+NPY = Reader(
+    name="npy",
+    suffixes=(".npy",),
+    recognises=lambda source: source.head.startswith(b"\x93NUMPY"),
+    read=read_npy,
+)
+NPZ = Reader(
+    name="npz",
+    suffixes=(".npz",),
+    recognises=lambda source: source.head.startswith(b"PK\x03\x04"),
+    read=read_npz,
+)

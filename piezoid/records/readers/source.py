@@ -1,0 +1,141 @@
+"""A file on its way in: bounded, decompressed, decoded, and every failure of it named."""
+
+import gzip
+import io
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from piezoid.errors import UnreadableFileError
+from piezoid.provenance import digest_of_file
+
+# A recording of an hour at 20 kHz with six doubles a row is 3.5 GB; nothing this toolkit is for
+# comes near a whole one, and a hostile archive of a few kilobytes must not fill the memory.
+SIZE_LIMIT = 1 << 31
+HEAD_SIZE = 1 << 16
+
+
+def unreadable(
+    place: str, found: str, *, needed: str, remedy: str, **numbers: object
+) -> UnreadableFileError:
+    """Return the error every reader raises, with the file's name before what was found."""
+    return UnreadableFileError(f"{place}: {found}", needed=needed, remedy=remedy, **numbers)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Source:
+    """A file opened for reading, before anything is known of its format.
+
+    path      where it is
+    suffix    of the name in small letters, without ``.gz``
+    digest    of the file's bytes
+    head      the first bytes of what it holds, decompressed
+    unpacked  the whole content where the file was compressed, else None
+    """
+
+    path: Path
+    suffix: str
+    digest: str
+    head: bytes
+    unpacked: bytes | None
+
+    @property
+    def name(self) -> str:
+        """The file's name without its folder."""
+        return self.path.name
+
+    def open(self) -> BinaryIO:
+        """Open the content as a binary stream."""
+        return self.path.open("rb") if self.unpacked is None else io.BytesIO(self.unpacked)
+
+    def content(self) -> bytes:
+        """Return the whole content."""
+        return self.path.read_bytes() if self.unpacked is None else self.unpacked
+
+    def size(self) -> int:
+        """Number of bytes of the content."""
+        return self.path.stat().st_size if self.unpacked is None else len(self.unpacked)
+
+
+def open_source(path: Path, *, limit: int = SIZE_LIMIT) -> Source:
+    """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD_SIZE)
+        size = path.stat().st_size
+        digest = digest_of_file(path)
+    except OSError as error:
+        raise unreadable(
+            str(path),
+            error.strerror or str(error),
+            needed="a file that can be read",
+            remedy="Check the name and the permissions.",
+        ) from error
+    check_size(path.name, size, limit)
+    unpacked = _unpack(path, limit) if head.startswith(b"\x1f\x8b") else None
+    head = head if unpacked is None else unpacked[:HEAD_SIZE]
+    if not head:
+        raise unreadable(
+            path.name,
+            "the file is empty",
+            needed="a table of numbers",
+            remedy="Export the recording again.",
+        )
+    inner = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return Source(
+        path=path,
+        suffix=Path(inner).suffix.lower(),
+        digest=digest,
+        head=head,
+        unpacked=unpacked,
+    )
+
+
+def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
+    """Refuse content that would hold more than ``limit`` bytes once it is in memory."""
+    if size > limit:
+        raise unreadable(
+            place,
+            f"it holds {size} bytes once unpacked",
+            needed=f"at most {limit} bytes",
+            remedy="Cut the recording into several files, or keep only the columns that matter.",
+            size=size,
+        )
+
+
+def _unpack(path: Path, limit: int) -> bytes:
+    try:
+        with gzip.open(path, "rb") as stream:
+            content = stream.read(limit + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise unreadable(
+            path.name,
+            f"the gzip archive is damaged ({error})",
+            needed="an archive that unpacks",
+            remedy="Copy the file again from where it was written.",
+        ) from error
+    check_size(path.name, len(content), limit)
+    return content
+
+
+def text_of(source: Source) -> str:
+    """Decode text as UTF-8, UTF-16 with its mark, or else as Western European bytes."""
+    content = source.content()
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        text = content.decode("utf-16", errors="replace")
+    else:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")
+    if "\x00" in text:
+        line = text.count("\n", 0, text.index("\x00")) + 1
+        raise unreadable(
+            source.name,
+            f"line {line} holds a zero byte: this is no text, and no binary format known here",
+            needed="a text table, .npy, .npz, .mat, .h5, .parquet, .lvm, .tdms or Nanonis .dat",
+            remedy="Export the recording as CSV.",
+            line=line,
+        )
+    return text.replace("\r\n", "\n").replace("\r", "\n")

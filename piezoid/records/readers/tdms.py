@@ -1,0 +1,58 @@
+"""LabVIEW ``.tdms``: channels of groups, with unit and clock among their properties."""
+
+from typing import Any
+
+from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, check_size, unreadable
+from piezoid.records.table import RawTable
+
+
+def read(source: Source) -> RawTable:
+    """Read every channel; ``wf_increment`` is the sampling interval in seconds."""
+    with reading(source, "TDMS"), source.open() as stream:
+        from nptdms import TdmsFile
+
+        with TdmsFile.open(stream) as file:
+            channels = [channel for group in file.groups() for channel in group.channels()]
+            check_size(source.name, 8 * sum(len(channel) for channel in channels))
+            names = [channel.name for channel in channels]
+            keys = [
+                channel.name if names.count(channel.name) == 1 else _long_name(channel)
+                for channel in channels
+            ]
+            arrays = {key: c[:] for key, c in zip(keys, channels, strict=True)}
+            units = {
+                key: str(c.properties.get("unit_string", ""))
+                for key, c in zip(keys, channels, strict=True)
+            }
+            rate_Hz = _rate_Hz(source, channels)
+    return table_of(source, "TDMS", arrays, units=units, sampling_rate_Hz=rate_Hz)
+
+
+def _long_name(channel: Any) -> str:
+    return f"{channel.group_name}/{channel.name}"
+
+
+def _rate_Hz(source: Source, channels: list[Any]) -> float | None:
+    intervals = {float(c.properties["wf_increment"]) for c in channels if _is_clocked(c)}
+    if len(intervals) > 1:
+        raise unreadable(
+            source.name,
+            f"its channels have different sampling intervals {sorted(intervals)} s",
+            needed="one clock for all channels",
+            remedy="Write the channels of each rate into a file of their own.",
+        )
+    return 1 / intervals.pop() if intervals else None
+
+
+def _is_clocked(channel: Any) -> bool:
+    return float(channel.properties.get("wf_increment", 0)) > 0 and len(channel) > 0
+
+
+READER = Reader(
+    name="TDMS",
+    suffixes=(".tdms",),
+    recognises=lambda source: source.head.startswith(b"TDSm"),
+    read=read,
+)

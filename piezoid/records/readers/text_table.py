@@ -1,0 +1,96 @@
+"""Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with whatever is above."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.readers.block import Block, parse_block
+from piezoid.records.readers.heading_lines import (
+    HEAD_LINES,
+    Start,
+    find_start,
+    names_but_first,
+    unit_cell,
+)
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, text_of
+from piezoid.records.recording import Problem
+from piezoid.records.table import Column, RawTable
+
+
+def read(source: Source) -> RawTable:
+    """Read a text table; columns of text are left out, their place stays counted."""
+    text = text_of(source)
+    start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name)
+    body = text.split("\n", start.row)[-1] if start.row else text
+    block = parse_block(body, start.layout, source.name, start.row + 1)
+    named = names_but_first(start)
+    if named is not None and _are_row_numbers(block.columns[0]):
+        start = replace(start, labels=named, above=start.above[:-1])
+    return RawTable(
+        name=source.name,
+        digest=source.digest,
+        format="text table",
+        columns=_columns(start, block),
+        # With blank lines between the rows a row's line is not known; its number still is.
+        first_line=0 if "\n\n" in body.rstrip("\n") else start.row + 1,
+        metadata=metadata_of(start.above),
+        problems=block.problems + _textual_problems(start, block),
+    )
+
+
+def _columns(start: Start, block: Block) -> tuple[Column, ...]:
+    return tuple(
+        Column(
+            number=k + 1,
+            label=label,
+            declared_unit=unit_cell(unit),
+            values=values,
+        )
+        for k, (label, unit, values) in enumerate(
+            zip(start.labels, start.units, block.columns, strict=True)
+        )
+        if k not in block.textual
+    )
+
+
+def _are_row_numbers(values: Array) -> bool:
+    return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
+
+
+def _textual_problems(start: Start, block: Block) -> tuple[Problem, ...]:
+    return tuple(
+        Problem(
+            kind="text_column",
+            place=f"column {k + 1}",
+            text=f"column {k + 1} {start.labels[k]!r} holds text and is not read",
+        )
+        for k in sorted(block.textual)
+    )
+
+
+def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
+    """Return ``key: value``, ``key = value`` or ``key, value`` lines as pairs."""
+    found = {}
+    for line in lines:
+        bare = line.strip().lstrip("#%/ ")
+        for mark in ("\t", "=", ":", ";", ","):
+            key, parted, value = bare.partition(mark)
+            if parted and key.strip():
+                found[key.strip().strip('"')] = value.strip().strip('"')
+                break
+    return found
+
+
+def recognises(source: Source) -> bool:
+    """Take whatever is not the beginning of some other binary file."""
+    return b"\x00" not in source.head or source.head.startswith((b"\xff\xfe", b"\xfe\xff"))
+
+
+READER = Reader(
+    name="text table",
+    suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
+    recognises=recognises,
+    read=read,
+)

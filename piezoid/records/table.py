@@ -1,0 +1,129 @@
+"""RawTable: what every reader returns, columns as they stand in the file, whatever they mean."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Problem
+from piezoid.records.units import Heading, heading_of, unit_of
+
+
+# Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
+LARGEST = 9e36
+
+
+def _as_found(values: ArrayLike) -> Array:
+    """Return a read-only float64 copy; other than in a recording, NaN is kept."""
+    array = np.array(values, dtype=np.float64, order="C", copy=True).reshape(-1)
+    array[~(np.abs(array) < LARGEST)] = np.nan
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """One column of a file.
+
+    number         its place in the file, from 1
+    label          its heading as found, empty where it has none
+    declared_unit  the unit the format states apart from the heading, empty where none
+    values         (rows,)  in the unit found; NaN where the file holds no number
+    """
+
+    number: int
+    label: str
+    declared_unit: str = ""
+    values: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _as_found(self.values))
+
+    @property
+    def heading(self) -> Heading:
+        """Name and unit; a unit stated by the format goes before one in the heading."""
+        found = heading_of(self.label)
+        declared = unit_of(self.declared_unit) if self.declared_unit.strip() else None
+        return found if declared is None else Heading(stem=found.stem, unit=declared)
+
+    @property
+    def place(self) -> str:
+        """How messages call the column."""
+        return f"column {self.number} {self.label!r}" if self.label else f"column {self.number}"
+
+    @property
+    def si_values(self) -> Array:
+        """The values in SI units; as found where the unit is unknown or none of ours."""
+        unit = self.heading.unit
+        return self.values if unit is None else self.values * unit.factor + unit.offset
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawTable:
+    """A file's one table.
+
+    name              the file's name without its folder
+    digest            of the file's bytes
+    format            a name for people: ``Nanonis``, ``text table``, ...
+    columns           all of the same length
+    sampling_rate_Hz  where the format states a clock instead of a time column
+    sampling_start_s  the time of the first row on that clock
+    independent       label of the column everything else is a function of, for formats that sweep
+                      something other than time; empty otherwise
+    segment_starts    (count,)  first row of each further segment of a file that holds several
+    first_line        line of the first row in a text file, 0 where there are no lines
+    metadata          what the file says beside its table
+    problems          what the reader met
+    """
+
+    name: str
+    digest: str
+    format: str
+    columns: tuple[Column, ...]
+    sampling_rate_Hz: float | None = None
+    sampling_start_s: float = 0.0
+    independent: str = ""
+    segment_starts: tuple[int, ...] = ()
+    first_line: int = 0
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    problems: tuple[Problem, ...] = ()
+
+    def __post_init__(self) -> None:
+        lengths = {len(column.values) for column in self.columns}
+        if len(lengths) != 1:
+            raise ValueError(f"{self.name}: columns of lengths {sorted(lengths)}")
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.columns[0].values)
+
+    def find(self, wanted: str | int) -> Column | None:
+        """Return a column by number, heading, or name without unit; None where not unique."""
+        if isinstance(wanted, int):
+            held = [column for column in self.columns if column.number == wanted]
+        else:
+            held = [column for column in self.columns if column.label == wanted.strip()]
+            held = held or [c for c in self.columns if c.heading.stem == wanted.strip()]
+        return held[0] if len(held) == 1 else None
+
+    def si(self, wanted: str | int) -> Array:
+        """Return a column's values in SI units, NaN kept, or refuse naming what there is."""
+        column = self.find(wanted)
+        if column is None:
+            held = ", ".join(repr(c.label) if c.label else str(c.number) for c in self.columns)
+            raise RecordingError(
+                f"{self.name}: no single column {wanted!r} among {held}",
+                needed="the heading or the number (from 1) of one column",
+                remedy="Name the column as the file does, or give its number.",
+            )
+        return column.si_values
+
+    def place_of_row(self, row: int) -> str:
+        """Say where a row stands: its line in a text file, its number elsewhere."""
+        return f"line {self.first_line + row}" if self.first_line else f"row {row + 1}"

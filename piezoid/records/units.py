@@ -1,0 +1,150 @@
+"""Units as laboratories write them in a column's heading, and their factors to SI."""
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Dimension(Enum):
+    """What a unit measures; the value is the SI unit everything of it is converted to."""
+
+    TIME = "s"
+    VOLTAGE = "V"
+    LENGTH = "m"
+    CURRENT = "A"
+    TEMPERATURE = "K"
+    RATIO = "1"
+    FREQUENCY = "Hz"
+    OTHER = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """One unit: ``SI = factor * value + offset``.
+
+    symbol     as it was found
+    dimension  what it measures; OTHER for units that are none of a piezo stage's quantities
+    factor     to SI; 1 for OTHER, whose values stay as they are
+    offset     added after scaling; only the degree Celsius has one
+    """
+
+    symbol: str
+    dimension: Dimension
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def si_symbol(self) -> str:
+        """The unit after conversion."""
+        return self.symbol if self.dimension is Dimension.OTHER else self.dimension.value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Heading:
+    """A column's heading taken apart: ``Current [bwd] (nA)`` is ``Current [bwd]`` in ``nA``.
+
+    stem  the heading without its unit
+    unit  None where the heading names none
+    """
+
+    stem: str
+    unit: Unit | None
+
+
+_PREFIXES = {
+    "": 1.0, "f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3,
+    "k": 1e3, "M": 1e6, "G": 1e9,
+}  # fmt: skip
+
+_BASES = {
+    "s": Dimension.TIME,
+    "V": Dimension.VOLTAGE,
+    "m": Dimension.LENGTH,
+    "A": Dimension.CURRENT,
+    "K": Dimension.TEMPERATURE,
+    "Hz": Dimension.FREQUENCY,
+}
+
+# Whole words, compared without regard to case; a plural s is dropped first.
+_WORDS = {
+    "second": "s", "sec": "s", "millisecond": "ms", "msec": "ms", "microsecond": "us",
+    "usec": "us", "nanosecond": "ns", "volt": "V", "millivolt": "mV", "kilovolt": "kV",
+    "meter": "m", "metre": "m", "millimeter": "mm", "millimetre": "mm", "micron": "um",
+    "micrometer": "um", "micrometre": "um", "nanometer": "nm", "nanometre": "nm",
+    "picometer": "pm", "picometre": "pm", "amp": "A", "ampere": "A", "milliamp": "mA",
+    "nanoamp": "nA", "picoamp": "pA", "kelvin": "K", "hertz": "Hz", "celsius": "°C",
+    "degc": "°C", "deg c": "°C", "ºc": "°C", "percent": "%", "%rh": "%", "% rh": "%",
+    "rh%": "%", "newton": "N", "gram": "g",
+}  # fmt: skip
+
+_SPECIAL = {
+    "cm": (Dimension.LENGTH, 1e-2, 0.0),
+    "Å": (Dimension.LENGTH, 1e-10, 0.0),
+    "min": (Dimension.TIME, 60.0, 0.0),
+    "h": (Dimension.TIME, 3600.0, 0.0),
+    "°C": (Dimension.TEMPERATURE, 1.0, 273.15),
+    "℃": (Dimension.TEMPERATURE, 1.0, 273.15),
+    "%": (Dimension.RATIO, 1e-2, 0.0),
+}
+
+# Recognised so that a column of newtons is known to be one, but never converted or read.
+_OTHER = re.compile(
+    r"(?:[fpnuµμmckMG]?(?:N|Pa|g|W|J|F|C|H|T|rad|deg|ohm|Ohm|Ω|l|L|bar|cps|counts?)|°|deg|degree|dB"
+    r"|arcsec|a\.?u\.?|arb\.?|rpm|[A-Za-zµμ°Ω%]+\s?/\s?[A-Za-z√µμ²³^0-9*·]+|[A-Za-z]+\^?-?[23²³])"
+)
+
+_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
+_AFTER_SLASH = re.compile(r"^(.*\S)\s*/\s*([^\s/]+)$")
+_AFTER_COMMA = re.compile(r"^(.*\S)\s*(?:,|\bin\b)\s*([^\s,]+)$")
+_AFTER_UNDERSCORE = re.compile(r"^(.*[^\s_])_([^\s_]+)$")
+
+
+def unit_of(symbol: str) -> Unit | None:
+    """Return the unit a symbol or word stands for, or None where it stands for none.
+
+    Case counts in symbols (``mV`` is not ``MV``, ``s`` is not ``S``) and not in words (``Volts``).
+    """
+    text = symbol.strip()
+    text = _WORDS.get(text.lower(), _WORDS.get(text.lower().removesuffix("s"), text))
+    if text in _SPECIAL:
+        dimension, factor, offset = _SPECIAL[text]
+        return Unit(symbol=symbol.strip(), dimension=dimension, factor=factor, offset=offset)
+    for base, dimension in _BASES.items():
+        prefix = text.removesuffix(base)
+        if text.endswith(base) and prefix in _PREFIXES:
+            return Unit(symbol=symbol.strip(), dimension=dimension, factor=_PREFIXES[prefix])
+    if _OTHER.fullmatch(text):
+        return Unit(symbol=symbol.strip(), dimension=Dimension.OTHER)
+    return None
+
+
+def heading_of(label: str) -> Heading:
+    """Take a heading apart into its name and its unit.
+
+    Understood: ``time [s]``, ``Voltage (V)``, ``U/V``, ``Position_um``, ``current, nA``. Brackets
+    win over the other forms. A lone symbol (``V``) is a name, not a unit: it may be either.
+    """
+    label = " ".join(label.split())
+    return _bracketed(label) or _trailing(label) or Heading(stem=label, unit=None)
+
+
+def _bracketed(label: str) -> Heading | None:
+    for match in reversed(list(_BRACKETS.finditer(label))):
+        unit = unit_of(match.group(1) or match.group(2) or "")
+        if unit is not None:
+            rest = label[: match.start()] + " " + label[match.end() :]
+            return Heading(stem=" ".join(rest.split()), unit=unit)
+    return None
+
+
+def _trailing(label: str) -> Heading | None:
+    for pattern in (_AFTER_SLASH, _AFTER_COMMA, _AFTER_UNDERSCORE):
+        match = pattern.match(label)
+        if match is None:
+            continue
+        unit = unit_of(match.group(2))
+        # After an underscore a letter is too often an index (``sensor_h``) to be a rare unit.
+        common = unit is not None and unit.dimension is not Dimension.OTHER
+        if unit is not None and common and match.group(2) not in ("h", "min"):
+            return Heading(stem=match.group(1), unit=unit)
+    return None
