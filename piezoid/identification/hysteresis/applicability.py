@@ -1,0 +1,111 @@
+"""Whether the Modified Prandtl-Ishlinskii class applies to the data at all.
+
+Three ways it does not, each told apart before a number is believed:
+a loop whose opening changes sign (the operator's branches never cross), a response that turns
+back while the drive goes on (no branch of an invertible operator does), and a wide loop that a
+lag alone explains (a play sum imitates lag, with weights that hold at no other rate).
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.loops import Loop, loops_of
+from piezoid.identification.hysteresis.order import Choice, folds_of, held_out_error
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.numerics.noise import white_noise_rms
+
+WIDE = 0.01  # of the displacement range: a loop worth explaining
+CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
+TURNING = 0.05  # of the displacement range: how far a branch may turn back
+UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
+AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
+
+
+def reason_against(
+    pieces: Sequence[Piece],
+    choice: Choice,
+    settings: Settings,
+    progress: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Return why the class does not apply, or an empty text."""
+    return (
+        _crossing_or_turning(pieces)
+        or _only_lag(pieces, choice, settings, progress)
+        or _unexplained(pieces, choice)
+    )
+
+
+def _loops(piece: Piece) -> tuple[Loop, ...]:
+    rows = slice(piece.first, piece.last)
+    drive = piece.drive[rows]
+    return loops_of(drive, piece.response[rows], max(6 * white_noise_rms(drive), 0.02))
+
+
+def _crossing_or_turning(pieces: Sequence[Piece]) -> str:
+    for piece in pieces:
+        loops = [loop for loop in _loops(piece) if loop.span > 0.4]
+        if not loops:
+            continue
+        noise = white_noise_rms(piece.response)
+        height = float(np.ptp(piece.response[piece.first : piece.last]))
+        opening = np.median([loop.opening for loop in loops], axis=0)
+        rise = np.median([loop.rise for loop in loops], axis=0)
+        drop = float((np.maximum.accumulate(rise) - rise).max())
+        if drop > TURNING * height + 6 * noise:
+            return (
+                f"{piece.name}: the displacement turns back by {100 * drop / height:.1f} % of its "
+                "range while the drive goes on rising; no branch of this operator does that"
+            )
+        wrong, widest = float(-opening.min()), float(np.abs(opening).max())
+        if wrong > max(CROSSING * widest, 8 * noise) and widest > WIDE * height / 2:
+            share = 100 * wrong / height
+            return (
+                f"{piece.name}: the loop opens the wrong way by {share:.2f} % of the range "
+                f"(widest opening {100 * widest / height:.2f} %): the displacement leads the "
+                "drive over part of the loop, as no sum of plays can"
+            )
+    return ""
+
+
+def _only_lag(
+    pieces: Sequence[Piece],
+    choice: Choice,
+    settings: Settings,
+    progress: Callable[[str], None],
+) -> str:
+    widest = max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+    height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
+    if widest < WIDE * height:
+        return ""
+    progress("a lag alone, without hysteresis")
+    zones = min(choice.shape.below, 2)
+    for lag in ("first_order", "delay"):
+        total, count, lag_s = 0.0, 0, 0.0
+        for training, testing in folds_of(pieces):
+            fitted = search(training, Shape(plays=0, below=zones, above=zones, lag=lag), settings)
+            error, rows = held_out_error(fitted, training, testing)
+            total, count, lag_s = total + error, count + rows, fitted.operator.lag_s
+        rms = float(np.sqrt(total / count))
+        if rms <= AS_GOOD * choice.held_out_rms:
+            kind = lag.replace("_", "-")
+            return (
+                f"a {kind} lag of {1e3 * lag_s:.3g} ms without any hysteresis leaves "
+                f"{100 * rms / height:.3g} % of the displacement range on held-out data, the "
+                f"hysteresis model {100 * choice.held_out_rms / height:.3g} %: the loop "
+                f"({100 * widest / height:.1f} % wide) is phase lag, not hysteresis"
+            )
+    return ""
+
+
+def _unexplained(pieces: Sequence[Piece], choice: Choice) -> str:
+    height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
+    share = choice.held_out_rms / height
+    if share <= UNEXPLAINED:
+        return ""
+    return (
+        f"the best fit leaves {100 * share:.1f} % of the displacement range on held-out data; "
+        "plays, dead zones and a lag are not what this response is made of"
+    )

@@ -1,0 +1,72 @@
+"""The boundedness certificate: how wrong the model can be for any drive in its range.
+
+    |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) int |W_t - W_m| dr + sup |Psi_t - Psi_m| + rho
+
+The first two terms are 95 % quantiles over models drawn from the fit's own uncertainty; rho is
+the 99.9 % quantile of the held-out residual. Every term is finite, so the error of the model, and
+with it that of the compensation by its inverse, is bounded for all bounded drives.
+"""
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import Coordinates, operator_of
+from piezoid.identification.hysteresis.jackknife import Jackknife
+from piezoid.identification.hysteresis.physical import physical
+from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.identification.model import Certificate
+from piezoid.numerics.arrays import Array
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.worst_case import worst_case
+
+DRAWS = 200
+SEED = 1
+
+
+def drawn_vectors(found: Jackknife, bounds: tuple[Array, Array], draws: int, seed: int) -> Array:
+    """Draw vectors from the fit's uncertainty, (draws, total), kept inside the bounds.
+
+    theta + sum_c xi_c sqrt((G - 1)/G) (theta_(c) - mean), xi standard normal
+    """
+    rng = np.random.default_rng(seed)
+    centred = found.replicates - found.replicates.mean(axis=0)
+    blocks = found.blocks
+    xi = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)
+    return np.asarray(np.clip(found.theta + xi @ centred, *bounds))
+
+
+def certify(
+    found: Jackknife,
+    coordinates: Coordinates,
+    scales: Scales,
+    residual_m: Array,
+    slew_V_per_s: float,
+    longest_lag_s: float,
+) -> Certificate:
+    """Return the bound for drives within the range of the data."""
+    model = physical(operator_of(found.theta, coordinates), scales)
+    reach_V = scales.voltage_V
+    terms = [
+        apart(model, physical(operator_of(theta, coordinates), scales), reach_V)
+        for theta in drawn_vectors(found, coordinates.bounds(longest_lag_s), DRAWS, SEED)
+    ]
+    plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
+    return Certificate(
+        plays_m=float(plays_m),
+        dead_zones_m=float(zones_m),
+        remainder_m=float(np.quantile(np.abs(residual_m), 0.999)),
+        reach_V=reach_V,
+        slew_V_per_s=slew_V_per_s,
+    )
+
+
+def apart(
+    model: ModifiedPrandtlIshlinskii, other: ModifiedPrandtlIshlinskii, reach_V: float
+) -> tuple[float, float]:
+    """Return the play and the dead-zone term of the distance between two models, m."""
+    steepest = float(model.dead_zones.slope.max())
+    plays_m = steepest * worst_case(other.plays, model.plays, reach_V).bound
+    top_m = float(other.plays.loading_curve(np.array([reach_V]))[0])
+    knots = np.concatenate([model.dead_zones.threshold, other.dead_zones.threshold])
+    grid = np.concatenate([[-top_m, top_m], knots[np.abs(knots) < top_m]])
+    zones_m = float(np.abs(model.dead_zones.run(grid) - other.dead_zones.run(grid)).max())
+    return plays_m, zones_m

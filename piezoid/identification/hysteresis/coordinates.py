@@ -1,0 +1,186 @@
+"""What the fit varies: a vector of bounded numbers, and the operator it stands for.
+
+Everything is in scaled units, drive and displacement divided by half their range, so that all
+numbers are of order one. The parametrisation makes every constraint a bound on one number:
+
+    play thresholds       r_i = d_1 + ... + d_i,            d_i >= a least gap
+    initial memory        z_i(0) = u(0) + sum_(j<=i) d_j s_j,  -1 <= s_j <= 1   (admissible)
+    slopes of Psi         free numbers >= a least slope, the two at the origin fixed to 1
+    kinks of Psi          sums of gaps >= a least gap, outwards from 0
+    play weights          w_0 >= a least slope, w_i >= 0
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+
+LEAST_GAP = 2e-3
+GREATEST_GAP = 0.5
+GREATEST_REACH = 0.98
+LEAST_SLOPE = 1e-3
+GREATEST_SLOPE = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shape:
+    """How many of what.
+
+    plays         moving plays besides the identity r_0 = 0
+    below, above  dead zones with negative and positive thresholds besides the one at 0
+    lag           ``none``, ``delay`` or ``first_order``
+    """
+
+    plays: int
+    below: int
+    above: int
+    lag: str = "delay"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coordinates:
+    """Where each number of the vector stands, for a shape and a number of pieces.
+
+    The first ``shared`` numbers belong to the operator and the lag; then each piece of recording
+    has its own offsets and memory slopes.
+
+    offsets  (pieces,)  knots of each piece's zero: 1 is a constant, more follow slow motion
+    """
+
+    shape: Shape
+    offsets: tuple[int, ...]
+
+    @cached_property
+    def slices(self) -> dict[str, slice]:
+        """Return name -> slice of the shared numbers, in their order."""
+        shape = self.shape
+        counts = {
+            "gap": shape.plays,
+            "weight": shape.plays + 1,
+            "below_gap": shape.below,
+            "below_slope": shape.below,
+            "above_gap": shape.above,
+            "above_slope": shape.above,
+            "lag": 0 if shape.lag == "none" else 1,
+        }
+        edges = np.concatenate([[0], np.cumsum(list(counts.values()))])
+        return {
+            name: slice(int(a), int(b))
+            for name, a, b in zip(counts, edges[:-1], edges[1:], strict=True)
+        }
+
+    @property
+    def shared(self) -> int:
+        """How many numbers all pieces share."""
+        return int(self.slices["lag"].stop)
+
+    @property
+    def total(self) -> int:
+        """Length of the vector."""
+        return self.shared + sum(self.offsets) + len(self.offsets) * self.shape.plays
+
+    def offset_slice(self, piece: int) -> slice:
+        """Return where the knots of a piece's zero stand."""
+        first = self.shared + sum(self.offsets[:piece]) + piece * self.shape.plays
+        return slice(first, first + self.offsets[piece])
+
+    def memory_slice(self, piece: int) -> slice:
+        """Return where the memory slopes of a piece stand, right behind its offsets."""
+        first = self.offset_slice(piece).stop
+        return slice(first, first + self.shape.plays)
+
+    def local_slice(self, piece: int) -> slice:
+        """Return where everything that only this piece has stands."""
+        return slice(self.offset_slice(piece).start, self.memory_slice(piece).stop)
+
+    def names(self) -> tuple[str, ...]:
+        """Return one name for each shared number, such as ``weight[3]``."""
+        return tuple(
+            f"{name}[{i}]"
+            for name, place in self.slices.items()
+            for i in range(place.stop - place.start)
+        )
+
+    def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
+        """Return lower and upper bounds of every number."""
+        lower, upper = np.full(self.total, -np.inf), np.full(self.total, np.inf)
+        for name, place in self.slices.items():
+            lower[place], upper[place] = {
+                "gap": (LEAST_GAP, GREATEST_GAP),
+                "weight": (0.0, GREATEST_SLOPE),
+                "slope": (LEAST_SLOPE, GREATEST_SLOPE),
+                "lag": (0.0, longest_lag_s),
+            }[name.rpartition("_")[2]]
+        lower[self.slices["weight"].start] = LEAST_SLOPE
+        for piece in range(len(self.offsets)):
+            lower[self.memory_slice(piece)], upper[self.memory_slice(piece)] = -1.0, 1.0
+        return lower, upper
+
+    def within_reach(self, theta: Array) -> Array:
+        """Return the vector with its thresholds drawn in below half the range of the drive.
+
+        A play wider than that never moves: nothing is known about it.
+        """
+        reach = float(theta[self.slices["gap"]].sum())
+        if reach <= GREATEST_REACH:
+            return theta
+        drawn = theta.copy()
+        drawn[self.slices["gap"]] *= GREATEST_REACH / reach
+        return drawn
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scaled:
+    """The operator a vector stands for, in scaled units.
+
+    gap, threshold  (plays,)      d and r of the moving plays
+    weight          (plays + 1,)  w_0 first
+    knot            (zones,)      kinks of Psi with 0 among them, increasing
+    slope           (zones + 1,)  slopes below, between and above the kinks
+    zero            index of the kink at 0
+    lag_s           seconds
+    """
+
+    gap: Array
+    threshold: Array
+    weight: Array
+    knot: Array
+    slope: Array
+    zero: int
+    lag_s: float
+
+
+def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
+    """Read the shared part of the vector as an operator."""
+    place = coordinates.slices
+    gap = theta[place["gap"]]
+    below = -np.cumsum(theta[place["below_gap"]])[::-1]
+    above = np.cumsum(theta[place["above_gap"]])
+    lag = theta[place["lag"]]
+    return Scaled(
+        gap=gap,
+        threshold=np.cumsum(gap),
+        weight=theta[place["weight"]],
+        knot=np.concatenate([below, [0.0], above]),
+        slope=np.concatenate(
+            [theta[place["below_slope"]][::-1], [1.0, 1.0], theta[place["above_slope"]]]
+        ),
+        zero=len(below),
+        lag_s=float(lag[0]) if lag.size else 0.0,
+    )
+
+
+def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
+    """Write an operator as the vector of a fit whose pieces start at offset 0, memory at rest."""
+    theta = np.zeros(coordinates.total)
+    place, zero = coordinates.slices, operator.zero
+    theta[place["gap"]] = operator.gap
+    theta[place["weight"]] = operator.weight
+    theta[place["below_gap"]] = np.diff(-operator.knot[: zero + 1][::-1])
+    theta[place["above_gap"]] = np.diff(operator.knot[zero:])
+    theta[place["below_slope"]] = operator.slope[:zero][::-1]
+    theta[place["above_slope"]] = operator.slope[zero + 2 :]
+    theta[place["lag"]] = operator.lag_s
+    return theta

@@ -1,0 +1,207 @@
+"""One axis from its recordings: the whole way from scaled pieces to an AxisModel."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.hysteresis.applicability import reason_against
+from piezoid.identification.hysteresis.certificate import certify
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.forgetting import Transient, without_transients
+from piezoid.identification.hysteresis.gauss_newton import Minimum, minimise
+from piezoid.identification.hysteresis.jackknife import jackknife
+from piezoid.identification.hysteresis.order import (
+    ORDERS,
+    Choice,
+    choose_shape,
+    held_out_residual,
+)
+from piezoid.identification.hysteresis.physical import physical
+from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
+from piezoid.identification.hysteresis.remarks import remarks_on
+from piezoid.identification.hysteresis.rows import starting_memory
+from piezoid.identification.hysteresis.search import Fitted, Settings, search
+from piezoid.identification.hysteresis.simplify import simplified
+from piezoid.identification.hysteresis.summary import summarise
+from piezoid.identification.model import (
+    AxisModel,
+    FitQuality,
+    Lag,
+    PieceStart,
+    Verdict,
+)
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.recording import Recording
+from piezoid.records.sweep import reversals_of
+
+FIRST_SHAPE = Shape(plays=8, below=2, above=2)
+CHOOSING_ROWS = 4000
+FINAL_ROWS = 40_000
+POLISH = 4  # Jacobians over every row once the thinned search is done
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """Pieces ready to be fitted, and what was left out of them."""
+
+    scales: Scales
+    pieces: tuple[Piece, ...]
+    settings: Settings
+    transients: tuple[Transient, ...]
+
+
+def estimate_axis(
+    recordings: Sequence[Recording],
+    axis: str,
+    rig: Rig,
+    *,
+    orders: Sequence[tuple[int, int]] = ORDERS,
+    progress: Progress = lambda _: None,
+) -> AxisModel:
+    """Fit one axis: convex start, Gauss-Newton, order by held-out error, uncertainty, verdict.
+
+    recordings  of this axis, each with its own memory and zero
+    axis        name
+    rig         poles the laboratory declares
+    orders      (plays, dead zones per side) to choose from
+    progress    told what is being done, for whoever waits
+
+    Raises ``ExcitationError`` where drive or displacement does not move.
+    """
+    ready = _prepare(recordings, axis, rig, progress)
+    choosing = replace(ready.settings, rows=CHOOSING_ROWS, iterations=15)
+    choice = choose_shape(ready.pieces, choosing, orders=orders, progress=progress)
+    against = reason_against(ready.pieces, choice, choosing, progress)
+    progress("held-out error of the chosen shape")
+    residual = held_out_residual(ready.pieces, choice.shape, ready.settings)
+    progress("final fit")
+    fitted = _final(ready, choice)
+    return _axis_model(recordings, axis, rig, ready, choice, fitted, residual, against)
+
+
+def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:
+    progress("first fit")
+    scales = scales_of(recordings, axis)
+    pieces = pieces_of(recordings, axis, scales, rig)
+    settings = Settings(
+        longest_lag_s=longest_lag_s(pieces), sensor_pole_Hz=rig.sensor_bandwidth_Hz
+    )
+    rough = search(pieces, FIRST_SHAPE, replace(settings, rows=CHOOSING_ROWS, iterations=12))
+    pieces, transients = without_transients(rough)
+    return Prepared(scales=scales, pieces=pieces, settings=settings, transients=transients)
+
+
+def longest_lag_s(pieces: Sequence[Piece]) -> float:
+    """Return the longest lag worth searching: a quarter of the slower branches of the drive."""
+    branches = []
+    for piece in pieces:
+        turns = reversals_of(piece.drive, max(6 * white_noise_rms(piece.drive), 0.02))
+        edges = np.array([piece.first, *turns, piece.last])
+        branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
+    least_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
+    return max(least_s, 0.25 * float(np.quantile(branches, 0.9)))
+
+
+def _final(ready: Prepared, choice: Choice) -> Fitted:
+    settings = replace(ready.settings, rows=FINAL_ROWS)
+    fitted = search(ready.pieces, choice.shape, settings)
+    fitted = simplified(fitted, iterations=settings.iterations)
+    if fitted.task.stride == 1:
+        return fitted
+    polished = minimise(fitted.minimum.theta, replace(fitted.task, stride=1), iterations=POLISH)
+    total = polished.iterations + fitted.minimum.iterations
+    return replace(fitted, minimum=replace(polished, iterations=total))
+
+
+def _axis_model(
+    recordings: Sequence[Recording],
+    axis: str,
+    rig: Rig,
+    ready: Prepared,
+    choice: Choice,
+    fitted: Fitted,
+    residual: Array,
+    against: str,
+) -> AxisModel:
+    scales, theta = ready.scales, fitted.minimum.theta
+    stroke_m = abs(scales.displacement_m)
+    found = jackknife(theta, fitted.task)
+    starts = _starts(fitted, scales)
+    zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
+    drives = [recording.voltage_V(axis) for recording in recordings]
+    slew = max(
+        float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
+        for u, r in zip(drives, recordings, strict=True)
+    )
+    return AxisModel(
+        axis=axis,
+        hysteresis=physical(fitted.operator, scales, zero_m),
+        polarity=int(np.sign(scales.displacement_m)),
+        lag=Lag(kind=fitted.shape.lag, time_s=fitted.operator.lag_s),
+        rig=rig,
+        starts=starts,
+        voltage_V=(min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)),
+        verdict=Verdict(
+            applies=not against,
+            reason=against,
+            remarks=remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+        ),
+        quality=_quality(fitted.minimum, fitted, choice, residual, ready.pieces, stroke_m),
+        uncertainty=summarise(found, fitted.task.coordinates, scales),
+        certificate=certify(
+            found,
+            fitted.task.coordinates,
+            scales,
+            residual * stroke_m,
+            slew,
+            fitted.task.longest_lag_s,
+        ),
+    )
+
+
+def _starts(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
+    coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
+    starts = []
+    for index, piece in enumerate(fitted.task.pieces):
+        memory = starting_memory(theta, coordinates, index, piece)
+        zero = theta[coordinates.offset_slice(index)]
+        starts.append(
+            PieceStart(
+                recording=piece.name,
+                memory_V=np.concatenate([piece.drive[:1], memory]) * scales.voltage_V,
+                zero_m=piece.centre_m + scales.displacement_m * zero,
+                first=piece.first,
+                last=piece.last,
+            )
+        )
+    return tuple(starts)
+
+
+def _quality(
+    minimum: Minimum,
+    fitted: Fitted,
+    choice: Choice,
+    residual: Array,
+    pieces: Sequence[Piece],
+    stroke_m: float,
+) -> FitQuality:
+    height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
+    noise = max(white_noise_rms(piece.response[piece.first : piece.last]) for piece in pieces)
+    return FitQuality(
+        rms_m=minimum.rms * stroke_m,
+        held_out_rms_m=float(np.sqrt(np.mean(residual**2))) * stroke_m,
+        held_out_kind=choice.kind,
+        range_m=height * stroke_m,
+        noise_rms_m=noise * stroke_m,
+        rows=sum(piece.rows for piece in pieces),
+        kkt_gap=fitted.kkt_gap,
+        gradient=minimum.gradient,
+        converged=minimum.converged,
+        orders=tuple(
+            (t.shape.plays, t.shape.below + t.shape.above, t.shape.lag, t.held_out_rms * stroke_m)
+            for t in choice.trials
+        ),
+    )

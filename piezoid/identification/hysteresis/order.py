@@ -1,0 +1,150 @@
+"""How many plays and dead zones, and which lag: the smallest model that predicts as well.
+
+Judged on rows the fit did not see: on other recordings where there are several, else on the
+second half of the only one. Random splits would prove nothing; neighbouring samples are copies.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.search import (
+    Fitted,
+    Settings,
+    continued,
+    search,
+    transferred,
+)
+from piezoid.numerics.arrays import Array
+
+ORDERS = ((2, 0), (4, 1), (6, 1), (8, 2), (10, 3), (12, 4), (16, 6))
+LAGS = ("delay", "first_order")
+CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
+FOLDS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One shape and its held-out error.
+
+    shape         what was fitted
+    held_out_rms  scaled units, over all folds
+    """
+
+    shape: Shape
+    held_out_rms: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """The chosen shape among those tried.
+
+    shape   chosen
+    trials  all, in the order they were tried
+    kind    ``other recordings`` or ``second half``
+    """
+
+    shape: Shape
+    trials: tuple[Trial, ...]
+    kind: str
+
+    @property
+    def held_out_rms(self) -> float:
+        """Return the held-out error of the chosen shape, scaled units."""
+        return next(t.held_out_rms for t in self.trials if t.shape == self.shape)
+
+
+def choose_shape(
+    pieces: Sequence[Piece],
+    settings: Settings,
+    *,
+    orders: Sequence[tuple[int, int]] = ORDERS,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Choice:
+    """Try orders, then lags at the chosen order, and take the smallest that predicts as well."""
+    trials = [
+        _try(pieces, Shape(plays=plays, below=zones, above=zones), settings, progress)
+        for plays, zones in orders
+    ]
+    best = _smallest_close(trials)
+    for lag in LAGS[1:]:
+        other = _try(pieces, replace(best.shape, lag=lag), settings, progress)
+        trials.append(other)
+        if other.held_out_rms * CLOSE < best.held_out_rms:
+            best = other
+    kind = "other recordings" if _recordings(pieces) > 1 else "second half"
+    return Choice(shape=best.shape, trials=tuple(trials), kind=kind)
+
+
+def _smallest_close(trials: Sequence[Trial]) -> Trial:
+    least = min(trial.held_out_rms for trial in trials)
+    return next(trial for trial in trials if trial.held_out_rms <= CLOSE * least)
+
+
+def _try(
+    pieces: Sequence[Piece], shape: Shape, settings: Settings, progress: Callable[[str], None]
+) -> Trial:
+    progress(f"{shape.plays} plays, {shape.below + shape.above} dead zones, {shape.lag}")
+    total, count = 0.0, 0
+    for training, testing in folds_of(pieces):
+        error = held_out_error(search(training, shape, settings), training, testing)
+        total += error[0]
+        count += error[1]
+    return Trial(shape=shape, held_out_rms=float(np.sqrt(total / count)))
+
+
+def _recordings(pieces: Sequence[Piece]) -> int:
+    return len({piece.recording for piece in pieces})
+
+
+def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple[Piece, ...]]]:
+    """Yield (training, testing): whole recordings in turn, or two halves of a single one."""
+    count = _recordings(pieces)
+    if count == 1:
+        training = tuple(replace(p, last=p.first + p.rows // 2) for p in pieces)
+        yield training, tuple(pieces)
+        return
+    folds = min(count, FOLDS)
+    for fold in range(folds):
+        testing = tuple(p for p in pieces if p.recording % folds == fold)
+        training = tuple(p for p in pieces if p.recording % folds != fold)
+        if training and testing:
+            yield training, testing
+
+
+def held_out_error(
+    fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]
+) -> tuple[float, int]:
+    """Return the sum of squares and the count of residuals on rows the fit did not see."""
+    residual = _unseen(fitted, training, testing)
+    return float(residual @ residual), len(residual)
+
+
+def held_out_residual(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Array:
+    """Return all residuals of a shape on rows the fits did not see, scaled units."""
+    return np.concatenate(
+        [
+            _unseen(search(training, shape, settings), training, testing)
+            for training, testing in folds_of(pieces)
+        ]
+    )
+
+
+def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
+    if {p.recording for p in testing} & {p.recording for p in training}:
+        return np.concatenate(
+            [
+                (continued(fitted, i, part) - part.response)[part.last : whole.last]
+                for i, (part, whole) in enumerate(zip(training, testing, strict=True))
+            ]
+        )
+    other = transferred(fitted, testing)
+    return np.concatenate(
+        [
+            (continued(other, i, piece) - piece.response)[piece.first : piece.last]
+            for i, piece in enumerate(testing)
+        ]
+    )

@@ -1,0 +1,51 @@
+"""From scaled units to volts and metres."""
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import Coordinates, Scaled, operator_of
+from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import from_slopes
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+
+
+def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> ModifiedPrandtlIshlinskii:
+    """Return the operator in SI units, rising with the drive whatever the sensor's polarity."""
+    stroke_m = abs(scales.displacement_m)
+    return ModifiedPrandtlIshlinskii(
+        plays=PrandtlIshlinskii(
+            threshold=np.concatenate([[0.0], operator.threshold]) * scales.voltage_V,
+            weight=operator.weight * (stroke_m / scales.voltage_V),
+        ),
+        dead_zones=from_slopes(operator.knot * stroke_m, operator.slope),
+        voltage_offset_V=scales.voltage_offset_V,
+        displacement_offset_m=offset_m,
+    )
+
+
+def parameter_names(operator: Scaled) -> tuple[str, ...]:
+    """Return the names of ``parameter_values``, in their order."""
+    plays, zones = len(operator.gap), len(operator.knot)
+    return (
+        *(f"play_threshold_V[{i}]" for i in range(1, plays + 1)),
+        *(f"play_weight_m_per_V[{i}]" for i in range(plays + 1)),
+        *(f"dead_zone_threshold_m[{j}]" for j in range(zones)),
+        *(f"dead_zone_weight[{j}]" for j in range(zones)),
+        "lag_s",
+    )
+
+
+def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> Array:
+    """Return the shared part of a vector as physical parameters."""
+    scaled = operator_of(theta, coordinates)
+    model = physical(scaled, scales)
+    return np.concatenate(
+        [
+            model.plays.threshold[1:],
+            model.plays.weight,
+            model.dead_zones.threshold,
+            model.dead_zones.weight,
+            [scaled.lag_s],
+        ]
+    )

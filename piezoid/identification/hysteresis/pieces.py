@@ -1,0 +1,149 @@
+"""What the fit is given: uninterrupted pieces of drive and displacement in scaled units."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import ExcitationError
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.records.recording import Recording
+
+MINIMUM_SAMPLES = 20
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rig:
+    """Poles the laboratory declares, in front of and behind the hysteresis.
+
+    amplifier_bandwidth_Hz  first-order pole of the drive, None: not declared
+    sensor_bandwidth_Hz     first-order pole of the measurement, None: not declared
+    """
+
+    amplifier_bandwidth_Hz: float | None = None
+    sensor_bandwidth_Hz: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scales:
+    """How volts and metres become numbers of order one.
+
+    voltage_V        half the range of the drive
+    voltage_offset_V its middle
+    displacement_m   half the range of the displacement, negative where it falls as the drive rises
+    """
+
+    voltage_V: float
+    voltage_offset_V: float
+    displacement_m: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Piece:
+    """One uninterrupted stretch of one recording.
+
+    name              the recording's name
+    recording         its number among the recordings of the fit
+    sampling_rate_Hz  > 0
+    drive             (samples,)  scaled, behind the declared amplifier
+    response          (samples,)  scaled, about zero
+    centre_m          what was subtracted from the displacement before scaling
+    first, last       rows that count; states are followed from sample 0 whatever ``first`` is
+    """
+
+    name: str
+    recording: int
+    sampling_rate_Hz: float
+    drive: Array
+    response: Array
+    centre_m: float
+    first: int
+    last: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "drive", frozen(self.drive, "drive"))
+        object.__setattr__(self, "response", frozen(self.response, "response"))
+
+    @property
+    def rows(self) -> int:
+        """How many samples count."""
+        return self.last - self.first
+
+
+def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
+    """Return the scales of a set of recordings of one axis.
+
+    Raises ``ExcitationError`` where the drive or the displacement does not move.
+    """
+    drives = [recording.voltage_V(axis) for recording in recordings]
+    low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
+    spans = [float(np.ptp(recording.displacement_m(axis))) for recording in recordings]
+    names = ", ".join(recording.name for recording in recordings)
+    for what, span in (("drive", high - low), ("displacement", max(spans))):
+        if span <= 0.0:
+            raise ExcitationError(
+                f"{names}: the {what} of axis {axis} never changes",
+                needed="a sweep over the range the stage is used in",
+                remedy="Check which column is which, or record a sweep.",
+            )
+    covariance = sum(
+        float(np.sum((u - u.mean()) * (y - y.mean())))
+        for u, y in zip(drives, (r.displacement_m(axis) for r in recordings), strict=True)
+    )
+    return Scales(
+        voltage_V=(high - low) / 2,
+        voltage_offset_V=(high + low) / 2,
+        displacement_m=float(np.copysign(max(spans) / 2, covariance)),
+    )
+
+
+def pieces_of(
+    recordings: Sequence[Recording], axis: str, scales: Scales, rig: Rig
+) -> tuple[Piece, ...]:
+    """Cut recordings into scaled pieces; stretches too short to say anything are left out."""
+    found = [
+        _piece(recording, number, axis, part, scales, rig)
+        for number, recording in enumerate(recordings)
+        for part in recording.pieces
+        if part.stop - part.start >= MINIMUM_SAMPLES
+    ]
+    if not found:
+        raise ExcitationError(
+            f"{', '.join(r.name for r in recordings)}: no uninterrupted stretch is longer than "
+            f"{MINIMUM_SAMPLES} samples",
+            needed="a continuous recording of at least one sweep",
+            remedy="Record again without losing samples.",
+        )
+    return tuple(found)
+
+
+def _piece(
+    recording: Recording, number: int, axis: str, part: slice, scales: Scales, rig: Rig
+) -> Piece:
+    drive = (recording.voltage_V(axis)[part] - scales.voltage_offset_V) / scales.voltage_V
+    measured_m = recording.displacement_m(axis)[part]
+    centre_m = float((measured_m.max() + measured_m.min()) / 2)
+    return Piece(
+        name=recording.name,
+        recording=number,
+        sampling_rate_Hz=recording.sampling_rate_Hz,
+        drive=behind_pole(drive, rig.amplifier_bandwidth_Hz, recording.sampling_rate_Hz),
+        response=(measured_m - centre_m) / scales.displacement_m,
+        centre_m=centre_m,
+        first=0,
+        last=len(drive),
+    )
+
+
+def behind_pole(drive: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:
+    """Return a held drive behind a first-order pole, exactly at the sampling instants.
+
+    x[k] = p x[k-1] + (1 - p) u[k-1],  p = exp(-2 pi f / fs)
+    """
+    if bandwidth_Hz is None:
+        return drive
+    from piezoid.identification.hysteresis.filters import filter_columns
+
+    pole = float(np.exp(-2 * np.pi * bandwidth_Hz / sampling_rate_Hz))
+    state = np.full((2, 1), drive[0])
+    return filter_columns(drive[:, None], (pole, 0.0, 1.0 - pole), state)[:, 0]

@@ -1,0 +1,128 @@
+"""One fit of one shape: lag, convex start, Gauss-Newton; and the error on rows it did not see."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import (
+    Coordinates,
+    Scaled,
+    Shape,
+    operator_of,
+    vector_of,
+)
+from piezoid.identification.hysteresis.gauss_newton import Minimum, Task, minimise
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.rows import simulate
+from piezoid.identification.hysteresis.start import find_lag, kuhnen_start, linear_start
+from piezoid.numerics.arrays import Array
+
+THRESHOLDS = ("gap", "below_gap", "above_gap")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """One fitted shape.
+
+    task     the data and what the vector means
+    minimum  where Gauss-Newton ended
+    kkt_gap  of the quadratic program it started from
+    """
+
+    task: Task
+    minimum: Minimum
+    kkt_gap: float
+
+    @property
+    def operator(self) -> Scaled:
+        """The fitted operator in scaled units."""
+        return operator_of(self.minimum.theta, self.task.coordinates)
+
+    @property
+    def shape(self) -> Shape:
+        """How many of what the fit really has."""
+        return self.task.coordinates.shape
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How a fit is made.
+
+    longest_lag_s   upper bound of the lag, s
+    sensor_pole_Hz  declared pole behind the operator, or None
+    rows            how many rows a search may use; more are thinned
+    follow_zero     whether slow motion of the zero is followed by knots
+    iterations      most Jacobians of a search
+    """
+
+    longest_lag_s: float
+    sensor_pole_Hz: float | None = None
+    rows: int = 8000
+    follow_zero: bool = True
+    iterations: int = 30
+
+
+def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
+    """Fit one shape to pieces, from a convex start."""
+    lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
+    begin = kuhnen_start(pieces, shape, lag_s) if shape.plays else linear_start(pieces, lag_s)
+    task = task_for(pieces, begin.operator, shape.lag, settings)
+    theta = vector_of(begin.operator, task.coordinates)
+    for index in range(len(pieces)):
+        theta[task.coordinates.offset_slice(index)] = begin.offset
+    # Kinks move the cost in jumps: weights first, thresholds once the rest is in place.
+    settled = minimise(theta, replace(task, held=THRESHOLDS), iterations=settings.iterations // 3)
+    minimum = minimise(settled.theta, task, iterations=settings.iterations)
+    return Fitted(task=task, minimum=minimum, kkt_gap=begin.kkt_gap)
+
+
+def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings) -> Task:
+    """Return the task whose vector can hold this operator on these pieces."""
+    shape = Shape(
+        plays=len(operator.gap),
+        below=operator.zero,
+        above=len(operator.knot) - operator.zero - 1,
+        lag=lag,
+    )
+    offsets = tuple(_zero_knots(piece) if settings.follow_zero else 1 for piece in pieces)
+    return Task(
+        pieces=tuple(pieces),
+        coordinates=Coordinates(shape=shape, offsets=offsets),
+        sensor_pole_Hz=settings.sensor_pole_Hz,
+        stride=max(1, sum(piece.rows for piece in pieces) // settings.rows),
+        longest_lag_s=settings.longest_lag_s,
+    )
+
+
+def _zero_knots(piece: Piece) -> int:
+    """Return one knot, and one more for every four cycles: slower than any loop."""
+    u = piece.drive[piece.first : piece.last]
+    crossings = int(np.count_nonzero(np.diff(np.signbit(u - np.median(u)))))
+    return 1 + min(crossings // 8, 12)
+
+
+def continued(fitted: Fitted, index: int, piece: Piece) -> Array:
+    """Simulate a longer piece with everything as fitted: its zero stays where the fit left it."""
+    return simulate(
+        fitted.minimum.theta,
+        fitted.task.coordinates,
+        index,
+        piece,
+        fitted.task.sensor_pole_Hz,
+    )
+
+
+def transferred(fitted: Fitted, pieces: Sequence[Piece]) -> Fitted:
+    """Fit only the zero and the initial memory of other pieces, the operator as it is."""
+    operator = fitted.operator
+    settings = Settings(
+        longest_lag_s=fitted.task.longest_lag_s,
+        sensor_pole_Hz=fitted.task.sensor_pole_Hz,
+        follow_zero=False,
+    )
+    task = task_for(pieces, operator, fitted.shape.lag, settings)
+    task = replace(task, held=tuple(task.coordinates.slices))
+    theta = vector_of(operator, task.coordinates)
+    minimum = minimise(theta, task, iterations=12)
+    return Fitted(task=task, minimum=minimum, kkt_gap=fitted.kkt_gap)

@@ -1,0 +1,208 @@
+"""Where the search begins: a lag by profile, then Kuhnen's quadratic program.
+
+The program parametrises the inverse of Psi, so that it is convex; the lag is removed first,
+because a lag that is not removed looks like hysteresis and corrupts the weights.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Scaled, Shape
+from piezoid.identification.hysteresis.filters import lag_of
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import Optimum, constrained_least_squares
+from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.operators.dead_zone import DeadZones, from_slopes
+from piezoid.operators.play import play_columns
+
+ROWS = 6000  # rows of a recording that suffice for a start
+_POLYNOMIAL = (2, 3)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Start:
+    """A convex start.
+
+    operator  scaled operator, central slope 1
+    offset    scaled displacement at which the operator's output is 0
+    kkt_gap   of the quadratic program
+    """
+
+    operator: Scaled
+    offset: float
+    kkt_gap: float
+
+
+def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
+    """Return the lag with the least error of a quick additive model, by global search.
+
+    The quick model is a non-negative sum of plays of the drive, a cubic of the drive and an
+    offset per piece; for a given lag it is linear. The error is not convex in the lag, hence
+    the derivative-free global search.
+    """
+    if kind == "none" or longest_s <= 0.0:
+        return 0.0
+    import nlopt
+
+    columns = [_quick_columns(piece) for piece in pieces]
+
+    def error(x: Array, _: Array) -> float:
+        return _quick_error(pieces, columns, kind, float(x[0]) * longest_s)
+
+    found = np.array([0.02])
+    for algorithm, evaluations in ((nlopt.GN_DIRECT_L, 25), (nlopt.LN_SBPLX, 25)):
+        search = nlopt.opt(algorithm, 1)
+        search.set_lower_bounds([0.0])
+        search.set_upper_bounds([1.0])
+        search.set_min_objective(error)
+        search.set_maxeval(evaluations)
+        if algorithm == nlopt.LN_SBPLX:
+            search.set_initial_step([0.02])
+            search.set_xtol_abs(1e-5)
+        found = search.optimize(found)
+    return float(found[0]) * longest_s
+
+
+def _quick_columns(piece: Piece) -> Array:
+    threshold = np.linspace(0.0, 0.9, 10)
+    u = piece.drive
+    plays, _ = play_columns(u, threshold, np.full(len(threshold), u[0]))
+    return np.hstack([plays, *[u[:, None] ** p for p in _POLYNOMIAL]])
+
+
+def _quick_error(
+    pieces: Sequence[Piece], columns: Sequence[Array], kind: str, lag_s: float
+) -> float:
+    total = 0.0
+    for piece, column in zip(pieces, columns, strict=True):
+        lagged, _ = lag_of(kind, lag_s, piece.sampling_rate_Hz).run(column)
+        keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
+        rows = lagged[keep]
+        free = rows[:, -len(_POLYNOMIAL) :]
+        signed = np.hstack([rows, -free, np.ones((len(rows), 1)), -np.ones((len(rows), 1))])
+        triangle = gather(
+            empty_triangle(signed.shape[1] + 1),
+            np.hstack([signed, piece.response[keep][:, None]]),
+        )
+        total += nnls(triangle[:, :-1], triangle[:, -1])[1] ** 2 / len(rows)
+    return total
+
+
+def kuhnen_start(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Start:
+    """Solve Kuhnen's quadratic program on the lag-corrected pieces.
+
+        E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
+        w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
+
+    with an offset c_p for every piece; Psi is the inverse of the Psi' found.
+    """
+    threshold = np.arange(shape.plays + 1) / (shape.plays + 1)
+    zones = _placed_zones(pieces, shape)
+    optimum = _solve(pieces, shape, threshold, zones, lag_s)
+    weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
+    inverse = DeadZones(
+        threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
+    )
+    constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
+    operator, offset = _recentred(threshold, weight, inverse.inverse(), constant, lag_s)
+    return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
+
+
+def _placed_zones(pieces: Sequence[Piece], shape: Shape) -> Array:
+    """Place the thresholds of Psi' at (j -+ 1/2) / l of the extreme displacement."""
+    high = max(float(piece.response.max()) for piece in pieces)
+    low = min(float(piece.response.min()) for piece in pieces)
+    above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * high
+    below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -low
+    return np.concatenate([below, [0.0], above])
+
+
+def _solve(
+    pieces: Sequence[Piece], shape: Shape, threshold: Array, zones: Array, lag_s: float
+) -> Optimum:
+    plays, count = shape.plays + 1, len(zones)
+    unit = DeadZones(threshold=zones, weight=np.ones(count))
+    unknowns = plays + count + len(pieces)
+    triangle = empty_triangle(unknowns)
+    for index, piece in enumerate(pieces):
+        keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
+        memory = np.full(plays, piece.drive[0])
+        states = play_columns(piece.drive, threshold, memory)[0][keep]
+        shifted = _advanced(piece, lag_s)[keep]
+        rows = np.zeros((len(states), unknowns))
+        rows[:, :plays] = states
+        rows[:, plays : plays + count] = -unit.columns(shifted)
+        rows[:, plays + count + index] = 1.0
+        triangle = gather(triangle, rows)
+    constraint, lower, upper = _constraints(threshold, zones, unknowns)
+    return constrained_least_squares(triangle, np.zeros(len(triangle)), constraint, lower, upper)
+
+
+def _advanced(piece: Piece, lag_s: float) -> Array:
+    """Return y(t + lag): what the measurement would have been without the lag."""
+    index = np.arange(len(piece.response)) + lag_s * piece.sampling_rate_Hz
+    return np.asarray(np.interp(index, np.arange(len(piece.response)), piece.response))
+
+
+def _constraints(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    rows = np.zeros((plays + count + 1, unknowns))
+    rows[:plays, :plays] = np.eye(plays)
+    for i in range(count):
+        rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
+    rows[-1, :plays] = 1.0 - threshold
+    lower = np.concatenate([np.zeros(plays), np.full(count, 0.02), [1.0]])
+    lower[0] = LEAST_SLOPE
+    upper = np.full(len(rows), np.inf)
+    upper[-1] = 1.0
+    return rows, lower, upper
+
+
+def _recentred(
+    threshold: Array, weight: Array, psi: DeadZones, constant: float, lag_s: float
+) -> tuple[Scaled, float]:
+    """Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1."""
+    real = psi.threshold[psi.threshold != 0.0] - constant
+    slope = np.delete(psi.slope, psi.zero)
+    inside = int(np.searchsorted(real, 0.0))
+    # A kink that falls on the new origin would break the ladder of gaps: nudge it outwards.
+    real[:inside] = np.minimum(real[:inside], -0.01)
+    real[inside:] = np.maximum(real[inside:], 0.01)
+    knot = np.concatenate([real[:inside], [0.0], real[inside:]])
+    slope = np.concatenate([slope[: inside + 1], slope[inside:]])
+    centre = slope[inside]
+    operator = Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=weight * centre,
+        knot=knot * centre,
+        slope=slope / centre,
+        zero=inside,
+        lag_s=lag_s,
+    )
+    offset = float(psi.run(np.array([constant]))[0])
+    return operator, offset
+
+
+def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:
+    """Return the start of a model without plays or dead zones: one gain."""
+    drive = np.concatenate([p.drive - p.drive.mean() for p in pieces])
+    response = np.concatenate([p.response - p.response.mean() for p in pieces])
+    gain = max(float(drive @ response / (drive @ drive)), LEAST_SLOPE)
+    empty = np.zeros(0)
+    psi = from_slopes(np.zeros(1), np.ones(2))
+    operator = Scaled(
+        gap=empty,
+        threshold=empty,
+        weight=np.array([gain]),
+        knot=psi.threshold,
+        slope=psi.slope,
+        zero=0,
+        lag_s=lag_s,
+    )
+    return Start(operator=operator, offset=0.0, kkt_gap=0.0)

@@ -1,0 +1,182 @@
+"""ActuatorModel to model.json and back, exactly: every number returns with its last bit."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from piezoid.errors import ParameterFileError
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import (
+    SCHEMA,
+    ActuatorModel,
+    AxisModel,
+    Certificate,
+    FitQuality,
+    Lag,
+    PieceStart,
+    Uncertainty,
+    Verdict,
+)
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.provenance import seal, unseal
+
+GAUGE = "dead_zone_weight at threshold 0 is 1"
+
+
+def write_model(model: ActuatorModel) -> bytes:
+    """Return the bytes of model.json."""
+    return seal(
+        SCHEMA,
+        {
+            "stage": model.stage,
+            "gauge": GAUGE,
+            "sources": dict(model.sources),
+            "lab": model.lab,
+            "axes": {name: _axis_to_json(axis) for name, axis in model.axes.items()},
+        },
+    )
+
+
+def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
+    """Read model.json back.
+
+    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry that
+    this version needs is missing.
+    """
+    record = unseal(content, SCHEMA, place)
+    try:
+        return ActuatorModel(
+            stage=record["stage"],
+            axes={name: _axis_from_json(axis) for name, axis in record["axes"].items()},
+            sources=record["sources"],
+            lab=record["lab"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__} at {error}",
+            needed=f"every entry of schema {SCHEMA}, of its own kind",
+            remedy="Fit the recordings again with this version.",
+        ) from error
+
+
+def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
+    hysteresis = axis.hysteresis
+    return {
+        "axis": axis.axis,
+        "polarity": axis.polarity,
+        "hysteresis": {
+            "play_threshold_V": hysteresis.plays.threshold.tolist(),
+            "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
+            "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
+            "dead_zone_weight": hysteresis.dead_zones.weight.tolist(),
+            "voltage_offset_V": hysteresis.voltage_offset_V,
+            "displacement_offset_m": hysteresis.displacement_offset_m,
+        },
+        "lag": {"kind": axis.lag.kind, "time_s": axis.lag.time_s},
+        "rig": {
+            "amplifier_bandwidth_Hz": axis.rig.amplifier_bandwidth_Hz,
+            "sensor_bandwidth_Hz": axis.rig.sensor_bandwidth_Hz,
+        },
+        "valid_range": {"voltage_V": list(axis.voltage_V)},
+        "verdict": {
+            "applies": axis.verdict.applies,
+            "reason": axis.verdict.reason,
+            "remarks": list(axis.verdict.remarks),
+        },
+        "quality": _quality_to_json(axis.quality),
+        "uncertainty": _uncertainty_to_json(axis.uncertainty),
+        "certificate": {
+            "plays_m": axis.certificate.plays_m,
+            "dead_zones_m": axis.certificate.dead_zones_m,
+            "remainder_m": axis.certificate.remainder_m,
+            "reach_V": axis.certificate.reach_V,
+            "slew_V_per_s": axis.certificate.slew_V_per_s,
+        },
+        "starts": [
+            {
+                "recording": start.recording,
+                "memory_V": start.memory_V.tolist(),
+                "zero_m": start.zero_m.tolist(),
+                "first": start.first,
+                "last": start.last,
+            }
+            for start in axis.starts
+        ],
+    }
+
+
+def _quality_to_json(quality: FitQuality) -> dict[str, Any]:
+    return {
+        "rms_m": quality.rms_m,
+        "held_out_rms_m": quality.held_out_rms_m,
+        "held_out_rms_percent": quality.held_out_rms_percent,
+        "held_out_kind": quality.held_out_kind,
+        "range_m": quality.range_m,
+        "noise_rms_m": quality.noise_rms_m,
+        "rows": quality.rows,
+        "kkt_gap": quality.kkt_gap,
+        "gradient": quality.gradient,
+        "converged": quality.converged,
+        "orders": [list(order) for order in quality.orders],
+    }
+
+
+def _uncertainty_to_json(found: Uncertainty) -> dict[str, Any]:
+    return {
+        "blocks": found.blocks,
+        "names": list(found.names),
+        "values": found.values.tolist(),
+        "covariance": found.covariance.tolist(),
+        "upper_limit": dict(found.upper_limit),
+        "reach_V": found.reach_V.tolist(),
+        "loading_m": found.loading_m.tolist(),
+        "loading_half_m": found.loading_half_m.tolist(),
+        "loop_width_m": list(found.loop_width_m),
+    }
+
+
+def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
+    hysteresis = record["hysteresis"]
+    return AxisModel(
+        axis=record["axis"],
+        polarity=record["polarity"],
+        hysteresis=ModifiedPrandtlIshlinskii(
+            plays=PrandtlIshlinskii(
+                threshold=np.array(hysteresis["play_threshold_V"]),
+                weight=np.array(hysteresis["play_weight_m_per_V"]),
+            ),
+            dead_zones=DeadZones(
+                threshold=np.array(hysteresis["dead_zone_threshold_m"]),
+                weight=np.array(hysteresis["dead_zone_weight"]),
+            ),
+            voltage_offset_V=hysteresis["voltage_offset_V"],
+            displacement_offset_m=hysteresis["displacement_offset_m"],
+        ),
+        lag=Lag(**record["lag"]),
+        rig=Rig(**record["rig"]),
+        starts=tuple(PieceStart(**start) for start in record["starts"]),
+        voltage_V=(record["valid_range"]["voltage_V"][0], record["valid_range"]["voltage_V"][1]),
+        verdict=Verdict(
+            applies=record["verdict"]["applies"],
+            reason=record["verdict"]["reason"],
+            remarks=tuple(record["verdict"]["remarks"]),
+        ),
+        quality=_quality_from_json(record["quality"]),
+        uncertainty=_uncertainty_from_json(record["uncertainty"]),
+        certificate=Certificate(**record["certificate"]),
+    )
+
+
+def _quality_from_json(record: Mapping[str, Any]) -> FitQuality:
+    # The percentage is a property of the record, written for readers of the file.
+    kept = {name: value for name, value in record.items() if name != "held_out_rms_percent"}
+    orders = tuple((p, z, lag, rms) for p, z, lag, rms in record["orders"])
+    return FitQuality(**{**kept, "orders": orders})
+
+
+def _uncertainty_from_json(record: Mapping[str, Any]) -> Uncertainty:
+    width = (record["loop_width_m"][0], record["loop_width_m"][1])
+    return Uncertainty(**{**record, "names": tuple(record["names"]), "loop_width_m": width})

@@ -1,0 +1,21 @@
+"""The rms of the noise of a smooth signal, from its differences."""
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+
+_THIRD = float(np.sqrt(20.0))  # third differences of white noise of rms 1
+_MEDIAN = 0.6744897501960817  # median of |x| for a standard normal x
+
+
+def white_noise_rms(signal: Array) -> float:
+    """Return the rms of the white part of a slowly varying signal's noise.
+
+    Third differences remove what is smooth; the median of their magnitude is deaf to jumps and
+    to the few samples at reversals.
+
+    signal  (samples,)  any unit; fewer than 8 samples give 0
+    """
+    if len(signal) < 8:
+        return 0.0
+    return float(np.median(np.abs(np.diff(signal, 3)))) / (_MEDIAN * _THIRD)
