@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.library import library
+from piezoid.runtime.schema import PARAMETERS
 from piezoid.runtime.values import complete
 
 
@@ -84,10 +85,10 @@ class Controller:
         voltage_V  V           what the converter puts out now
         measured   m (Z: A)    what the sensor shows now
         """
-        refused = self.library.code.pz_start(*self._addresses, voltage_V, measured)
-        if refused:
+        place = self.library.code.pz_start(*self._addresses, voltage_V, measured)
+        if place:
             raise ParameterFileError(
-                f"the runtime refuses parameter {refused}",
+                f"the runtime cannot use {PARAMETERS[place - 1].name} any more",
                 needed="parameters nobody has written to",
                 remedy="Make a new Controller from the parameter file.",
             )

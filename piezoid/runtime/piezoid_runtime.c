@@ -666,21 +666,25 @@ static pz_real take_reference(pz_state *s, const pz_parameters *p, pz_real refer
                   kept - p->displacement_offset_m);
 }
 
-/* Whether the sensor has shown the same number for too long while the voltage moved. */
+/* Whether the sensor has shown the same number for too long although the voltage moved. It stays
+ * so until the number changes. */
 static int is_stuck(pz_state *s, const pz_parameters *p, pz_real measured) {
     if (p->stuck_samples == 0) {
         return 0;
     }
     if (measured < s->measured || measured > s->measured) {
         s->unchanged = 0;
+        s->moved = 0;
         s->moved_V = s->voltage_V;
         return 0;
     }
     if (s->unchanged < p->stuck_samples) {
         ++s->unchanged;
     }
-    return s->unchanged >= p->stuck_samples &&
-           magnitude(s->voltage_V - s->moved_V) >= p->stuck_voltage_V;
+    if (magnitude(s->voltage_V - s->moved_V) >= p->stuck_voltage_V) {
+        s->moved = 1;
+    }
+    return s->moved == 1 && s->unchanged >= p->stuck_samples;
 }
 
 /* What the observer learns from the measurement; nothing from an unusable one. */
@@ -796,6 +800,7 @@ static int take_current(pz_state *s, const pz_parameters *p, pz_real current_A) 
         --s->retract_left;
         retract(s, p, log_current(p, s->measured));
         s->unchanged = 0;
+        s->moved = 0;
         s->moved_V = s->voltage_V;
         return 0;
     }

@@ -220,6 +220,7 @@ typedef struct {
     int32_t unchanged;    /* samples since the measurement last changed */
     int32_t unusable;     /* Z: unusable currents in a row */
     int32_t retract_left; /* Z: samples until the next approach */
+    int32_t moved;        /* 1: the voltage has moved since the measurement last changed */
 
     pz_real voltage_V;     /* u_a: the last returned */
     pz_real command_V;     /* clipped, before rounding */

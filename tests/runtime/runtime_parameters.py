@@ -37,3 +37,34 @@ def hysteresis(model, **others):
         "knot_weight": model["weight"],
         **others,
     }
+
+
+RST_A = np.array([1, -0.3278234616, 0.0122990935])
+RST_B = np.array([0.0, 0.0, 102.2579562477, 23.9785156002])
+RST_S = np.array([1, -1.5654912179, 0.6523716392, -0.0792887741, -0.0075916473])
+RST_R = np.array([2.692602e-4, 1.856397e-4, -7.97265e-5, 3.8939e-6])
+
+
+def tunnelling(**others):
+    """The polynomial controller of a tunnelling gap, 1 nA, retracting to the lowest voltage."""
+    return {
+        "method": "rst",
+        "voltage_minimum_V": -10.0,
+        "voltage_maximum_V": 10.0,
+        "current_reference_A": 1e-9,
+        "current_floor_A": 1e-11,
+        "current_ceiling_A": 2e-8,
+        "retract_voltage_V": -9.0,
+        "retract_samples": 100,
+        "bad_samples": 5,
+        "schedule_limit": 4.0,
+        "rst_T_count": 1,
+        "rst_T_V": RST_R.sum(keepdims=True),
+        "rst_R_count": 4,
+        "rst_R_V": RST_R,
+        "rst_S_count": 4,
+        "rst_S": np.cumsum(RST_S)[:4],
+        "rst_A0_count": 1,
+        "rst_A0": np.ones(1),
+        **others,
+    }

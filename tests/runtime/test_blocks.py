@@ -1,0 +1,111 @@
+"""Creep, filters, converter and reference limits: each alone, against its own equation."""
+
+import numpy as np
+import pytest
+
+from piezoid.runtime.controller import Controller, Status
+from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
+from tests.runtime.runtime_reference import dead_zones, follow
+
+RATES = np.array([0.02, 0.003])
+SHARES = np.array([0.015, 0.01])
+# 300 Hz, numerator damping 0.2, denominator 0.8, at 20 kHz; unit gain at rest.
+NOTCH = np.array([1, -1.954340001, 0.9630520957, -1.8517145433, 0.8599691522])
+NOTCH = np.r_[NOTCH[:3] * (1 + NOTCH[3:].sum()) / NOTCH[:3].sum(), NOTCH[3:]]
+
+
+def started(parameters, volts=0.0, measured=0.0):
+    controller = Controller(parameters)
+    controller.start(volts, measured)
+    return controller
+
+
+def static(**others):
+    return {**WIDE, "method": "none", "gain_m_per_V": 0.5, **others}
+
+
+def biquad(section, x):
+    y = np.zeros(len(x))
+    for k in range(len(x)):
+        past = [(x[k - i] if k >= i else 0.0, y[k - i] if k >= i else 0.0) for i in (1, 2)]
+        y[k] = section[0] * x[k] + sum(
+            section[i + 1] * past[i][0] - section[i + 3] * past[i][1] for i in range(2)
+        )
+    return y
+
+
+def test_without_a_model_it_is_a_gain():
+    reference = np.array([0.0, 1.0, -3.0])
+    run = started(static()).run(reference, np.zeros(3))
+    assert np.array_equal(run.voltage_V, reference / 0.5)
+    assert not run.status.any()
+
+
+def test_compensated_creep_leaves_none():
+    """The stage creeps by the same ladder; what it shows is what was asked for."""
+    creeping = {"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES}
+    controller = started(hysteresis(WORKED, **creeping))
+    reference = 2.0 * np.sign(np.sin(np.linspace(0.01, 12, 1000)))
+    z, x, shown, uncrept = WORKED["z"], np.zeros(2), np.empty(1000), np.empty(1000)
+    for k, wanted in enumerate(reference):
+        z = follow(controller.step(wanted, 0.0), WORKED["r"], z)
+        uncrept[k] = dead_zones(float(WORKED["w"] @ z), WORKED["knot"], WORKED["weight"])
+        shown[k] = uncrept[k] + SHARES @ x
+        x = x + RATES * (uncrept[k] - x)
+    assert np.abs(shown - reference).max() < 1e-13
+    assert np.abs(uncrept - reference).max() > 0.02
+
+
+@pytest.mark.parametrize("place", ["reference", "command"])
+def test_a_filter_is_its_difference_equation(place, rng):
+    x = rng.standard_normal(300)
+    given = {f"{place}_section_count": 2, f"{place}_section": np.vstack([NOTCH, NOTCH])}
+    u = started(static(**given)).run(x, np.zeros(300)).voltage_V
+    assert np.abs(u - biquad(NOTCH, biquad(NOTCH, x)) / 0.5).max() < 1e-12
+
+
+def test_a_filter_starts_at_rest_wherever_it_starts():
+    given = {"reference_section_count": 1, "reference_section": NOTCH[None, :]}
+    u = started(static(**given), 4.0, 2.0).run(np.full(50, 2.0), np.zeros(50)).voltage_V
+    assert np.abs(u - 4.0).max() < 1e-12
+
+
+def test_codes_are_multiples_of_the_converter_step_and_inside_the_limits():
+    given = static(lsb_V=0.3, voltage_minimum_V=-1.0, voltage_maximum_V=1.0)
+    u = started(given).run(np.linspace(-1, 1, 401), np.zeros(401)).voltage_V
+    assert np.array_equal(np.unique(np.round(u / 0.3)), np.arange(-3, 4))
+    assert np.abs(u).max() <= 1.0
+    assert np.abs(u / 0.3 - np.round(u / 0.3)).max() < 1e-15
+
+
+def test_the_voltage_changes_by_no_more_than_its_step():
+    controller = started(static(voltage_step_V=0.01))
+    u = controller.run(np.r_[np.ones(300), -np.ones(300)], np.zeros(600)).voltage_V
+    assert np.abs(np.diff(np.r_[0.0, u])).max() <= 0.01 + 1e-15
+    assert Status.VOLTAGE_STEP in controller.status_ever
+    assert u[250] == pytest.approx(2.0)
+
+
+def test_the_reference_is_kept_in_its_range_and_to_its_step():
+    given = static(reference_minimum_m=-0.2, reference_maximum_m=0.3, reference_step_m=0.1)
+    run = started(given).run(np.array([1.0, 1, 1, 1, -1, -1, 0.1]), np.zeros(7))
+    assert run.voltage_V * 0.5 == pytest.approx([0.1, 0.2, 0.3, 0.3, 0.2, 0.1, 0.1])
+    assert list(run.status) == [Status.REFERENCE_LIMITED] * 6 + [0]
+
+
+@pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
+@pytest.mark.parametrize(("volts", "measured"), [(0.0, 0.0), (2.0, 1.1), (-3.0, 0.4)])
+def test_the_start_does_not_bump(method, volts, measured):
+    from tests.runtime.observer_design import observer_parameters
+
+    given = {
+        **hysteresis(WORKED, voltage_offset_V=0.5, displacement_offset_m=0.2),
+        **{"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES},
+        **{"reference_section_count": 1, "reference_section": NOTCH[None, :]},
+        **{"command_section_count": 1, "command_section": NOTCH[None, :]},
+        **observer_parameters(1.3),
+        "method": method,
+    }
+    assert started(given, volts, measured).step(measured, measured) == pytest.approx(
+        volts, abs=1e-12
+    )

@@ -1,0 +1,144 @@
+"""The disturbance-observer loop: against published polynomials, and against what it promises."""
+
+import numpy as np
+import pytest
+
+from piezoid.runtime.controller import Controller, Status
+from tests.runtime.observer_design import LinearPlant, observer_parameters
+from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
+from tests.runtime.runtime_reference import dead_zones, follow
+
+# The polynomials are printed with ten decimals.
+PRINTED = 3e-9
+
+CONTROLLER_NUMERATOR = np.array(
+    [-1.6493438444, 3.8931363194, -2.8841710805, 0.6598793035, -0.0331133718, 0]
+)
+CONTROLLER_DENOMINATOR = np.array(
+    [1, -2.2838911271, 1.9549855646, -0.7903742073, 0.1247293518, -0.005449582]
+)
+CLOSED_LOOP = np.array(
+    [
+        *(1, -4.5750108263, 8.9001057978, -9.5574086345, 6.1517173975),
+        *(-2.4126438412, 0.5616117386, -0.0724327942, 0.004516861, -0.0001052682),
+    ]
+)
+
+
+def observer(**others):
+    return {**WIDE, "method": "dob", **observer_parameters(), **others}
+
+
+class HysteresisPlant(LinearPlant):
+    """Dead zones after plays, then the linear chain."""
+
+    def __init__(self, model):
+        super().__init__()
+        self.model, self.z = model, model["z"]
+
+    def drive(self, volts):
+        self.z = follow(volts, self.model["r"], self.z)
+        h = float(self.model["w"] @ self.z)
+        super().drive(dead_zones(h, self.model["knot"], self.model["weight"]))
+
+
+def close_loop(controller, plant, reference, disturbance=0.0):
+    """Displacement and voltage of every sample."""
+    displacement, voltage = np.empty((2, len(reference)))
+    for k, wanted in enumerate(reference):
+        displacement[k] = plant.measure()
+        voltage[k] = controller.step(wanted, displacement[k])
+        plant.drive(voltage[k] + disturbance)
+    return displacement, voltage
+
+
+def started(parameters, **precision):
+    controller = Controller(parameters, **precision)
+    controller.start(0.0, 0.0)
+    return controller
+
+
+def test_from_measurement_to_voltage_it_is_the_published_controller(rng):
+    y = rng.standard_normal(50)
+    u = started(observer()).run(np.zeros(50), y).voltage_V
+    left = np.convolve(CONTROLLER_DENOMINATOR, u)[:50]
+    right = np.convolve(CONTROLLER_NUMERATOR, y)[:50]
+    assert np.abs(left - right).max() < PRINTED * 20
+
+
+def test_the_reference_gain_is_the_published_one():
+    assert observer()["feedback_N_V_per_m"] == pytest.approx(0.8496259921, abs=PRINTED)
+
+
+def test_every_closed_loop_mode_is_a_root_of_the_published_polynomial():
+    plant = LinearPlant()
+    plant.x = np.array([0.3, -0.2, 0.5, 0.1])
+    y, _ = close_loop(started(observer()), plant, np.zeros(60))
+    left = np.convolve(CLOSED_LOOP, y)[9:60]
+    assert np.abs(left).max() < PRINTED * np.abs(y).max() * 20
+    assert np.abs(y).max() > 0.1
+
+
+def test_a_constant_disturbance_leaves_no_error():
+    y, _ = close_loop(started(observer()), LinearPlant(), np.ones(600), disturbance=0.7)
+    assert abs(y[-1] - 1.0) < 1e-9
+
+
+def test_the_inverse_makes_a_stage_with_hysteresis_the_linear_one():
+    """Observer and inverse on the true hysteresis move as the observer alone without it."""
+    reference = 2.0 * np.sin(np.linspace(0, 20, 1500)) * np.linspace(0.1, 1.2, 1500)
+    both = started({**hysteresis(WORKED), **observer(), "method": "mpi_dob"})
+    y, u = close_loop(both, HysteresisPlant(WORKED), reference)
+    linear, _ = close_loop(started(observer()), LinearPlant(), reference)
+    assert np.abs(y - linear).max() < 1e-10
+    assert np.abs(u - reference).max() > 0.3
+
+
+@pytest.mark.parametrize("method", ["dob", "mpi_dob"])
+def test_at_the_limits_nothing_winds_up(method):
+    """After a long time at the converter's end the loop is as quick as ever."""
+    given = {
+        **hysteresis(WORKED),
+        **observer(voltage_minimum_V=-2.5, voltage_maximum_V=2.5, lsb_V=1e-6),
+        "method": method,
+    }
+    reference = np.r_[np.full(2000, 50.0), np.full(400, 0.5)]
+    plant = HysteresisPlant(WORKED) if method == "mpi_dob" else LinearPlant()
+    controller = started(given)
+    y, u = close_loop(controller, plant, reference)
+    assert u.max() <= 2.5
+    assert Status.VOLTAGE_LIMITED in controller.status_ever
+    assert np.abs(y[2150:] - 0.5).max() < 0.02
+    assert np.abs(y[2300:] - 0.5).max() < 1e-4
+
+
+def test_an_observer_that_disagrees_with_its_plant_still_removes_what_the_model_misses():
+    wrong = {**WORKED, "w": WORKED["w"] * np.array([1.05, 0.9, 1.1, 0.95])}
+    controller = started({**hysteresis(wrong), **observer(), "method": "mpi_dob"})
+    y, _ = close_loop(controller, HysteresisPlant(WORKED), np.full(800, 1.5))
+    assert abs(y[-1] - 1.5) < 1e-9
+
+
+def test_float_follows_double():
+    reference = 2.0 * np.sin(np.linspace(0, 20, 1500))
+    given = {**hysteresis(WORKED), **observer(lsb_V=20 / 65536), "method": "mpi_dob"}
+    runs = [
+        close_loop(started(given, precision=p), HysteresisPlant(WORKED), reference)[0]
+        for p in ("double", "float")
+    ]
+    # Two converter codes through the steepest slope: single precision may choose another code.
+    assert np.abs(runs[0] - runs[1]).max() < 2 * 1.3 * 20 / 65536
+
+
+def test_the_same_input_gives_the_same_bits(rng):
+    reference, y = rng.standard_normal((2, 500))
+    given = {**hysteresis(WORKED), **observer(), "method": "mpi_dob"}
+    first, second = (started(given).run(reference, y) for _ in range(2))
+    assert first.voltage_V.tobytes() == second.voltage_V.tobytes()
+
+
+def test_samples_one_by_one_are_the_samples_of_a_run(rng):
+    reference, y = rng.standard_normal((2, 100))
+    one = started(observer())
+    stepped = [one.step(r, m) for r, m in zip(reference, y, strict=True)]
+    assert np.array_equal(started(observer()).run(reference, y).voltage_V, stepped)

@@ -1,0 +1,192 @@
+"""The tunnelling loop: published polynomials on the logarithm, and the guards around them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from piezoid.runtime.controller import Controller, Status
+from piezoid.runtime.library import library
+from tests.runtime.runtime_parameters import RST_A, RST_B, RST_R, RST_S, tunnelling
+
+REFERENCE_A = 1e-9
+
+
+def started(volts=0.0, current_A=REFERENCE_A, precision="double", **others):
+    controller = Controller(tunnelling(**others), precision=precision)
+    controller.start(volts, current_A)
+    return controller
+
+
+class Gap:
+    """ln(i / i_0) = B/A u: y[k] = -a1 y[k-1] - a2 y[k-2] + b2 u[k-2] + b3 u[k-3]."""
+
+    def __init__(self, gain=1.0):
+        self.y, self.u, self.gain = np.zeros(3), np.zeros(4), gain
+
+    def current_A(self):
+        return REFERENCE_A * math.exp(min(self.y[0], 50.0))
+
+    def drive(self, volts):
+        self.u = np.r_[volts, self.u[:-1]]
+        new = self.gain * (RST_B[2:] @ self.u[1:3]) - RST_A[1:] @ self.y[:2]
+        self.y = np.r_[new, self.y[:-1]]
+
+
+def close_loop(controller, gap, reference_A, surface=0.0):
+    """Logarithm of the current and voltage; ``surface`` is added to the logarithm."""
+    log, voltage = np.empty((2, len(reference_A)))
+    for k, wanted in enumerate(reference_A):
+        log[k] = gap.y[0] + surface
+        voltage[k] = controller.step(wanted, REFERENCE_A * math.exp(log[k]))
+        gap.drive(voltage[k])
+    return log, voltage
+
+
+def test_a_step_of_the_setpoint_obeys_the_published_closed_loop():
+    """(A S + B R) y = B T r, with r the logarithm of the setpoint."""
+    reference = np.full(200, 1.5 * REFERENCE_A)
+    y, _ = close_loop(started(), Gap(), reference)
+    polynomial = np.convolve(RST_A, RST_S)
+    polynomial = polynomial + np.r_[np.convolve(RST_B, RST_R)]
+    left = np.convolve(polynomial, y)[:200]
+    right = np.convolve(RST_B * RST_R.sum(), np.full(200, math.log(1.5)))[:200]
+    # The first differences feel that the step was not there before the start.
+    assert np.abs(left - right).max() < 1e-9
+    assert y[-1] == pytest.approx(math.log(1.5), abs=1e-9)
+
+
+def test_the_published_polynomials_give_the_published_poles():
+    P = np.convolve(RST_A, RST_S) + np.convolve(RST_B, RST_R)
+    expected = [1, -1.8933146795, 1.2054094777, -0.2869660295, 0.0227233442, 0, 0]
+    assert np.abs(P - expected).max() < 2e-5  # R is printed with seven digits
+
+
+def test_the_surface_is_followed_without_a_lasting_error():
+    y, _ = close_loop(started(), Gap(), np.full(400, REFERENCE_A), surface=0.8)
+    assert abs(y[-1]) < 1e-9
+
+
+def test_float_holds_the_setpoint_without_drift():
+    """The integrator is exact in single precision: only S without it is rounded."""
+    gap = Gap()
+    controller = started(precision="float")
+    y, _ = close_loop(controller, gap, np.full(3000, 1.5 * REFERENCE_A), surface=-1.0)
+    assert abs(y[-1] - math.log(1.5)) < 1e-4
+
+
+def test_the_start_does_not_bump():
+    controller = started(volts=3.25, current_A=0.7 * REFERENCE_A)
+    assert controller.step(0.7 * REFERENCE_A, 0.7 * REFERENCE_A) == 3.25
+
+
+def test_a_lost_current_gives_a_bounded_approach():
+    controller = started(voltage_step_V=0.002)
+    u = controller.run(np.full(200, REFERENCE_A), np.full(200, 1e-14)).voltage_V
+    assert controller.status_ever & Status.CURRENT_LOST
+    assert 0 < np.diff(u).max() <= 0.002 + 1e-15
+    floor = np.full(200, 1e-11)
+    assert np.array_equal(started(voltage_step_V=0.002).run(floor * 100, floor).voltage_V, u)
+
+
+def test_a_negative_current_counts_as_lost():
+    controller = started()
+    controller.step(REFERENCE_A, -REFERENCE_A)
+    assert controller.status == Status.CURRENT_LOST
+
+
+def test_too_much_current_retracts_at_once_and_for_the_time_asked():
+    controller = started(volts=2.0, voltage_step_V=0.001)
+    current = np.r_[REFERENCE_A, 2e-8, np.full(120, 1e-12)]
+    run = controller.run(np.full(122, REFERENCE_A), current)
+    assert np.array_equal(run.voltage_V[1:101], np.full(100, -9.0))
+    assert run.status[1] == Status.RETRACTED | Status.MEASUREMENT_LIMITED
+    assert run.voltage_V[101] == pytest.approx(-9.0 + 0.001)
+    assert (np.diff(run.voltage_V[101:]) <= 0.001 + 1e-15).all()
+
+
+def test_a_moment_without_current_is_held_and_a_longer_one_retracts():
+    controller = started(volts=1.0)
+    run = controller.run(np.full(8, REFERENCE_A), np.full(8, np.nan))
+    assert np.array_equal(run.voltage_V, [1.0] * 5 + [-9.0] * 3)
+    assert (run.status & Status.BAD_MEASUREMENT).all()
+
+
+def test_a_current_that_ignores_the_voltage_retracts():
+    controller = started(stuck_samples=20, stuck_voltage_V=1e-4)
+    run = controller.run(np.full(60, 2 * REFERENCE_A), np.full(60, REFERENCE_A))
+    assert run.status[-1] & Status.RETRACTED
+    assert (run.status & Status.STUCK_SENSOR).any()
+    quiet = started(stuck_samples=20, stuck_voltage_V=1e-4)
+    held = quiet.run(np.full(60, REFERENCE_A), np.full(60, REFERENCE_A))
+    assert not held.status.any()
+
+
+def test_at_the_limits_nothing_winds_up():
+    reference = np.r_[np.full(500, 1e-8), np.full(100, REFERENCE_A)]
+    limited = started(voltage_maximum_V=1e-3, voltage_minimum_V=-10.0)
+    y, u = close_loop(limited, Gap(), reference)
+    assert u[400] == 1e-3
+    assert np.abs(y[560:]).max() < 1e-3
+
+
+def test_an_anti_windup_polynomial_changes_nothing_away_from_the_limits():
+    reference = np.full(100, 1.5 * REFERENCE_A)
+    plain, _ = close_loop(started(), Gap(), reference)
+    slower = started(rst_A0_count=2, rst_A0=np.array([1.0, -0.5]))
+    other, _ = close_loop(slower, Gap(), reference)
+    assert np.array_equal(plain, other)
+
+
+def test_the_anti_windup_polynomial_is_the_written_equation(rng):
+    """S u_a + A_0 (u - u_a) = T r - R y, with S including the integrator."""
+    a0 = np.array([1.0, -0.6, 0.1])
+    y = rng.normal(0.0, 0.5, 300)
+    controller = started(
+        rst_A0_count=3,
+        rst_A0=a0,
+        voltage_minimum_V=-2e-4,
+        voltage_maximum_V=2e-4,
+        retract_voltage_V=0.0,
+    )
+    applied = controller.run(np.full(300, REFERENCE_A), REFERENCE_A * np.exp(y)).voltage_V
+    u, ua, seen = np.zeros(310), np.zeros(310), np.r_[np.zeros(10), y]
+    for k in range(10, 310):
+        past = slice(k - 1, k - 5, -1)
+        right = -RST_R @ seen[k : k - 4 : -1]
+        excess = (u - ua)[k - 1 : k - 3 : -1]
+        u[k] = right - RST_S[1:] @ ua[past] - a0[1:] @ excess
+        ua[k] = min(max(u[k], -2e-4), 2e-4)
+    assert (np.abs(applied) >= 2e-4).any()
+    assert np.abs(applied - ua[10:]).max() < 1e-11
+
+
+def test_the_gain_schedule_gives_a_scaled_plant_the_loop_of_the_first():
+    reference = np.full(200, 1.5 * REFERENCE_A)
+    designed, u = close_loop(started(), Gap(), reference)
+    scheduled = started()
+    scheduled.schedule(2.0)
+    twice, half = close_loop(scheduled, Gap(gain=2.0), reference)
+    assert np.abs(twice - designed).max() < 1e-9
+    assert np.abs(2 * half - u).max() < 1e-12
+
+
+def test_the_schedule_stays_inside_its_limit():
+    wild, limited = started(), started()
+    wild.schedule(1e9)
+    limited.schedule(4.0)
+    wild.schedule(np.nan)
+    assert wild.step(2e-9, 1e-9) == limited.step(2e-9, 1e-9)
+
+
+@pytest.mark.parametrize(("precision", "eps"), [("double", 2.0**-52), ("float", 2.0**-23)])
+def test_the_logarithm_is_within_two_units_in_the_last_place(precision, eps, rng):
+    opened = library(precision)
+    dtype = np.dtype(opened.real)
+    x = np.exp(rng.uniform(-80, 80, 20000)).astype(dtype)
+    x = np.r_[x, (1 + rng.uniform(-0.3, 0.5, 20000)).astype(dtype), dtype.type(1)]
+    exact = np.log(x.astype(np.longdouble))
+    found = np.array([opened.log(value) for value in x])
+    unit = eps * 2.0 ** np.floor(np.log2(np.maximum(np.abs(exact), 0.5).astype(float)))
+    assert np.abs((found - exact) / unit).max() < 2.0
+    assert opened.log(1.0) == 0.0

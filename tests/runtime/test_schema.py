@@ -1,0 +1,194 @@
+"""The one table: compared with the C, loop by loop."""
+
+import ctypes
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid.runtime
+from piezoid.errors import ParameterFileError, RuntimeLibraryError
+from piezoid.runtime import library as library_module
+from piezoid.runtime import schema
+from piezoid.runtime.controller import Status
+from piezoid.runtime.library import compare_layout, library
+from piezoid.runtime.schema import METHODS, PARAMETERS
+from piezoid.runtime.values import complete
+from tests.runtime.observer_design import observer_parameters
+from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, tunnelling
+
+HEADER = (Path(piezoid.runtime.__file__).parent / "piezoid_runtime.h").read_text()
+SEALED = ("schema", "size_bytes", "checksum")
+NOTCH = np.array([1, -1.9, 0.95, -1.8, 0.85])
+
+CREEP = {"relaxation_count": 1, "relaxation_rate": [0.1], "relaxation_share": [0.01]}
+LATERAL = {**hysteresis(WORKED), **observer_parameters(), **CREEP, "method": "mpi_dob"}
+
+
+def refused(given, precision="double"):
+    """The name the runtime answers with, checks in Python passed by."""
+    opened = library(precision)
+    packed = opened.parameters()
+    for parameter in PARAMETERS:
+        value = given.get(parameter.name, parameter.default)
+        library_module._write(packed, parameter, padded(parameter, value))
+    opened.seal(packed)
+    place = opened.code.pz_check(ctypes.byref(packed))
+    return PARAMETERS[place - 1].name if place else None
+
+
+def padded(parameter, value):
+    if not parameter.shape:
+        return np.asarray(METHODS.index(value) if isinstance(value, str) else value, float)
+    full, value = np.zeros(parameter.shape), np.asarray(value, float)
+    if value.ndim:
+        full[tuple(slice(n) for n in value.shape)] = value
+    return full
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+@pytest.mark.parametrize("given", [LATERAL, tunnelling()])
+def test_good_parameters_are_usable(given, precision):
+    assert refused(given, precision) is None
+    library(precision).pack(complete(given))
+
+
+@pytest.mark.parametrize("given", [LATERAL, tunnelling()])
+@pytest.mark.parametrize("parameter", [p for p in PARAMETERS if p.name not in SEALED], ids=str)
+def test_every_parameter_out_of_its_bounds_is_named(parameter, given):
+    """Both ends; every element of an array; NaN too."""
+    beyond = [parameter.lower - 1.0, parameter.upper + max(1.0, abs(parameter.upper) * 1e-6)]
+    places = {0, parameter.count - 1}
+    for value in beyond if parameter.kind == "integer" else [*beyond, np.nan]:
+        for place in places:
+            array = padded(parameter, given.get(parameter.name, parameter.default)).copy()
+            array.ravel()[place] = value
+            bad = {**given, parameter.name: array}
+            assert refused(bad) == parameter.name
+            with pytest.raises(ParameterFileError, match=parameter.name):
+                complete(bad)
+
+
+BAD = {
+    "play_count": {"play_count": 0},
+    "play_threshold_V": {"play_threshold_V": [0, 1, 1, 2]},
+    "play_weight_m_per_V": {"play_weight_m_per_V": [0.5, -0.6, 1, 1]},
+    "play_memory_V": {"play_memory_V": [0, 2, 0, 0]},
+    "knot_zero": {"knot_zero": 5},
+    "knot_m": {"knot_m": [-2, -1, 0.1, 1, 2]},
+    "knot_weight": {"knot_weight": [-0.1, -0.2, 1, 0.3, -1.3]},
+    "relaxation_rate": {"relaxation_rate": [0.0]},
+    "reference_section": {"reference_section_count": 1, "reference_section": [[2, 0, 0, 0, 0]]},
+    "command_section": {"command_section_count": 1, "command_section": [[3, 0, 0, 0, 2.0]]},
+    "observer_order": {"observer_order": 0},
+    "observer_rest": {"observer_rest": observer_parameters()["observer_rest"] * 1.0001},
+    "observer_C": {"observer_C": observer_parameters()["observer_C"] * 1.0001},
+    "feedback_N_V_per_m": {"feedback_N_V_per_m": 0.85},
+    "gain_m_per_V": {"gain_m_per_V": 0.0},
+    "voltage_maximum_V": {"voltage_maximum_V": -1000.0},
+    "lsb_V": {"lsb_V": 1e-5},
+    "reference_maximum_m": {"reference_maximum_m": -1000.0},
+    "displacement_maximum_m": {"displacement_maximum_m": -1000.0},
+}
+BAD_RST = {
+    "current_floor_A": {"current_floor_A": 0.0},
+    "current_reference_A": {"current_reference_A": 1e-12},
+    "current_ceiling_A": {"current_ceiling_A": 1e-9},
+    "retract_voltage_V": {"retract_voltage_V": -10.5},
+    "retract_samples": {"retract_samples": 0},
+    "rst_T_count": {"rst_T_count": 0},
+    "rst_R_count": {"rst_R_count": 0},
+    "rst_S": {"rst_S": [2.0, 0.1]},
+    "rst_A0": {"rst_A0_count": 0},
+    "command_section_count": {"command_section_count": 1, "command_section": [[1, 0, 0, 0, 0]]},
+    "relaxation_count": CREEP,
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_inconsistent_lateral_parameters_are_named(name):
+    assert refused({**LATERAL, **BAD[name]}) == name
+    with pytest.raises(ParameterFileError, match=name):
+        library().pack(complete({**LATERAL, **BAD[name]}))
+
+
+@pytest.mark.parametrize("name", BAD_RST)
+def test_inconsistent_tunnelling_parameters_are_named(name):
+    assert refused({**tunnelling(), **BAD_RST[name]}) == name
+
+
+def test_an_unstable_section_is_refused():
+    unstable = {"reference_section_count": 1, "reference_section": [[0.2, 0, 0, -1.9, 1.1]]}
+    assert refused({**LATERAL, **unstable}) == "reference_section"
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_every_changed_bit_of_the_packed_parameters_is_refused(precision):
+    opened = library(precision)
+    packed = opened.pack(complete(LATERAL))
+    content = np.frombuffer(packed, dtype=np.uint8)
+    for place in range(0, len(content), 7):
+        content[place] ^= 1 << (place % 8)
+        assert opened.code.pz_check(ctypes.byref(packed)) in (1, 2, 3)
+        content[place] ^= 1 << (place % 8)
+    assert opened.code.pz_check(ctypes.byref(packed)) == 0
+
+
+def test_the_checksum_is_the_common_crc_of_everything_behind_it():
+    import zlib
+
+    opened = library()
+    packed = opened.pack(complete(LATERAL))
+    behind = bytes(packed)[opened.parameters.method.offset :]
+    assert packed.checksum == zlib.crc32(behind)
+
+
+def test_another_layout_is_refused_when_the_library_is_loaded(monkeypatch):
+    changed = list(PARAMETERS)
+    place = schema.INDEX["lsb_V"] - 1
+    changed[place] = replace(changed[place], upper=5.0)
+    monkeypatch.setattr(library_module, "PARAMETERS", tuple(changed))
+    with pytest.raises(RuntimeLibraryError, match="another layout"):
+        compare_layout(library())
+
+
+def test_a_missing_member_is_refused_when_the_library_is_loaded(monkeypatch):
+    monkeypatch.setattr(library_module, "PARAMETERS", PARAMETERS[:-1])
+    with pytest.raises(RuntimeLibraryError, match="length"):
+        compare_layout(library())
+
+
+def test_sizes_methods_and_status_bits_are_those_of_the_header():
+    for name in ("PLAYS", "KNOTS", "RELAXATIONS", "SECTIONS", "ORDER", "TAPS"):
+        assert f"#define PZ_MAX_{name} {getattr(schema, f'MAX_{name}')}\n" in HEADER
+    assert f"#define PZ_SCHEMA_VERSION {schema.VERSION}\n" in HEADER
+    methods = re.findall(r"PZ_METHOD_(\w+) = (\d+)", HEADER)
+    assert [(name.lower(), int(value)) for name, value in methods] == [
+        (name, place) for place, name in enumerate(METHODS)
+    ]
+    bits = re.findall(r"PZ_STATUS_(\w+) = (\d+)", HEADER)
+    assert {name: int(value) for name, value in bits} == {s.name: s.value for s in Status}
+
+
+def test_an_unknown_name_is_refused():
+    with pytest.raises(ParameterFileError, match="play_treshold_V"):
+        complete({"play_treshold_V": 0.0})
+
+
+def test_more_numbers_than_places_are_refused():
+    with pytest.raises(ParameterFileError, match="at most"):
+        complete({**WIDE, "play_weight_m_per_V": np.ones(33)})
+    with pytest.raises(ParameterFileError, match="shape"):
+        complete({**WIDE, "observer_A": np.ones(3)})
+
+
+def test_a_fraction_is_no_count():
+    with pytest.raises(ParameterFileError, match=r"play_count is 2\.5"):
+        complete({**WIDE, "play_count": 2.5})
+
+
+def test_an_unknown_method_is_refused():
+    with pytest.raises(ParameterFileError, match="method"):
+        complete({**WIDE, "method": "pid"})
