@@ -129,6 +129,7 @@ def follow(stage: Stage, run: Run, order: int = 0) -> Trace:
     ceramic_m = _act(stage, Place.CERAMIC, rig.stroke_m * (reversible + irreversible), scene)
     return Trace(
         scene=scene,
+        history=history,
         amplifier_V=amplifier_V,
         irreversible=irreversible,
         displacement_m=_act(stage, Place.MECHANICS, ceramic_m, scene),

@@ -23,8 +23,8 @@ from piezoid_datasets.virtual_lab.effects.effect import (
     Measure,
     Place,
     Scene,
-    largest,
 )
+from piezoid_datasets.virtual_lab.effects.sizing import largest
 from piezoid_datasets.virtual_lab.signals import Array, first_order
 
 DECADES = (-2.0, 4.0)  # of relaxation time in seconds
@@ -67,4 +67,10 @@ def _relaxed(response_m: Array, scene: Scene, tilt: float) -> Array:
     return relaxed
 
 
-EFFECT = Effect(name="creep", measure=Measure.RMS, visible_percent=0.2, install=install)
+EFFECT = Effect(
+    name="creep",
+    measure=Measure.RMS,
+    visible_percent=0.4,
+    shown_by=("staircase", "long_hold"),
+    install=install,
+)

@@ -86,12 +86,14 @@ class Act:
 class Trace:
     """What one recording looks like on the healthy bench, on the fine clock of the chain.
 
+    history         (turns,)  fields at which the drive turned before the record
     amplifier_V     (fine,)  delivered to the ceramic
     irreversible    (fine,)  part of the strain
     displacement_m  (fine,)  of the stage
     """
 
     scene: Scene
+    history: Array
     amplifier_V: Array
     irreversible: Array
     displacement_m: Array
@@ -121,15 +123,12 @@ class Effect:
     name             as in DESIGN's table, truth.json and on the command line
     measure          how its size is read
     visible_percent  of the stroke: the size from which a person can find it in a picture
+    shown_by         names of the plans that excite it; a campaign that has it plays one of them
     install          (size_m, bench, rng) -> Fault
     """
 
     name: str
     measure: Measure
     visible_percent: float
+    shown_by: tuple[str, ...]
     install: Callable[[float, Bench, np.random.Generator], Fault]
-
-
-def largest(measure: Measure, changes: list[Array]) -> float:
-    """Return the size of an effect that makes these changes in the recordings of a campaign."""
-    return max(measure.of(change) for change in changes)

@@ -64,10 +64,13 @@ def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> C
     falling, rising = loop[: len(up)][::-1], loop[len(up) :]
     low, span = float(rising[0]), float(rising[-1] - rising[0])
     widest = float(np.max(falling - rising)) / span
+    share = opening / widest
+    if not 0.0 < share < 1.0:
+        raise ValueError(f"an opening of {opening:.3f} needs {share:.2f} of the strain")
     ends = reversible(np.array([-1.0, 1.0]))
     start, rise = float(ends[0]), float(ends[1] - ends[0])
     return Ceramic(
-        share=min(opening / widest, 0.95),
+        share=share,
         reversible_curve=lambda field: (reversible(field) - start) / rise,
         memory=lambda way: (memory(way) - low) / span,
     )

@@ -1,0 +1,126 @@
+"""Plans: the recordings a lab makes of one stage, and what each is good for.
+
+A lab cycles the drive twice over its range before it records. Who forgot to is another story
+(the effect ``initial_state``), and so is a lab that never does (``careless_history_V``).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab import drives
+from piezoid_datasets.virtual_lab.rig import Rig
+from piezoid_datasets.virtual_lab.signals import Array
+from piezoid_datasets.virtual_lab.stage import Run
+
+CYCLES_BEFORE = 2
+Shapes = tuple[float, Array, dict[str, Array]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """One kind of recording.
+
+    name   of the file it becomes
+    shape  (rig, rng) -> rate of the rows in Hz, drive between -1 and 1, other axes' drives
+    """
+
+    name: str
+    shape: Callable[[Rig, np.random.Generator], Shapes]
+
+
+def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, careless: bool = False) -> Run:
+    """Make a plan concrete on a rig.
+
+    careless  leave the memory before the record to chance instead of cycling the drive
+    """
+    rate_Hz, shape, others = plan.shape(rig, rng)
+    history = careless_history_V(rig, rng) if careless else cycled_history_V(rig)
+    return Run(
+        name=plan.name,
+        sampling_rate_Hz=rate_Hz,
+        command_V=_volts(rig, shape),
+        history_V=history,
+        rest_s=float(rng.uniform(20.0, 300.0)),
+        others_V={axis: _volts(rig, drive) for axis, drive in others.items()},
+    )
+
+
+def cycled_history_V(rig: Rig) -> Array:
+    """Return the turns of a drive that was cycled over its whole range."""
+    return np.array([rig.drive_max_V, rig.drive_min_V] * CYCLES_BEFORE)
+
+
+def careless_history_V(rig: Rig, rng: np.random.Generator) -> Array:
+    """Return a few turns anywhere in the range, high and low in turn."""
+    middle_V = 0.5 * (rig.drive_min_V + rig.drive_max_V)
+    high_V = rng.uniform(middle_V, rig.drive_max_V, 3)
+    low_V = rng.uniform(rig.drive_min_V, middle_V, 3)
+    return np.column_stack((high_V, low_V)).ravel()
+
+
+def _sweep(_: Rig, rng: np.random.Generator) -> Shapes:
+    rate_Hz = float(rng.choice([500.0, 1000.0]))
+    frequency_Hz = float(rng.choice([0.5, 0.7, 1.3]))
+    cycles = int(rng.integers(8, 14))
+    triangle = bool(rng.random() < 0.6)
+    shape = drives.decaying_sweep(rate_Hz, frequency_Hz, cycles, triangle=triangle)
+    loops = drives.nested_loops(rate_Hz, 4.0 * frequency_Hz, (1.0, -0.2, 0.5, -0.7, 0.3, -1.0))
+    again = drives.decaying_sweep(rate_Hz, frequency_Hz, 4, keep=0.8, triangle=triangle)
+    return rate_Hz, np.concatenate((shape, loops, again)), {}
+
+
+def _check(_: Rig, rng: np.random.Generator) -> Shapes:
+    rate_Hz = float(rng.choice([500.0, 1000.0]))
+    move_s = float(rng.uniform(0.2, 0.8))
+    return rate_Hz, drives.random_levels(rate_Hz, move_s, int(rng.integers(30, 50)), rng), {}
+
+
+def _rates(rig: Rig, rng: np.random.Generator) -> Shapes:
+    rate_Hz = rig.clock_Hz / float(rng.choice([1.0, 2.0]))
+    fast_Hz = float(rng.uniform(30.0, 90.0))
+    plan = ((2.3, 2), (11.0, 5), (fast_Hz, round(0.4 * fast_Hz)))
+    return rate_Hz, drives.rates(rate_Hz, plan, triangle=bool(rng.random() < 0.5)), {}
+
+
+def _staircase(_: Rig, rng: np.random.Generator) -> Shapes:
+    hold_s = float(rng.uniform(1.5, 4.0))
+    return 500.0, drives.staircase(500.0, 0.05, hold_s, int(rng.integers(9, 14)), rng), {}
+
+
+def _chirp(rig: Rig, rng: np.random.Generator) -> Shapes:
+    high_Hz = float(rng.uniform(400.0, 1500.0))
+    amplitude = float(rng.uniform(0.06, 0.15))
+    return rig.clock_Hz, drives.chirp(rig.clock_Hz, 5.0, high_Hz, 1.6, amplitude), {}
+
+
+def _other_axis(_: Rig, rng: np.random.Generator) -> Shapes:
+    rate_Hz, time_s = 500.0, 16.0
+    slow = 0.5 * np.sin(2.0 * np.pi * 0.19 * np.arange(round(time_s * rate_Hz)) / rate_Hz)
+    up = drives.glide(rate_Hz, -1.0, 0.0, 2.0)
+    shape = np.concatenate((up, slow, drives.glide(rate_Hz, float(slow[-1]), -1.0, 2.0)))
+    other = drives.decaying_sweep(rate_Hz, float(rng.uniform(0.5, 0.9)), 8)
+    still = np.full(max(len(shape) - len(other), 0) // 2, -1.0)
+    moves = np.concatenate((still, other, np.full(len(shape), -1.0)))[: len(shape)]
+    return rate_Hz, shape, {"y": moves}
+
+
+def _long_hold(_: Rig, rng: np.random.Generator) -> Shapes:
+    level = float(rng.uniform(-0.3, 0.5))
+    return 100.0, drives.long_hold(100.0, 1.0, level, float(rng.uniform(90.0, 240.0))), {}
+
+
+PLANS: tuple[Plan, ...] = (
+    Plan(name="sweep", shape=_sweep),
+    Plan(name="check", shape=_check),
+    Plan(name="rates", shape=_rates),
+    Plan(name="staircase", shape=_staircase),
+    Plan(name="chirp", shape=_chirp),
+    Plan(name="other_axis", shape=_other_axis),
+    Plan(name="long_hold", shape=_long_hold),
+)
+
+
+def _volts(rig: Rig, shape: Array) -> Array:
+    return rig.drive_min_V + 0.5 * (shape + 1.0) * (rig.drive_max_V - rig.drive_min_V)
