@@ -1,6 +1,6 @@
 """Recordings in, one ActuatorModel of the whole stage out."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -8,26 +8,22 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel
+from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 
 STILL = 0.01  # of the widest drive: a recording that moves less says nothing of hysteresis
-UNDECLARED = Rig()
 
 
 def fit(
     recordings: Sequence[Recording],
     *,
-    stage: str = "stage",
-    rigs: Mapping[str, Rig] | None = None,
-    lab: str | None = None,
+    lab: Lab | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActuatorModel:
     """Fit every axis that has a drive and a displacement.
 
     recordings  of one stage, any number of axes
-    stage       name for the report
-    rigs        declared poles by axis
-    lab         digest of lab.toml, for the chain of provenance
+    lab         what the laboratory declares; its poles are not fitted again
     progress    told what is being done
 
     Raises ``ExcitationError`` where no recording has both a drive and a displacement.
@@ -40,20 +36,28 @@ def fit(
             needed="a drive voltage and a displacement of the same axis",
             remedy="Record both, or name the columns in lab.toml.",
         )
-    declared = rigs or {}
+    declared = lab or Lab()
     return ActuatorModel(
-        stage=stage,
+        stage=declared.name or recordings[0].name.partition(".")[0],
         axes={
             axis: estimate_axis(
                 moving(recordings, axis),
                 axis,
-                declared.get(axis, UNDECLARED),
+                rig_of(declared, axis),
                 progress=lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
             )
             for axis in axes
         },
         sources={recording.name: recording.digest for recording in recordings},
-        lab=lab,
+        lab=declared.digest or None,
+    )
+
+
+def rig_of(lab: Lab, axis: str) -> Rig:
+    """Return the declared poles in front of and behind the hysteresis of an axis."""
+    return Rig(
+        amplifier_bandwidth_Hz=lab.amplifier_of(axis).bandwidth_Hz,
+        sensor_bandwidth_Hz=lab.sensor_of(axis).bandwidth_Hz,
     )
 
 

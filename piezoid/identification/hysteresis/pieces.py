@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.records.recording import Recording
 
@@ -136,14 +137,14 @@ def _piece(
 
 
 def behind_pole(drive: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:
-    """Return a held drive behind a first-order pole, exactly at the sampling instants.
+    """Return a drive behind a first-order pole, taken as straight between its samples.
 
-    x[k] = p x[k-1] + (1 - p) u[k-1],  p = exp(-2 pi f / fs)
+    A recording slower than the converter holds samples of a smooth drive; at the converter's own
+    rate the hold's half sample is left to the fitted lag.
     """
     if bandwidth_Hz is None:
         return drive
-    from piezoid.identification.hysteresis.filters import filter_columns
-
-    pole = float(np.exp(-2 * np.pi * bandwidth_Hz / sampling_rate_Hz))
-    state = np.full((2, 1), drive[0])
-    return filter_columns(drive[:, None], (pole, 0.0, 1.0 - pole), state)[:, 0]
+    column = drive[:, None]
+    state = np.repeat(column[:1], 2, axis=0)
+    time_s = 1.0 / (2 * np.pi * bandwidth_Hz)
+    return filter_columns(column, first_order(time_s, sampling_rate_Hz), state)[:, 0]

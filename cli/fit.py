@@ -1,0 +1,104 @@
+"""`piezoid fit`: recordings in, a folder with model.json and report.html out."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rich.table import Table
+
+    from piezoid.identification.model import ActuatorModel
+
+
+def fit(
+    files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
+    out: Annotated[Path, typer.Option(help="Folder for the results.")],
+    lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
+    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+) -> None:
+    """Fit a stage: write model.json and report.html.
+
+    Example: piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
+
+    Exit status 1 means that the model class does not apply; the report says why.
+    """
+    from piezoid_cli.output_folder import check_free, write_folder
+
+    check_free(out, force=force)
+    with _progress(quiet=quiet) as told:
+        told("reading recordings")
+        from piezoid.identification.fit import fit as fit_model
+        from piezoid.identification.store import write_model
+        from piezoid.records.ingest import ingest_all
+        from piezoid.records.lab import read_lab
+        from piezoid_reports.render import render
+
+        declared = None if lab is None else read_lab(lab)
+        recordings = ingest_all(files, declared)
+        model = fit_model(recordings, lab=declared, progress=told)
+        told("writing the report")
+        page = render(model, recordings)
+        write_folder(out, {"model.json": write_model(model), "report.html": page.encode()})
+    if not quiet:
+        _show(model, out)
+    if not model.applies:
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> "Iterator[Callable[[str], None]]":
+    """Show what is being done and for how long, on a terminal only."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = Console(stderr=True, quiet=quiet)
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def told(text: str) -> None:
+            progress.update(task, description=text)
+
+        yield told
+
+
+def _show(model: "ActuatorModel", out: Path) -> None:
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    console.print(_table(model))
+    for axis in model.axes.values():
+        if not axis.verdict.applies:
+            reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."
+            console.print(Text(reason, style="bold red"))
+        for remark in axis.verdict.remarks:
+            console.print(Text(f"axis {axis.axis}: {remark}", style="dim"))
+    console.print(Text(f"report: {out / 'report.html'}"))
+
+
+def _table(model: "ActuatorModel") -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text(f"stage {model.stage}"))
+    for heading in ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise"):
+        table.add_column(heading, justify="right")
+    for axis in model.axes.values():
+        quality = axis.quality
+        table.add_row(
+            Text(axis.axis),
+            str(len(axis.hysteresis.plays.weight)),
+            str(len(axis.hysteresis.dead_zones.weight) - 1),
+            f"{1e6 * axis.lag.time_s:.0f} us",
+            f"{1e9 * quality.held_out_rms_m:.1f} nm",
+            f"{quality.held_out_rms_percent:.3f} %",
+            f"{1e9 * quality.noise_rms_m:.1f} nm",
+        )
+    return table

@@ -1,0 +1,76 @@
+"""`piezoid` and the order of its verbs; the only place where errors become messages."""
+
+import sys
+
+import typer
+
+from piezoid_cli.fit import fit
+from piezoid_cli.inspect import inspect
+from piezoid_cli.simulate import simulate
+
+VERBS = (fit, inspect, simulate)
+
+app = typer.Typer(
+    name="piezoid",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for verb in VERBS:
+    app.command()(verb)
+
+
+@app.callback()
+def piezoid() -> None:
+    """From recordings of a piezo stage to a calibrated, verified controller.
+
+    Start with [bold]piezoid inspect sweep.csv[/bold], then
+    [bold]piezoid fit sweep.csv --out stage/[/bold].
+
+    Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution.
+    With --debug anywhere, an error shows its traceback.
+    """
+
+
+def main() -> None:
+    """Run the command line; errors end as one message and an exit status."""
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    try:
+        app(arguments)
+    except Exception as error:
+        if len(arguments) < len(sys.argv) - 1:
+            raise
+        sys.exit(_told(error))
+
+
+def _told(error: Exception) -> int:
+    from rich.console import Console
+    from rich.text import Text
+
+    from piezoid.errors import PiezoidError
+
+    console = Console(stderr=True)
+    if isinstance(error, PiezoidError):
+        console.print(Text.assemble(("error: ", "bold red"), str(error)))
+        return error.exit_status
+    if isinstance(error, OSError):
+        console.print(Text.assemble(("error: ", "bold red"), _about_disk(error)))
+        return 3
+    console.print(
+        Text.assemble(
+            ("error: ", "bold red"),
+            f"piezoid failed with {type(error).__name__}: {error}. This is a mistake of ours; "
+            "run the same command with --debug and send us what it prints.",
+        )
+    )
+    return 70
+
+
+def _about_disk(error: OSError) -> str:
+    place = error.filename or "a file"
+    return f"{place}: {error.strerror or error}; the disk must let us read and write there."
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""A folder of results appears whole or not at all, whatever happens while it is written."""
+
+import ctypes
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import typer
+
+_AT_FDCWD = -100
+_RENAME_EXCHANGE = 2
+
+
+def check_free(folder: Path, *, force: bool) -> None:
+    """Refuse a folder that holds something, before any work is done.
+
+    Raises ``typer.BadParameter`` (exit status 2) unless the folder is absent, empty, or ``force``.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise typer.BadParameter(f"{folder} is a file; name a folder for the results")
+    if not force and folder.is_dir() and any(folder.iterdir()):
+        raise typer.BadParameter(
+            f"{folder} is not empty; name another folder, or add --force to replace its contents"
+        )
+
+
+def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write all files beside the folder, then put the finished one in its place in one step.
+
+    folder    what is to be written; a folder already there is replaced
+    contents  file names, with / for sub-folders, and their bytes
+    """
+    target = folder.resolve()
+    target.parent.mkdir(parents=True, exist_ok=True)
+    fresh = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    try:
+        for name, content in contents.items():
+            place = fresh / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with place.open("wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+        fresh.chmod(0o755)
+        _put(fresh, target)
+    finally:
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _put(fresh: Path, target: Path) -> None:
+    """Move ``fresh`` to ``target``; what was there ends under the name of ``fresh``."""
+    if not target.exists():
+        fresh.rename(target)
+        return
+    if not _exchanged(fresh, target):
+        old = target.with_name(f"{fresh.name}.old")
+        target.rename(old)
+        fresh.rename(target)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def _exchanged(first: Path, second: Path) -> bool:
+    """Swap two folders atomically where the system can; tell whether it did."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError):
+        return False
+    names = os.fsencode(first), os.fsencode(second)
+    status: int = rename(_AT_FDCWD, names[0], _AT_FDCWD, names[1], _RENAME_EXCHANGE)
+    return status == 0
