@@ -30,6 +30,7 @@ from piezoid_datasets.virtual_lab.signals import Array, first_order
 DECADES = (-2.0, 4.0)  # of relaxation time in seconds
 PER_DECADE = 8
 EDGE_DECADES = 0.5
+CYCLED_s = 5.0  # the drive was cycled so long before it rested; slow domains hardly noticed
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
@@ -58,11 +59,12 @@ def _relaxed(response_m: Array, scene: Scene, tilt: float) -> Array:
     decades = first + (np.arange(round((last - first) * PER_DECADE)) + 0.5) / PER_DECADE
     ends = np.minimum(decades - first, last - decades)
     weight = np.clip(ends / EDGE_DECADES, 0.0, 1.0) * (1.0 + tilt * (decades - 1.0)) / PER_DECADE
-    past_m = 0.5 * float(np.min(response_m) + np.max(response_m))
+    middle_m = 0.5 * float(np.min(response_m) + np.max(response_m))
     relaxed = response_m.copy()
     for log_tau, share in zip(decades, weight, strict=True):
         tau_s = 10.0 ** float(log_tau)
-        start = response_m[0] + (past_m - response_m[0]) * np.exp(-scene.rest_s / tau_s)
+        left = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
+        start = float(response_m[0] + (middle_m - response_m[0]) * left)
         relaxed -= share * (response_m - first_order(response_m, tau_s, scene.rate_Hz, start))
     return relaxed
 

@@ -1,8 +1,8 @@
 """Initial state: the stage remembers what nobody recorded.
 
 Before a recording a lab cycles the drive over its range, so that the memory is known. Here that
-was forgotten: the drive turned at a few other voltages, perhaps beyond the range, before it came
-to where the record starts.
+was forgotten: the drive turned at a few other voltages before it came to where the record starts.
+The error ends, by and by, as the record itself visits the range.
 
 Source: Mayergoyz, Mathematical Models of Hysteresis (1991), on the past a Preisach state keeps.
 """
@@ -22,7 +22,7 @@ from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.branches import branches, settled
 
 PASTS = 60  # tried; the one that comes nearest to the size is taken
-BEYOND = 1.3  # fields a careless past may have seen
+REACH = 1.0  # of the field: what a past saw beyond the drive range, no record would ever forget
 LOOKED_AT = 2000  # instants of each recording, besides its reversals
 
 
@@ -69,7 +69,7 @@ def _random_turns(first: float, rng: np.random.Generator) -> Array:
     count = int(rng.integers(1, 6))
     reach = np.sort(rng.uniform(0.05, 1.0, count))[::-1]
     side = float(rng.choice([-1.0, 1.0])) * (-1.0) ** np.arange(count)
-    edge = np.where(side > 0.0, BEYOND - first, BEYOND + first)
+    edge = np.where(side > 0.0, REACH - first, REACH + first)
     return np.asarray(first + side * edge * reach)
 
 

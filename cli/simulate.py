@@ -1,0 +1,78 @@
+"""`piezoid simulate`: recordings of a virtual stage whose faults are known."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from piezoid_datasets.virtual_lab.campaign import Campaign
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="Folder for recordings/ and truth/.")],
+    seed: Annotated[int, typer.Option(min=0, help="Decides everything left to chance.")] = 0,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Hide this effect; creep=0.8 sets its size in percent of stroke. Repeatable.",
+            metavar="NAME[=PERCENT]",
+        ),
+    ] = None,
+    truth: Annotated[
+        str | None, typer.Option(help="Kind of ceramic; drawn from the seed if not given.")
+    ] = None,
+    recording: Annotated[
+        list[str] | None,
+        typer.Option(help="Play this drive. Repeatable; chosen to fit the effects if not given."),
+    ] = None,
+    careless: Annotated[
+        bool, typer.Option(help="Do not cycle the drive before recording: unknown memory.")
+    ] = False,
+    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+) -> None:
+    """Record a virtual stage: CSV files, a lab.toml, and apart from them the truth.
+
+    Example: piezoid simulate --out virtual/ --seed 7 --effect creep --effect slew_limit=0.6
+
+    Known names are listed when one is not known. The laboratory shares no code with the model.
+    """
+    from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid_datasets.virtual_lab.campaign import draw_campaign
+    from piezoid_datasets.virtual_lab.write import campaign_files
+
+    check_free(out, force=force)
+    sizes = dict(_sized(text) for text in effect or ())
+    try:
+        campaign = draw_campaign(
+            seed, effects=sizes, truth=truth, plans=recording, careless=careless
+        )
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    write_folder(out, campaign_files(campaign))
+    _show(campaign, out)
+
+
+def _sized(text: str) -> tuple[str, float | None]:
+    """Read ``creep`` or ``creep=0.8``."""
+    name, equals, percent = text.partition("=")
+    if not equals:
+        return name, None
+    try:
+        return name, float(percent)
+    except ValueError:
+        raise typer.BadParameter(
+            f"--effect {text}: {percent!r} is not a number; write the size in percent of the "
+            f"stroke, as in {name}=0.8"
+        ) from None
+
+
+def _show(campaign: "Campaign", out: Path) -> None:
+    for rows in campaign.recordings:
+        run = rows.run
+        typer.echo(
+            f"{out / 'recordings' / run.name}.csv: {len(rows.time_s)} rows at "
+            f"{run.sampling_rate_Hz:g} Hz"
+        )
+    hidden = ", ".join(found.name for found in campaign.answer.effects) or "nothing"
+    typer.echo(f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}")

@@ -1,0 +1,93 @@
+"""A campaign as files: what the lab hands over, and, in a folder of its own, the answer.
+
+recordings/  one CSV per recording, lab.toml
+truth/       truth.json: what is hidden, how large, and the noise; schema piezoid.truth/1
+"""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+
+from piezoid_datasets.virtual_lab.ablation import HiddenEffect
+from piezoid_datasets.virtual_lab.campaign import Campaign
+from piezoid_datasets.virtual_lab.rig import Rig
+from piezoid_datasets.virtual_lab.table import csv_text
+
+SCHEMA = "piezoid.truth/1"
+AXIS = "x"
+
+
+def campaign_files(campaign: Campaign) -> dict[str, bytes]:
+    """Return the files of a campaign by path, sub-folder first."""
+    files = {
+        f"recordings/{rows.run.name}.csv": csv_text(rows, axis=AXIS).encode()
+        for rows in campaign.recordings
+    }
+    files["recordings/lab.toml"] = lab_toml(campaign.rig).encode()
+    files["truth/truth.json"] = truth_json(campaign).encode()
+    return files
+
+
+def write_campaign(campaign: Campaign, folder: Path) -> None:
+    """Write recordings/ and truth/ into a folder."""
+    for name, content in campaign_files(campaign).items():
+        place = folder / name
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content)
+
+
+def lab_toml(rig: Rig) -> str:
+    """Return what the owner of a rig declares: the healthy rig, whatever is hidden in it."""
+    low, high = rig.converter_range_V
+    tables: dict[str, dict[str, object]] = {
+        "rig": {"name": rig.name},
+        "amplifier": {
+            "gain_V_per_V": rig.amplifier_gain_V_per_V,
+            "bandwidth_Hz": rig.amplifier_bandwidth_Hz,
+            "output_min_V": rig.amplifier_min_V,
+            "output_max_V": rig.amplifier_max_V,
+        },
+        "sensor": {
+            "bandwidth_Hz": rig.sensor_bandwidth_Hz,
+            "gain_V_per_m": rig.sensor_gain_V_per_m,
+        },
+        "acquisition": {
+            "sampling_rate_Hz": rig.clock_Hz,
+            "dac_bits": rig.dac_bits,
+            "adc_bits": rig.adc_bits,
+            "input_range_V": [low, high],
+        },
+    }
+    return "\n".join(_toml_table(name, keys) for name, keys in tables.items())
+
+
+def truth_json(campaign: Campaign) -> str:
+    """Return the answer as JSON; sizes in percent of the stroke."""
+    answer = campaign.answer
+    content = {
+        "schema": SCHEMA,
+        "seed": answer.seed,
+        "truth": answer.truth,
+        "stroke_m": campaign.rig.stroke_m,
+        "noise_rms_m": answer.noise_rms_m,
+        "careless": answer.careless,
+        "recordings": [rows.run.name for rows in campaign.recordings],
+        "effects": [_effect(effect) for effect in answer.effects],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
+def _effect(effect: HiddenEffect) -> Mapping[str, object]:
+    return {
+        "effect": effect.name,
+        "measure": effect.measure.value,
+        "asked_percent": effect.asked_percent,
+        "measured_percent": effect.measured_percent,
+        "rms_change_percent": dict(effect.change_percent),
+        "numbers": dict(effect.numbers),
+    }
+
+
+def _toml_table(name: str, keys: Mapping[str, object]) -> str:
+    # JSON's strings, numbers and flat lists are TOML's as well
+    return "".join([f"[{name}]\n", *(f"{key} = {json.dumps(keys[key])}\n" for key in keys)])
