@@ -1,5 +1,6 @@
 """The clock of a recording: its rate, and where its time stamps are not those of a uniform one."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -115,7 +116,7 @@ def _faulty_clock(
             f"{np.median(steps):.4g} s",
             "samples at a uniform rate",
         )
-    excess_s = max(0.5 * interval_s, 6 * spread_s) + 1.01 * resolution_s
+    excess_s = max(0.5 * interval_s, 6 * spread_s) + _rounding_s(interval_s, resolution_s)
     stands = np.flatnonzero(np.abs(steps) <= 1e-9 * interval_s) + 1
     back = np.flatnonzero(steps < -excess_s) + 1
     gaps = _gaps(time_s, interval_s, excess_s)
@@ -144,6 +145,13 @@ def _interval_s(time_s: Array) -> float:
     spans = time_s[width:] - time_s[:-width]
     whole = np.abs(spans - rough * width) < 0.5 * rough
     return float(np.mean(spans[whole])) / width if whole.any() else rough
+
+
+def _rounding_s(interval_s: float, resolution_s: float) -> float:
+    """How much longer than the interval a step may be printed: up to the next multiple."""
+    if resolution_s == 0:
+        return 0.0
+    return math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
 
 
 def _gaps(time_s: Array, interval_s: float, excess_s: float) -> np.ndarray:

@@ -12,8 +12,9 @@ from piezoid.records.table import Column, RawTable
 # A clipped converter rests on its last code; noise and slope let nothing else rest this long.
 _CLIPPED_RUN = 5
 _CLIPPED_RATIO = 3
-# A drive that arrives at its extreme by a jump was commanded there.
+# A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
 _JUMP = 5.0
+_JUMP_SHARE = 0.2
 
 
 def noise_rms(values: Array) -> float:
@@ -72,7 +73,8 @@ def clipped_share(values: Array) -> float:
     arrival[inner] = np.abs(levels[inner] - values[begins[inner] - 1])
     elsewhere = int(lengths[~extreme].max(initial=1))
     longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
-    clipped = extreme & inner & (lengths >= longest) & (arrival <= _JUMP * typical)
+    jump = np.minimum(_JUMP * typical, _JUMP_SHARE * np.ptp(values))
+    clipped = extreme & inner & (lengths >= longest) & (arrival <= jump)
     return float(lengths[clipped].sum() / len(values))
 
 

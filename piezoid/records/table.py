@@ -12,7 +12,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Problem
 from piezoid.records.units import Heading, heading_of, unit_of
 
-
 # Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
 LARGEST = 9e36
 

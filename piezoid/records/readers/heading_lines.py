@@ -24,6 +24,7 @@ class Start:
     labels   one for each field, empty where there is none
     units    from a row of units of its own, empty where there is none
     above    lines before the headings
+    strays   lines (from 1) of numbers above the table that have another number of fields
     """
 
     layout: Layout
@@ -31,6 +32,7 @@ class Start:
     labels: tuple[str, ...]
     units: tuple[str, ...]
     above: tuple[str, ...]
+    strays: tuple[int, ...] = ()
 
 
 def find_start(lines: list[str], name: str) -> Start:
@@ -47,7 +49,10 @@ def find_start(lines: list[str], name: str) -> Start:
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
-        start = _headed(lines, first, Layout(separator=separator, decimal=decimal, fields=fields))
+        start = replace(
+            _headed(lines, first, Layout(separator=separator, decimal=decimal, fields=fields)),
+            strays=tuple(row + 1 for row in rows if row < first),
+        )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
         if score > best_score:
             best, best_score = start, score

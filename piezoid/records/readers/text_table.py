@@ -36,7 +36,7 @@ def read(source: Source) -> RawTable:
         # With blank lines between the rows a row's line is not known; its number still is.
         first_line=0 if "\n\n" in body.rstrip("\n") else start.row + 1,
         metadata=metadata_of(start.above),
-        problems=block.problems + _textual_problems(start, block),
+        problems=(*_stray_problems(start), *block.problems, *_textual_problems(start, block)),
     )
 
 
@@ -57,6 +57,16 @@ def _columns(start: Start, block: Block) -> tuple[Column, ...]:
 
 def _are_row_numbers(values: Array) -> bool:
     return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
+
+
+def _stray_problems(start: Start) -> tuple[Problem, ...]:
+    if not start.strays:
+        return ()
+    text = (
+        f"{len(start.strays)} lines above the table hold numbers, but not "
+        f"{start.layout.fields} of them; they are not read"
+    )
+    return (Problem(kind="rows_above", place=f"line {start.strays[0]}", text=text),)
 
 
 def _textual_problems(start: Start, block: Block) -> tuple[Problem, ...]:

@@ -1,0 +1,87 @@
+"""`piezoid inspect` as people and scripts use it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid_cli.inspect import inspect
+
+APP = typer.Typer()
+APP.command()(inspect)
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(APP, [str(a) for a in arguments])
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    time_s = np.arange(2000) / 1000
+    drive = 50 * np.abs((time_s * 4) % 2 - 1)
+    rows = np.column_stack([time_s, drive, 0.2 * drive])
+    rows = np.delete(rows, [900], axis=0)
+    lines = [f"{t:.3f},{u:.4f},{d:.5f},0" for t, u, d in rows]
+    heading = "time [s],voltage [V],pos[red] [um],spare\n"
+    (tmp_path / "good.csv").write_text(heading + "\n".join(lines) + "\n")
+    (tmp_path / "scope.csv").write_text("X,CH1,CH2\n" + "\n".join(f"{k},1,2" for k in range(9)))
+    return tmp_path
+
+
+def test_people_see_channels_clock_and_problems(folder: Path) -> None:
+    status, shown = run(folder / "good.csv")
+    assert status == 0
+    for words in (
+        "good.csv: text table, 1999 rows",
+        "voltage of x",
+        "displacement of x",
+        "1000 Hz",
+        "gap (line 902)",
+        "dead",
+        "7 reversals",
+        "pos[red] [um]",
+    ):
+        assert words in shown
+
+
+def test_every_file_is_shown_even_behind_one_that_is_refused(folder: Path) -> None:
+    status, shown = run(folder / "missing.csv", folder / "scope.csv", folder / "good.csv")
+    assert status == 3
+    assert "No such file" in shown
+    assert 'file = "scope.csv"' in shown
+    assert "good.csv: text table" in shown
+
+
+def test_lab_toml_makes_a_recording_of_what_was_refused(folder: Path) -> None:
+    lab = folder / "lab.toml"
+    lab.write_text(
+        '[[recording]]\nfile = "scope.csv"\nsampling_rate_Hz = 10\n'
+        'columns = { voltage = "CH1", displacement = "CH2" }\nunits = { displacement = "um" }\n'
+    )
+    status, shown = run(folder / "scope.csv", "--lab", lab)
+    assert status == 0
+    assert "axis x, 10 Hz" in shown
+
+
+def test_scripts_read_json(folder: Path) -> None:
+    status, text = run("--json", folder / "good.csv", folder / "scope.csv")
+    assert status == 3
+    content = json.loads(text)
+    assert content["schema"] == "piezoid.inspection/1"
+    good, scope = content["files"]
+    assert good["sampling_rate_Hz"] == 1000
+    assert good["breaks"] == 1
+    assert [column["si_unit"] for column in good["columns"]] == ["s", "V", "m", ""]
+    assert good["refusal"] is None
+    assert "lab.toml" in scope["refusal"]
+
+
+def test_scripts_read_the_format_of_real_files(realdata: Path) -> None:
+    _, text = run("--json", *sorted((realdata / "formats").iterdir()))
+    files = json.loads(text)["files"]
+    assert len(files) == 9
+    assert all(file["format"] for file in files)

@@ -1,0 +1,101 @@
+"""The clock of a recording: few digits are not jitter; jitter, gaps and stalls are findings."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.records.clock import Clock, read_clock
+
+RATE_Hz = 20000.0
+TIME_s = np.arange(5000) / RATE_Hz
+
+
+def clock_of(time_s: Array) -> Clock:
+    return read_clock(time_s, "run.csv", lambda row: f"row {row + 1}")
+
+
+def kinds(clock: Clock) -> set[str]:
+    return {problem.kind for problem in clock.problems}
+
+
+@pytest.mark.parametrize(
+    "time_s",
+    [
+        TIME_s,
+        np.round(TIME_s, 6),
+        np.round(TIME_s, 3),  # fifty samples share each stamp
+        np.array([float(f"{t:.6g}") for t in TIME_s + 1000]),
+        TIME_s + 1.7e9,  # seconds of an epoch: a double resolves 2.4e-7 s there
+        TIME_s - 0.1,
+    ],
+    ids=["exact", "microseconds", "milliseconds", "six digits", "epoch", "negative"],
+)
+def test_rounded_stamps_are_uniform_and_give_the_plain_rate(time_s: Array) -> None:
+    clock = clock_of(time_s)
+    assert clock.sampling_rate_Hz == RATE_Hz
+    assert not clock.problems
+    assert not clock.breaks
+
+
+@pytest.mark.parametrize("share", [0.03, 0.1, 0.2])
+def test_jitter_is_found_with_its_size(share: float, rng: np.random.Generator) -> None:
+    clock = clock_of(TIME_s + rng.normal(0, share / RATE_Hz, len(TIME_s)))
+    assert kinds(clock) == {"jitter"}
+    assert not clock.breaks
+    assert clock.jitter_rms_s == pytest.approx(share / RATE_Hz, rel=0.1)
+    assert clock.sampling_rate_Hz == pytest.approx(RATE_Hz, rel=1e-4)
+
+
+@pytest.mark.parametrize("lost", [[700], [100, 101, 700], list(range(2000, 2600))])
+def test_lost_samples_are_gaps_at_their_place(lost: list[int]) -> None:
+    clock = clock_of(np.delete(TIME_s, lost))
+    assert kinds(clock) == {"gap"}
+    assert clock.sampling_rate_Hz == RATE_Hz
+    first = clock.breaks[0]
+    assert first == lost[0]
+    assert clock.problems[0].place == f"row {first + 1}"
+
+
+def test_a_lost_sample_is_found_in_stamps_of_few_digits() -> None:
+    time_s = np.round(np.delete(np.arange(2000) / 1000, 900), 3)
+    assert clock_of(time_s).breaks == (900,)
+
+
+def test_a_gap_is_found_among_jitter(rng: np.random.Generator) -> None:
+    time_s = TIME_s + rng.normal(0, 0.05 / RATE_Hz, len(TIME_s))
+    time_s[3000:] += 0.01
+    assert clock_of(time_s).breaks == (3000,)
+
+
+def test_one_late_stamp_is_no_gap() -> None:
+    time_s = TIME_s.copy()
+    time_s[2000] += 0.8 / RATE_Hz
+    assert not clock_of(time_s).breaks
+
+
+def test_a_clock_that_stands_and_catches_up_lost_no_time() -> None:
+    time_s = TIME_s.copy()
+    time_s[1000:1010] = time_s[1000]
+    clock = clock_of(time_s)
+    assert "duplicate_time" in kinds(clock)
+    assert not clock.breaks
+
+
+def test_a_clock_that_goes_backwards_is_a_break() -> None:
+    time_s = TIME_s.copy()
+    time_s[2500:] -= time_s[2500]
+    clock = clock_of(time_s)
+    assert kinds(clock) == {"time_reversed"}
+    assert clock.breaks == (2500,)
+
+
+def test_times_without_a_common_interval_are_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(RecordingError, match="time steps from"):
+        clock_of(np.cumsum(rng.uniform(0, 1, 100)))
+
+
+@pytest.mark.parametrize("time_s", [np.zeros(100), np.linspace(1, 0, 100), np.array([0.0, 1.0])])
+def test_no_clock_is_refused(time_s: Array) -> None:
+    with pytest.raises(RecordingError):
+        clock_of(time_s)

@@ -1,0 +1,167 @@
+"""Damaged and hostile files end in an error of ours, or are read; nothing else."""
+
+import gzip
+import io
+import pickle
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import PiezoidError, UnreadableFileError
+from piezoid.records.inspection import inspect_file
+from piezoid.records.readers import read_table
+from piezoid.records.readers.source import open_source
+from tests.records.formats import SILENT, SPEAKING
+
+MUTATIONS = 60  # for each of seventeen formats; 1000 for each were tried once as well
+
+
+def _mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """Damage a file as transfers, editors and enemies do: bytes, cuts, repeats, large numbers."""
+    damaged = bytearray(content)
+    place = int(rng.integers(len(damaged)))
+    match int(rng.integers(6)):
+        case 0:
+            for k in rng.integers(len(damaged), size=int(rng.integers(1, 9))):
+                damaged[k] = int(rng.integers(256))
+        case 1:
+            del damaged[place:]
+        case 2:
+            del damaged[place : place + int(rng.integers(1, 64))]
+        case 3:
+            damaged[place:place] = damaged[: int(rng.integers(1, 200))]
+        case 4:
+            damaged[place : place + 6] = b"1e308,"
+        case _:
+            # Headers stand at the beginning: damage there reaches sizes and offsets.
+            for k in rng.integers(min(512, len(damaged)), size=4):
+                damaged[k] = int(rng.choice([0, 1, 0x7F, 0xFF]))
+    return bytes(damaged)
+
+
+@pytest.mark.parametrize("name", [*SPEAKING, *SILENT])
+def test_a_damaged_file_is_read_or_refused_and_never_crashes(
+    name: str, write: Callable[[str], Path]
+) -> None:
+    path = write(name)
+    content = path.read_bytes()
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    for _ in range(MUTATIONS):
+        path.write_bytes(_mutated(content, rng))
+        for inspection in inspect_file(path):
+            assert inspection.refusal or inspection.sampling_rate_Hz
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\n\n\n",
+        b"\x00" * 100,
+        bytes(range(256)) * 20,
+        b"time [s],voltage [V]\n",
+        b"one line of prose",
+        b"\x93NUMPY",
+        b"PK\x03\x04",
+        b"\x89HDF\r\n\x1a\n",
+        b"MATLAB 5.0 MAT-file",
+        b"MATLAB 7.3 MAT-file",
+        b"PAR1PAR1",
+        b"TDSm",
+        b"LabVIEW Measurement\t\n",
+        b"Experiment\tx\n[DATA]\n",
+        b"Experiment\tx\n[DATA]\nBias (V)\tCurrent (A)\n",
+        b"X,CH1,Start,Increment,\n",
+        b"X,CH1,Start,Increment,\nSequence,Volt,0,0,\n1,2,\n",
+        b"# DIM = 2\n# END_HEADER\n",
+        b"\x1f\x8b\x08\x00garbage",
+        b"\xff\xfe",
+    ],
+)
+@pytest.mark.parametrize("suffix", [".csv", ".mat"])
+def test_what_is_no_recording_is_unreadable(content: bytes, suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"file{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableFileError):
+        read_table(path)
+
+
+def test_a_missing_file_and_a_folder_are_unreadable(tmp_path: Path) -> None:
+    for path in (tmp_path / "nothing.csv", tmp_path):
+        with pytest.raises(UnreadableFileError):
+            read_table(path)
+
+
+def test_a_wrong_suffix_does_not_matter(write: Callable[[str], Path], tmp_path: Path) -> None:
+    for name in SPEAKING:
+        disguised = tmp_path / f"{name}.disguised"
+        disguised.write_bytes(write(name).read_bytes())
+        assert read_table(disguised).rows == 200
+
+
+def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.csv.gz"
+    path.write_bytes(gzip.compress(b"0" * 2_000_000, mtime=0))
+    with pytest.raises(UnreadableFileError, match="at most 1000000 bytes"):
+        open_source(path, limit=1_000_000)
+
+
+def test_an_archive_that_declares_a_terabyte_is_not_unpacked(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, voltage_V=np.zeros(10))
+    with zipfile.ZipFile(buffer) as archive:
+        true_size = archive.infolist()[0].file_size
+    declared = (0xFFFFFFF0).to_bytes(4, "little")
+    path = tmp_path / "bomb.npz"
+    path.write_bytes(buffer.getvalue().replace(true_size.to_bytes(4, "little"), declared))
+    with pytest.raises(UnreadableFileError, match="at most"):
+        read_table(path)
+
+
+def test_an_array_that_declares_more_than_the_file_holds_is_refused(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 3)}
+    np.lib.format.write_array_header_1_0(buffer, header)
+    path = tmp_path / "large.npy"
+    path.write_bytes(buffer.getvalue() + b"\x00" * 240)
+    with pytest.raises(UnreadableFileError, match="24000000000000 bytes"):
+        read_table(path)
+
+
+class _Trap:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (pytest.fail, ("code of a recording was run",))
+
+
+@pytest.mark.parametrize("name", ["trap.npy", "trap.npz"])
+def test_pickled_objects_are_never_run(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    trap = np.array([_Trap()], dtype=object)
+    if name.endswith("npz"):
+        np.savez(path, voltage_V=trap)
+    else:
+        np.save(path, trap)
+    with pytest.raises(PiezoidError):
+        read_table(path)
+    assert pickle.dumps(trap)
+
+
+def test_a_damaged_row_is_named_by_its_line(tmp_path: Path) -> None:
+    rows = [f"{k / 1000},{k % 7},{k % 5}" for k in range(100)]
+    rows[41] = "0.041,oops,3"
+    path = tmp_path / "run.csv"
+    path.write_text("time [s],voltage [V],position [um]\n" + "\n".join(rows) + "\n")
+    (problem,) = read_table(path).problems
+    assert problem.place == "line 43, column 2"
+
+
+def test_a_file_of_mostly_text_is_refused_with_its_first_bad_line(tmp_path: Path) -> None:
+    rows = [f"{k},{k}" if k < 60 else f"{k},{k},{k},{k}" for k in range(100)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(rows) + "\n")
+    with pytest.raises(UnreadableFileError, match="line"):
+        read_table(path)

@@ -1,0 +1,243 @@
+"""From files to recordings: nothing guessed, every oddity told, every refusal with its remedy."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import LabFileError, RecordingError, UnitError
+from piezoid.records.ingest import ingest, ingest_all
+from piezoid.records.lab import Acquisition, Lab, RecordingEntry, Sensor
+from piezoid.records.recording import Quantity
+
+RATE_Hz = 1000.0
+SAMPLES = 400
+TIME_s = np.arange(SAMPLES) / RATE_Hz
+VOLTAGE_V = 50 + 40 * np.sin(2 * np.pi * 7 * TIME_s)
+RESPONSE = 3 * np.sin(2 * np.pi * 7 * TIME_s - 0.1) + 0.2 * TIME_s
+
+
+def table(folder: Path, headings: str, *columns: np.ndarray, name: str = "run.csv") -> Path:
+    rows = np.column_stack(columns)
+    lines = [",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in rows]
+    path = folder / name
+    path.write_text("\n".join([headings, *lines]) + "\n")
+    return path
+
+
+def lab_with(**entry: object) -> Lab:
+    return Lab(recordings=(RecordingEntry(file="run.csv", **entry),))  # type: ignore[arg-type]
+
+
+def test_units_are_converted_to_si(tmp_path: Path) -> None:
+    recording = ingest(
+        table(
+            tmp_path, "time [ms],drive (mV),position_nm,temp [°C],current [pA],RH [%]",
+            1e3 * TIME_s, 1e3 * VOLTAGE_V, RESPONSE, 20 + TIME_s, RESPONSE, 40 + TIME_s,
+        )
+    )  # fmt: skip
+    assert recording.sampling_rate_Hz == RATE_Hz
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=1e-8)
+    np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-9, rtol=1e-8)
+    np.testing.assert_allclose(recording.tunnel_current_A(), RESPONSE * 1e-12, rtol=1e-8)
+    first = [channel.values[0] for channel in recording.channels]
+    assert first[2] == pytest.approx(293.15)
+    assert first[4] == pytest.approx(0.4)
+
+
+def test_two_axes_keep_their_channels_apart(tmp_path: Path) -> None:
+    recording = ingest(
+        table(
+            tmp_path, "time [s],voltage_x [V],voltage_y [V],pos_x [um],pos_y [um]",
+            TIME_s, VOLTAGE_V, 0.1 * VOLTAGE_V, RESPONSE, 0.1 * RESPONSE,
+        )
+    )  # fmt: skip
+    assert recording.axes == ("x", "y")
+    assert recording.axis == "x"
+    assert [p.kind for p in recording.problems] == ["several_axes"]
+    np.testing.assert_allclose(recording.voltage_V("y"), 0.1 * VOLTAGE_V, rtol=1e-8)
+
+
+def test_a_second_drive_does_not_take_the_nameless_columns_with_it(tmp_path: Path) -> None:
+    path = table(
+        tmp_path, "time [s],voltage [V],displacement [um],voltage_y [V]",
+        TIME_s, VOLTAGE_V, RESPONSE, RESPONSE,
+    )  # fmt: skip
+    recording = ingest(path)
+    assert recording.axis == "x"
+    assert recording.find(Quantity.VOLTAGE, "y") is not None
+
+
+def test_nameless_columns_belong_to_the_one_axis_named(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],position_z [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    recording = ingest(path)
+    assert recording.axis == "z"
+    assert len(recording.voltage_V()) == SAMPLES
+
+
+@pytest.mark.parametrize(
+    ("headings", "reason"),
+    [
+        ("time [s],voltage,displacement [um]", "voltage without a unit"),
+        ("time [s],voltage [V],displacement", "displacement without a unit"),
+        ("time,voltage [V],displacement [um]", "time without a unit"),
+        ("time [s],CH 1 (V),CH 2 (V)", "in volts may be a drive or a sensor's output"),
+        ("time [s],pos A [um],pos B [um]", "both claim to be the displacement of x"),
+        ("time [s],voltage [A],displacement [um]", "voltage by name but in A"),
+        ("time [s],foo,bar", "no column is a drive voltage or a displacement"),
+        ("voltage [V],displacement [um],foo", "no column is a time"),
+        ("time [s],time2 [s],displacement [um]", "both a time"),
+        ("time [s],voltage [V],sensor voltage [V]", r"\[sensor\]\ngain_V_per_m"),
+    ],
+)
+def test_what_is_ambiguous_is_refused_with_the_lines_to_write(
+    headings: str, reason: str, tmp_path: Path
+) -> None:
+    headings = headings.replace("time2", "elapsed")
+    with pytest.raises(UnitError, match=reason):
+        ingest(table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE))
+
+
+def test_the_lines_of_a_refusal_are_valid_toml_for_that_file(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],CH 1,CH 2", TIME_s, VOLTAGE_V, RESPONSE)
+    with pytest.raises(UnitError) as caught:
+        ingest(path)
+    block = caught.value.remedy.split("\n\n")[1]
+    (entry,) = tomllib.loads(block)["recording"]
+    assert entry["file"] == "run.csv"
+    assert entry["columns"]["time"] == "time [s]"
+
+
+def test_columns_and_units_of_the_laboratory_replace_the_headings(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],U,pos", TIME_s, VOLTAGE_V, RESPONSE)
+    lab = lab_with(
+        axis="y",
+        columns={"time": "time [s]", "voltage": "U", "displacement": "pos"},
+        units={"displacement": "um"},
+    )
+    recording = ingest(path, lab)
+    assert recording.axis == "y"
+    np.testing.assert_allclose(recording.displacement_m(), RESPONSE * 1e-6, rtol=1e-8)
+    assert [p.kind for p in recording.problems] == ["unit_assumed"]
+
+
+def test_volts_of_a_sensor_become_a_displacement_by_its_gain(tmp_path: Path) -> None:
+    headings = "time [s],voltage_z [V],sensor_z [V]"
+    path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)
+    recording = ingest(path, Lab(sensor=Sensor(gain_V_per_m=2e5)))
+    np.testing.assert_allclose(recording.displacement_m(), RESPONSE / 2e5, rtol=1e-8)
+
+
+def test_a_table_without_time_takes_the_rate_of_the_laboratory(tmp_path: Path) -> None:
+    path = table(tmp_path, "voltage [V],displacement [um]", VOLTAGE_V, RESPONSE)
+    lab = Lab(acquisition=Acquisition(sampling_rate_Hz=20000))
+    assert ingest(path, lab).sampling_rate_Hz == 20000
+    assert ingest(path, lab_with(sampling_rate_Hz=500)).sampling_rate_Hz == 500
+
+
+def test_a_rate_that_contradicts_the_time_column_is_refused(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    with pytest.raises(LabFileError, match="1000 Hz"):
+        ingest(path, lab_with(sampling_rate_Hz=20000))
+
+
+def test_a_part_of_a_recording_can_be_used(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    recording = ingest(path, lab_with(start_s=0.1, stop_s=0.2))
+    assert recording.samples == 101
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[100:201], rtol=1e-8)
+    with pytest.raises(LabFileError, match="start_s"):
+        ingest(path, lab_with(start_s=9.0))
+
+
+def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) -> None:
+    holed = RESPONSE.copy()
+    holed[[0, 1, 100, 101, SAMPLES - 1]] = np.nan
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
+    recording = ingest(path)
+    assert recording.samples == SAMPLES - 5
+    assert recording.breaks == (98,)
+    (problem,) = recording.problems
+    assert problem.kind == "missing_values"
+    assert problem.place == "line 2"
+    assert "5 rows lack a number, 3 of them at the ends, 2 inside" in problem.text
+
+
+def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), slice(200, 250))
+    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
+    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    assert recording.breaks == (200,)
+    assert [(p.kind, p.place) for p in recording.problems] == [("gap", "line 202")]
+
+
+def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
+    time_s = np.arange(4000) / RATE_Hz
+    drive = 50 + 40 * np.sin(2 * np.pi * time_s)
+    noisy = drive + np.random.default_rng(1).normal(0, 0.01, len(drive))
+    clipped = np.clip(noisy, 20, 80)
+    path = table(
+        tmp_path, "time [s],voltage [V],pos [um],spare,aux,copy",
+        time_s, drive, clipped, np.full(4000, np.nan), np.full(4000, 7), clipped,
+    )  # fmt: skip
+    kinds = {problem.kind: problem.place for problem in ingest(path).problems}
+    assert kinds == {
+        "saturated": "column 3 'pos [um]'",
+        "empty": "column 4 'spare'",
+        "dead": "column 5 'aux'",
+        "equal_columns": "column 6 'copy'",
+    }
+
+
+def test_columns_that_mean_nothing_do_not_hinder(tmp_path: Path) -> None:
+    path = table(
+        tmp_path, "time [s],voltage [V],pos [um],setpoint [um],force [N],monitor [V]",
+        TIME_s, VOLTAGE_V, RESPONSE, RESPONSE + 1, RESPONSE + 2, RESPONSE + 3,
+    )  # fmt: skip
+    assert len(ingest(path).channels) == 2
+
+
+def test_a_column_that_lab_toml_names_must_be_there(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],U [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    for columns in ({"voltage": "Umon"}, {"voltage": 9}, {"voltage": 2, "displacement": 2}):
+        with pytest.raises(LabFileError, match=r"run\.csv has no column"):
+            ingest(path, lab_with(columns=columns))
+    with pytest.raises(LabFileError, match="one of time, voltage"):
+        ingest(path, lab_with(columns={"speed": 2}))
+    with pytest.raises(LabFileError, match="furlong"):
+        ingest(path, lab_with(units={"displacement": "furlong"}))
+
+
+def test_one_file_may_hold_several_recordings(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    entries = (
+        RecordingEntry(file="run.csv", stop_s=0.1),
+        RecordingEntry(file="run.csv", start_s=0.2),
+    )
+    lab = Lab(recordings=entries)
+    assert [r.samples for r in ingest_all([path], lab)] == [101, 200]
+    with pytest.raises(LabFileError, match=r"2 .*entries"):
+        ingest(path, lab)
+
+
+def test_the_digest_is_of_the_files_bytes(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    before = ingest(path).digest
+    path.write_text(path.read_text() + "\n")
+    assert ingest(path).digest != before
+
+
+def test_the_same_file_gives_the_same_recording(tmp_path: Path) -> None:
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, RESPONSE)
+    first, second = ingest(path), ingest(path)
+    np.testing.assert_array_equal(first.displacement_m(), second.displacement_m())
+    assert first.digest == second.digest
+
+
+def test_a_recording_of_one_row_is_refused(tmp_path: Path) -> None:
+    path = table(
+        tmp_path, "time [s],voltage [V],pos [um]", TIME_s[:1], VOLTAGE_V[:1], RESPONSE[:1]
+    )
+    with pytest.raises(RecordingError, match="1 of 1 rows"):
+        ingest(path)

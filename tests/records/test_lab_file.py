@@ -1,0 +1,108 @@
+"""lab.toml: read as documented, refused with its place."""
+
+from pathlib import Path
+
+import pytest
+
+from piezoid.errors import LabFileError
+from piezoid.records.lab import Lab, read_lab
+
+EVERYTHING = """
+[rig]
+name = "stage 42"
+[amplifier]
+gain_V_per_V = 15
+bandwidth_Hz = 4000
+output_min_V = -20
+output_max_V = 150
+slew_V_per_s = 3e5
+[actuator]
+gain_m_per_V = 235e-9
+[sensor]
+bandwidth_Hz = 8500
+gain_V_per_m = 2e5
+[acquisition]
+sampling_rate_Hz = 20000
+dac_bits = 16
+adc_bits = 16
+input_range_V = [-10, 10]
+[axis.z.sensor]
+gain_V_per_m = 4e5
+[[recording]]
+file = "sweep.csv"
+axis = "x"
+columns = { time = "time [s]", voltage = "U", displacement = 3 }
+units = { displacement = "um" }
+start_s = 1
+stop_s = 2.5
+"""
+
+
+def lab_of(text: str, folder: Path) -> Lab:
+    path = folder / "lab.toml"
+    path.write_text(text)
+    return read_lab(path)
+
+
+def test_every_documented_name_is_read(tmp_path: Path) -> None:
+    lab = lab_of(EVERYTHING, tmp_path)
+    assert lab.name == "stage 42"
+    assert lab.amplifier.slew_V_per_s == 3e5
+    assert lab.acquisition.input_range_V == (-10, 10)
+    assert lab.recordings[0].columns == {"time": "time [s]", "voltage": "U", "displacement": 3}
+    assert lab.digest.startswith("sha256:")
+
+
+def test_an_axis_may_have_a_rig_of_its_own(tmp_path: Path) -> None:
+    lab = lab_of(EVERYTHING, tmp_path)
+    assert lab.sensor_of("x").gain_V_per_m == 2e5
+    assert lab.sensor_of("z").gain_V_per_m == 4e5
+    assert lab.sensor_of("z").bandwidth_Hz is None
+    assert lab.amplifier_of("z") is lab.amplifier
+
+
+def test_an_empty_file_knows_nothing(tmp_path: Path) -> None:
+    lab = lab_of("", tmp_path)
+    assert lab.amplifier.bandwidth_Hz is None
+    assert lab.entries_of(tmp_path / "sweep.csv") == ()
+
+
+def test_entries_go_by_path_and_then_by_name(tmp_path: Path) -> None:
+    text = '[[recording]]\nfile = "a/run.csv"\n[[recording]]\nfile = "b/run.csv"\n'
+    lab = lab_of(text, tmp_path)
+    assert [e.file for e in lab.entries_of(tmp_path / "b" / "run.csv")] == ["b/run.csv"]
+    assert len(lab.entries_of(Path("/elsewhere/run.csv"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[amplifer]\n", "amplifer"),
+        ("[amplifier]\ngain = 15\n", "amplifier"),
+        ('[amplifier]\nbandwidth_Hz = "4 kHz"\n', "amplifier.bandwidth_Hz"),
+        ("[amplifier]\nbandwidth_Hz = -1\n", r"\[amplifier\] bandwidth_Hz is -1"),
+        ("[amplifier]\noutput_min_V = 5\noutput_max_V = -5\n", "from 5.0 to -5.0"),
+        ("[sensor]\ngain_V_per_m = 0\n", "gain_V_per_m is zero"),
+        ("[sensor]\ngain_V_per_m = nan\n", "nan"),
+        ("[axis.z.sensor]\ngain_V_per_m = inf\n", r"\[axis.z.sensor\]"),
+        ("[acquisition]\ninput_range_V = [1]\n", "input_range_V"),
+        ("[acquisition]\nadc_bits = 0\n", "adc_bits is 0"),
+        ('[[recording]]\naxis = "x"\n', "file"),
+        ("[[recording]]\nfile = 3\n", "recording"),
+        ("[rig\n", "line 1"),
+        ("a = 1\na = 2\n", "line 2"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_its_place(
+    text: str, place: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LabFileError, match=place):
+        lab_of(text, tmp_path)
+
+
+def test_a_missing_file_and_other_encodings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LabFileError):
+        read_lab(tmp_path / "nothing.toml")
+    (tmp_path / "lab.toml").write_bytes(b"\xff\x00\xfe")
+    with pytest.raises(LabFileError):
+        read_lab(tmp_path / "lab.toml")

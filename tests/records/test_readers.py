@@ -1,0 +1,149 @@
+"""Every format gives back the one known recording, channels and units included."""
+
+import builtins
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import UnreadableFileError
+from piezoid.records import readers
+from piezoid.records.ingest import ingest
+from piezoid.records.lab import Lab, RecordingEntry, Sensor
+from piezoid.records.readers import READERS, read_table
+from tests.records.formats import SAMPLES, SPEAKING, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
+
+# The files print six decimals of a micrometre at most.
+ATOL_m = 1e-12
+ATOL_V = 1e-6
+
+
+def test_every_reader_of_the_folder_is_registered() -> None:
+    folder = Path(readers.__file__).parent
+    modules = {reader.read.__module__.rsplit(".", 1)[-1] for reader in READERS}
+    parts = {"__init__", "reader", "source", "block", "heading_lines", "foreign"}
+    assert {path.stem for path in folder.glob("*.py")} - parts == modules
+    assert len({reader.name for reader in READERS}) == len(READERS)
+
+
+@pytest.mark.parametrize("name", SPEAKING)
+def test_the_same_recording_comes_out_of_every_format(
+    name: str, write: Callable[[str], Path]
+) -> None:
+    recording = ingest(write(name))
+    assert recording.sampling_rate_Hz == RATE_Hz
+    assert recording.axis == "x"
+    assert not recording.problems
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=ATOL_V)
+    np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=ATOL_m)
+
+
+@pytest.mark.parametrize("name", ["rigol.csv", "tek.csv"])
+def test_oscilloscopes_give_volts_that_the_sensor_gain_makes_a_displacement(
+    name: str, write: Callable[[str], Path]
+) -> None:
+    lab = Lab(
+        sensor=Sensor(gain_V_per_m=1e5),
+        recordings=(RecordingEntry(file=name, columns={"voltage": "CH1", "displacement": "CH2"}),),
+    )
+    recording = ingest(write(name), lab)
+    assert recording.sampling_rate_Hz == RATE_Hz
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(recording.displacement_m(), DISPLACEMENT_um * 1e-6, atol=1e-11)
+
+
+def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str], Path]) -> None:
+    entry = RecordingEntry(
+        file="run.npy",
+        columns={"time": 1, "voltage": 2, "displacement": 3},
+        units={"time": "s", "voltage": "V", "displacement": "um"},
+    )
+    recording = ingest(write("run.npy"), Lab(recordings=(entry,)))
+    assert recording.sampling_rate_Hz == RATE_Hz
+    np.testing.assert_array_equal(recording.voltage_V(), VOLTAGE_V)
+
+
+def test_an_array_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "side.npy"
+    np.save(path, np.zeros((3, 500)))
+    with pytest.raises(UnreadableFileError, match="Transpose"):
+        read_table(path)
+
+
+def test_a_missing_reader_package_is_named_with_its_extra(
+    write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write("run.h5")
+    imported = builtins.__import__
+
+    def without_h5py(name: str, *rest: object, **named: object) -> object:
+        if name == "h5py":
+            raise ModuleNotFoundError("No module named 'h5py'", name="h5py")
+        return imported(name, *rest, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(builtins, "__import__", without_h5py)
+    with pytest.raises(UnreadableFileError, match=r"pip install 'piezoid\[io\]'"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "labels", "first_line"),
+    [
+        ("time [s],U [V]\n0,1\n1,2\n2,3\n", ("time [s]", "U [V]"), 2),
+        (",U [V]\n0,1\n1,2\n2,3\n", ("", "U [V]"), 2),
+        ("0,1\n1,2\n2,3\n", ("", ""), 1),
+        ("rig: 42\nnote\n\n# time [s] U [V]\n0 1\n1 2\n2 3\n", ("time [s]", "U [V]"), 5),
+        ("time;U\ns;V\n0;1\n1;2\n2;3\n", ("time", "U"), 3),
+        ('"time [s]","U [V]"\n"0","1"\n"1","2"\n', ("time [s]", "U [V]"), 2),
+        ("time [s] U [V]\n1 0 5\n2 1 5\n3 2 5\n", ("", "time [s]", "U [V]"), 2),
+        ("time [s],U [V],\n0,1,\n1,2,\n", ("time [s]", "U [V]", ""), 2),
+        ("\ufefftime [s]\tU [V]\r\n0,5\t1,5\r\n1,5\t2,5\r\n", ("time [s]", "U [V]"), 2),
+    ],
+    ids=[
+        "plain", "nameless first column", "no heading", "preamble and comment mark", "unit row",
+        "quotes", "row numbers", "trailing separator", "byte mark, decimal comma",
+    ],
+)  # fmt: skip
+def test_headings_are_found_however_they_are_written(
+    text: str, labels: tuple[str, ...], first_line: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_bytes(text.encode())
+    table = read_table(path)
+    assert tuple(column.label for column in table.columns) == labels
+    assert table.first_line == first_line
+
+
+def test_a_decimal_comma_is_not_a_separator(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time [s];U [V]\n0,001;1,5\n0,002;2,5\n0,003;3,5\n")
+    np.testing.assert_allclose(read_table(path).si("U"), [1.5, 2.5, 3.5])
+
+
+def test_preamble_lines_become_metadata(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("Operator: Ada\n# gain = 15\ntime [s],U [V]\n0,1\n1,2\n")
+    assert dict(read_table(path).metadata) == {"Operator": "Ada", "gain": "15"}
+
+
+def test_a_reading_out_of_range_is_no_number(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time [s],U [V]\n0,1\n1,9.9E37\n2,1e308\n3,inf\n4,5\n")
+    assert np.isnan(read_table(path).si("U")).tolist() == [False, True, True, True, False]
+
+
+def test_labview_segments_are_separate_acquisitions(write: Callable[[str], Path]) -> None:
+    path = write("run.lvm")
+    text = path.read_text()
+    path.write_text(text + "\n" + text[text.index("Channels") :])
+    recording = ingest(path)
+    assert recording.samples == 2 * SAMPLES
+    assert recording.breaks == (SAMPLES,)
+
+
+def test_a_labview_file_cut_short_says_so(write: Callable[[str], Path]) -> None:
+    path = write("run.lvm")
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-50]))
+    (problem,) = [p for p in ingest(path).problems if p.kind == "truncated"]
+    assert "200 samples, the file holds 150" in problem.text

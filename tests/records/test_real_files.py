@@ -1,0 +1,135 @@
+"""Recordings other people made: understood, channels and units, or refused for a true reason."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import RecordingError, UnitError, UnreadableFileError
+from piezoid.records.ingest import ingest
+from piezoid.records.inspection import inspect_file
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.readers import READERS, read_table
+
+FORMATS = {
+    "Bias-Spectroscopy002.dat": ("Nanonis", 1024, ["V", "A", "A", "A", "A"]),
+    "a.dat": ("Nanonis", 201, ["m", "s", "V", "A", "m", "deg", "m", "V", "Hz"]),
+    "DS1102D-A.csv": ("Rigol oscilloscope", 1024, ["s", "V", "V"]),
+    "DS2072A-6.csv": ("Rigol oscilloscope", 1400, ["V"]),
+    "fmt-hdf5-fd_version_0.13.3.h5": ("HDF5", 7796, ["N", "m", "m", "", "s"]),
+    "long_single_header_multi_ch.lvm": ("LabVIEW measurement", 16384, ["g", "m/s^2", "m/s^2"]),
+    "multi_time_column.lvm": ("LabVIEW measurement", 3, ["s", "V", "g"]),
+    "short.lvm": ("LabVIEW measurement", 10, ["Newtons", "m/s^2"]),
+    "with_comments.lvm": ("LabVIEW measurement", 9, ["s", "MPa", "K", "ml"]),
+}
+REASONS = {
+    "Bias-Spectroscopy002.dat": "over 'Bias calc \\(V\\)', not over time",
+    "a.dat": "over 'Amplitude Setpoint \\(m\\)', not over time",
+    "DS1102D-A.csv": "CH 2.*in volts may be a drive or a sensor's output",
+    "DS2072A-6.csv": "CH1.*in volts may be a drive or a sensor's output",
+    "fmt-hdf5-fd_version_0.13.3.h5": "both claim to be the displacement",
+    "long_single_header_multi_ch.lvm": "no column is a drive voltage or a displacement",
+    "short.lvm": "no column is a drive voltage or a displacement",
+    "with_comments.lvm": "time steps from 0.325 s to 4.127 s",
+}
+
+
+def test_all_files_of_the_folder_are_listed(realdata: Path) -> None:
+    assert {path.name for path in (realdata / "formats").iterdir()} == set(FORMATS)
+    assert {name for name, _, _ in FORMATS.values()} <= {reader.name for reader in READERS}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_file_is_inspected_with_its_channels_and_units(name: str, realdata: Path) -> None:
+    format_name, rows, units = FORMATS[name]
+    (inspection,) = inspect_file(realdata / "formats" / name)
+    assert (inspection.format, inspection.rows) == (format_name, rows)
+    assert [column.si_unit for column in inspection.columns] == units
+    assert (inspection.refusal is None) == (name not in REASONS)
+
+
+@pytest.mark.parametrize("name", REASONS)
+def test_a_file_that_is_no_recording_is_refused_with_the_reason(name: str, realdata: Path) -> None:
+    with pytest.raises(RecordingError, match=REASONS[name]):
+        ingest(realdata / "formats" / name)
+
+
+def test_the_clock_of_an_oscilloscope_is_its_increment(realdata: Path) -> None:
+    (inspection,) = inspect_file(realdata / "formats" / "DS2072A-6.csv")
+    assert inspection.sampling_rate_Hz == pytest.approx(200e3)
+
+
+def test_segments_without_headers_of_their_own_are_found(realdata: Path) -> None:
+    table = read_table(realdata / "formats" / "long_single_header_multi_ch.lvm")
+    assert table.segment_starts == (8192,)
+
+
+def test_a_labview_file_cut_short_is_told(realdata: Path) -> None:
+    recording = ingest(realdata / "formats" / "multi_time_column.lvm")
+    assert recording.sampling_rate_Hz == 51200
+    assert {problem.kind for problem in recording.problems} == {"truncated", "incomplete"}
+
+
+def test_bytes_that_are_no_utf8_are_read(realdata: Path) -> None:
+    table = read_table(realdata / "formats" / "with_comments.lvm")
+    assert [column.label for column in table.columns][1:3] == [
+        "Pressão ABS. (MPa)",
+        "Temperatura (°C)",
+    ]
+    assert table.si("Temperatura")[0] == pytest.approx(273.15 + 5.479238)
+
+
+FLEXURE = RecordingEntry(
+    file="Model_Vi_Do.dat",
+    columns={"voltage": 1, "displacement": 5},
+    units={"voltage": "V", "displacement": "um"},
+    sampling_rate_Hz=200,
+)
+ACTUATOR = RecordingEntry(
+    file="hysteresis_v_150_1hz.csv",
+    columns={"time": 2, "voltage": 4, "displacement": 3},
+    units={"time": "s", "voltage": "V", "displacement": "um"},
+)
+
+
+def test_the_flexure_needs_columns_and_rate_from_the_laboratory(realdata: Path) -> None:
+    path = realdata / "flexure" / "Model_Vi_Do.dat"
+    with pytest.raises(UnitError, match=r'file = "Model_Vi_Do.dat"'):
+        ingest(path)
+    recording = ingest(path, Lab(recordings=(FLEXURE,)))
+    assert (recording.samples, recording.sampling_rate_Hz) == (8027, 200)
+    assert np.ptp(recording.voltage_V()) == pytest.approx(3.6)
+    assert np.median(recording.displacement_m()) == pytest.approx(-96e-6, rel=0.05)
+    dead = [p.place for p in recording.problems if p.kind == "dead"]
+    assert dead == [f"column {k}" for k in (2, 3, 4, 6, 7)]
+
+
+def test_the_flexure_moves_forty_times_between_two_levels(realdata: Path) -> None:
+    path = realdata / "flexure" / "Model_Vi_Do.dat"
+    (inspection,) = inspect_file(path, Lab(recordings=(FLEXURE,)))
+    assert inspection.reversals == 80
+    assert inspection.levels_V == pytest.approx((0.0, 3.6), abs=0.01)
+
+
+def test_the_actuator_has_an_empty_column_and_its_own_clock(realdata: Path) -> None:
+    path = realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"
+    recording = ingest(path, Lab(recordings=(ACTUATOR,)))
+    assert recording.sampling_rate_Hz == 5000
+    assert not recording.breaks
+    assert np.ptp(recording.voltage_V()) == 300
+    assert {problem.kind for problem in recording.problems} == {"empty"}
+
+
+def test_a_spectroscopy_is_a_table_of_heights_and_currents(realdata: Path) -> None:
+    table = read_table(realdata / "stm_current_vs_z" / "z.dat")
+    height_m, current_A = table.si("Z rel (m)"), table.si("Current [00001] (A)")
+    assert height_m[0] == pytest.approx(-0.21e-9)
+    assert current_A[0] == pytest.approx(-753.434e-12)
+    with pytest.raises(RecordingError, match="not over time"):
+        ingest(realdata / "stm_current_vs_z" / "z.dat")
+
+
+def test_arrays_of_four_axes_are_refused_with_their_shape(realdata: Path) -> None:
+    for path in sorted((realdata / "steering_mirror").glob("*.npy")):
+        with pytest.raises(UnreadableFileError, match=r"4 axes of lengths \(8192, 3, 6, 2\)"):
+            read_table(path)

@@ -1,0 +1,91 @@
+"""Headings as laboratories write them, and the units in them."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.recording import Quantity
+from piezoid.records.units import Dimension, heading_of, unit_of
+
+
+@pytest.mark.parametrize(
+    ("label", "stem", "factor", "dimension"),
+    [
+        ("time [s]", "time", 1.0, Dimension.TIME),
+        ("Voltage (V)", "Voltage", 1.0, Dimension.VOLTAGE),
+        ("Position_um", "Position", 1e-6, Dimension.LENGTH),
+        ("voltage_y [mV]", "voltage_y", 1e-3, Dimension.VOLTAGE),
+        ("current [nA]", "current", 1e-9, Dimension.CURRENT),
+        ("U/V", "U", 1.0, Dimension.VOLTAGE),
+        ("Pos. X (µm)", "Pos. X", 1e-6, Dimension.LENGTH),
+        ("Weg in mm", "Weg", 1e-3, Dimension.LENGTH),
+        ("Current [00001] (A)", "Current [00001]", 1.0, Dimension.CURRENT),
+        ("Input 3 (A) [bwd] [filt]", "Input 3 [bwd] [filt]", 1.0, Dimension.CURRENT),
+        ("height / Å", "height", 1e-10, Dimension.LENGTH),
+        ("t (minutes)", "t (minutes)", None, None),
+        ("rel. humidity [%]", "rel. humidity", 1e-2, Dimension.RATIO),
+        ("force (N)", "force", 1.0, Dimension.OTHER),
+        ("a [m/s^2]", "a", 1.0, Dimension.OTHER),
+    ],
+)
+def test_a_heading_is_taken_apart(
+    label: str, stem: str, factor: float | None, dimension: Dimension | None
+) -> None:
+    heading = heading_of(label)
+    assert heading.stem == stem
+    assert (heading.unit and heading.unit.factor) == factor
+    assert (heading.unit and heading.unit.dimension) == dimension
+
+
+def test_degrees_celsius_are_offset_and_not_scaled() -> None:
+    unit = unit_of("degC")
+    assert unit is not None
+    assert 20 * unit.factor + unit.offset == pytest.approx(293.15)
+
+
+def test_case_counts_in_symbols_and_not_in_words() -> None:
+    milli, mega = unit_of("mV"), unit_of("MV")
+    assert milli is not None
+    assert mega is not None
+    assert mega.factor / milli.factor == pytest.approx(1e9)
+    assert unit_of("VOLTS") is not None
+    assert unit_of("S") is None
+
+
+@pytest.mark.parametrize("label", ["V", "A", "m", "h", "sensor_h", "m_1", "voltage_x", "", "CH1"])
+def test_a_lone_letter_is_no_unit(label: str) -> None:
+    assert heading_of(label).unit is None
+
+
+@given(st.text(max_size=30))
+def test_any_text_is_a_heading(label: str) -> None:
+    heading = heading_of(label)
+    assert meaning_of(heading).role in Role
+
+
+@pytest.mark.parametrize(
+    ("label", "quantity", "axis"),
+    [
+        ("Ux [V]", Quantity.VOLTAGE, "x"),
+        ("PositionZ_nm", Quantity.DISPLACEMENT, "z"),
+        ("y [um]", Quantity.DISPLACEMENT, "y"),
+        ("Temp [°C]", Quantity.TEMPERATURE, None),
+        ("RH [%]", Quantity.HUMIDITY, None),
+        ("tunnel current [pA]", Quantity.CURRENT, None),
+        ("sensor voltage [V]", Quantity.DISPLACEMENT, None),
+        ("drive command [V]", Quantity.VOLTAGE, None),
+    ],
+)
+def test_names_and_units_tell_quantity_and_axis(
+    label: str, quantity: Quantity, axis: str | None
+) -> None:
+    meaning = meaning_of(heading_of(label))
+    assert (meaning.quantity, meaning.axis) == (quantity, axis)
+
+
+@pytest.mark.parametrize(
+    "label", ["setpoint [um]", "position error [nm]", "Bias (V)", "Amplitude (m)", "segment"]
+)
+def test_what_is_neither_applied_nor_measured_is_not_read(label: str) -> None:
+    assert meaning_of(heading_of(label)).role is Role.UNREAD
