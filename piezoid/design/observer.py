@@ -196,9 +196,11 @@ def linear_controller(observer: DisturbanceObserver) -> LinearController:
     A_e, B_e, C_e, L, K_e = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     closed = A_e - np.outer(B_e, K_e)
-    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, -K_e @ L)
-    S = np.poly(closed @ correct).real
-    T = observer.reference_gain * np.poly(A_e @ correct).real
+    from_output = _response_polynomial(
+        closed @ correct, closed @ L, -K_e @ correct, -float(K_e @ L)
+    )
+    S = _characteristic(closed @ correct)
+    T = observer.reference_gain * _characteristic(A_e @ correct)
     return LinearController(R=-from_output, S=S, T=T)
 
 
@@ -238,10 +240,15 @@ def _response_polynomial(A: Array, B: Array, C: Array, direct: float) -> Array:
     Multiplying the first samples of the impulse response by the denominator keeps the digits
     that differences of characteristic polynomials lose.
     """
-    denominator = np.poly(A).real
+    denominator = _characteristic(A)
     impulse = np.empty(len(denominator))
     impulse[0], state = direct, B
     for k in range(1, len(impulse)):
         impulse[k] = C @ state
         state = A @ state
     return np.convolve(impulse, denominator)[: len(denominator)]
+
+
+def _characteristic(matrix: Array) -> Array:
+    """Return det(I - q^-1 M), monic in q^-1."""
+    return np.ascontiguousarray(np.poly(matrix).real, dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,6 +50,26 @@ class Chain:
     output_unit: str
     sections: tuple[Section, ...]
     delay_s: float = 0.0
+
+
+class Fraction(Protocol):
+    """What a margin is computed from: B/A in q^-1 at a rate, and a name."""
+
+    @property
+    def label(self) -> str:
+        """The member's name in tables."""
+
+    @property
+    def sampling_rate_Hz(self) -> float:
+        """Samples per second."""
+
+    @property
+    def B(self) -> Array:
+        """Numerator, the delay as leading zeros."""
+
+    @property
+    def A(self) -> Array:
+        """Denominator, monic."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Plant, Section
-from piezoid.errors import DesignError
+from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.polynomial import from_roots, product, solve_bezout, spectral_radius
 
@@ -50,10 +50,14 @@ def place(
     H_S  what S must contain; 1 - q^-1 is an integrator
 
     Raises ``DesignError`` where the fixed parts cancel the plant's poles or zeros, or where the
-    equation is solved no better than 1e-10.
+    equation is solved no better than 1e-10, and ``UnstableLoopError`` for an unstable P.
     """
     if spectral_radius(np.asarray(P)) >= 1.0:
-        raise ValueError("P has a root on or outside the unit circle; nothing stable is placed")
+        raise UnstableLoopError(
+            f"the wanted polynomial P has a root of magnitude {spectral_radius(np.asarray(P)):.9g}",
+            needed="every root inside the unit circle",
+            remedy="Ask for faster or fewer poles: many slow ones together cannot be resolved.",
+        )
     solution = solve_bezout(product(plant.A, H_S), product(plant.B, H_R), P)
     if not solution.residual <= _RESIDUAL:
         raise DesignError(

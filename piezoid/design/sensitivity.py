@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq, minimize_scalar
 
-from piezoid.design.plant import Plant
+from piezoid.design.plant import Fraction
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import (
     Response,
@@ -67,12 +67,14 @@ class Margins:
     delay_Hz: float | None
 
 
-def closed_loop_polynomial(plant: Plant, R: ArrayLike, S: ArrayLike) -> Array:
+def closed_loop_polynomial(plant: Fraction, R: ArrayLike, S: ArrayLike) -> Array:
     """Return P = A S + B R."""
     return total(product(plant.A, S), product(plant.B, R))
 
 
-def sensitivities(plant: Plant, R: ArrayLike, S: ArrayLike, frequency_Hz: Array) -> Sensitivities:
+def sensitivities(
+    plant: Fraction, R: ArrayLike, S: ArrayLike, frequency_Hz: Array
+) -> Sensitivities:
     """Return the sensitivity functions of a loop.
 
     R, S          coefficients in q^-1
@@ -90,7 +92,7 @@ def sensitivities(plant: Plant, R: ArrayLike, S: ArrayLike, frequency_Hz: Array)
     )
 
 
-def margins(plant: Plant, R: ArrayLike, S: ArrayLike) -> Margins:
+def margins(plant: Fraction, R: ArrayLike, S: ArrayLike) -> Margins:
     """Return the margins of one plant's loop, refined between grid points.
 
     An unstable loop has both margins zero: its sensitivity peak means nothing.
@@ -111,11 +113,11 @@ def margins(plant: Plant, R: ArrayLike, S: ArrayLike) -> Margins:
     )
 
 
-def _fine_grid_Hz(plant: Plant) -> Array:
+def _fine_grid_Hz(plant: Fraction) -> Array:
     return grid_Hz(plant.sampling_rate_Hz, lowest_Hz=_LOWEST_Hz, count=_GRID)
 
 
-def _largest_sensitivity(plant: Plant, R: ArrayLike, S: ArrayLike) -> tuple[float, float]:
+def _largest_sensitivity(plant: Fraction, R: ArrayLike, S: ArrayLike) -> tuple[float, float]:
     """Return max |Syp| and its frequency: the highest grid points, each refined."""
     frequency_Hz = _fine_grid_Hz(plant)
     magnitude = np.abs(sensitivities(plant, R, S, frequency_Hz).Syp)
@@ -135,7 +137,9 @@ def _largest_sensitivity(plant: Plant, R: ArrayLike, S: ArrayLike) -> tuple[floa
     return max(found)
 
 
-def _delay_margin(plant: Plant, R: ArrayLike, S: ArrayLike) -> tuple[float | None, float | None]:
+def _delay_margin(
+    plant: Fraction, R: ArrayLike, S: ArrayLike
+) -> tuple[float | None, float | None]:
     """Return the smallest phase margin over frequency, in seconds, and the crossing's frequency.
 
     tau = min over |L(w)| = 1 of (angle(L) + pi mod 2 pi) / w, L = B R / (A S)

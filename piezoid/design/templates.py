@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Sensitivities, margins, sensitivities
 from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
 from piezoid.numerics.frequency import decibel, grid_Hz
@@ -102,7 +102,7 @@ def delay_limit(frequency_Hz: Array, delay_s: float) -> Array:
 
 
 def violations(
-    family: PlantFamily,
+    members: Sequence[Fraction],
     R: ArrayLike,
     S: ArrayLike,
     *,
@@ -116,7 +116,7 @@ def violations(
     tolerance_dB  templates missed by less are met
     """
     found: list[Violation] = []
-    for plant in family.members:
+    for plant in members:
         found += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
         for template in templates:
             found += _template_violation(plant, R, S, template)
@@ -125,7 +125,7 @@ def violations(
 
 
 def _template_violation(
-    plant: Plant, R: ArrayLike, S: ArrayLike, template: Template
+    plant: Fraction, R: ArrayLike, S: ArrayLike, template: Template
 ) -> list[Violation]:
     lowest_Hz = float(template.frequency_Hz[0])
     grid = grid_Hz(plant.sampling_rate_Hz, lowest_Hz=min(1.0, lowest_Hz), count=2000)
@@ -151,7 +151,7 @@ def _template_violation(
 
 
 def _margin_violations(
-    plant: Plant, R: ArrayLike, S: ArrayLike, modulus_margin: float, delay_margin_s: float
+    plant: Fraction, R: ArrayLike, S: ArrayLike, modulus_margin: float, delay_margin_s: float
 ) -> list[Violation]:
     reached = margins(plant, R, S)
     checks = [("modulus margin", reached.modulus_margin, modulus_margin, reached.modulus_Hz, "1")]
@@ -173,4 +173,4 @@ def _margin_violations(
 
 
 def _function(functions: Sensitivities, name: str) -> Array:
-    return np.abs(getattr(functions, name))
+    return np.asarray(np.abs(getattr(functions, name)))

@@ -11,6 +11,7 @@ the design so far, and the problem is solved again until it stops gaining. Each 
 member stable and every limit met.      [Landau & Zito 2006; Karimi & Galdos 2010, for the family]
 """
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -178,7 +179,9 @@ def _solve(
 
     A slack on all limits together, at a high price, lets a start that exceeds them come back.
     """
-    import cvxpy as cp
+    import cvxpy
+
+    cp: Any = cvxpy
 
     scale = abs(plant.gain)
     cones = _cones(grid, scale, R, S, count)
@@ -199,7 +202,13 @@ def _solve(
     constraints.append(size <= gamma * (cones.slope * cones.reference)[band])
     constraints.append(real[band] >= cones.reference[band])
     problem = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), constraints)
-    problem.solve(solver=cp.CLARABEL)
+    with warnings.catch_warnings():
+        # An inaccurate answer is judged on the finer grid like any other.
+        warnings.simplefilter("ignore", UserWarning)
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.error.SolverError:
+            return None
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or x.value is None:
         return None
     s_free = np.concatenate([[1.0], x.value[: count - 1]])

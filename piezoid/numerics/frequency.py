@@ -26,7 +26,7 @@ def grid_Hz(sampling_rate_Hz: float, *, lowest_Hz: float = 1.0, count: int = 400
 def unit_circle(frequency_Hz: ArrayLike, sampling_rate_Hz: float) -> Response:
     """Return q^-1 = exp(-2 pi j f / fs), (frequencies,)."""
     turns = np.asarray(frequency_Hz, dtype=np.float64) / sampling_rate_Hz
-    return np.exp(-2j * np.pi * turns)
+    return np.asarray(np.exp(-2j * np.pi * turns))
 
 
 def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Response:

@@ -115,8 +115,8 @@ def solve_bezout(A: ArrayLike, B: ArrayLike, P: ArrayLike) -> BezoutSolution:
     S, R = solution[: degree_s + 1], solution[degree_s + 1 :] / scale
     left = total(product(a, S), product(b, R), -target)
     return BezoutSolution(
-        S=S,
-        R=R,
+        S=np.asarray(S, dtype=np.float64),
+        R=np.asarray(R, dtype=np.float64),
         residual=float(np.abs(left).max() / np.abs(p).max()),
         condition=float(singular[0] / singular[-1]),
     )

@@ -1,0 +1,220 @@
+"""What is guaranteed with hysteresis in the loop: small gain, and a bound of the error."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.design.feedforward import ReferencePath
+from piezoid.design.hysteresis_bounds import HysteresisBounds
+from piezoid.design.plant import Fraction
+from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
+from piezoid.errors import UnstableLoopError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import grid_Hz
+from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+
+_TAIL = 1e-12
+_LONGEST = 400_000
+_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """A guarantee about one loop, over its whole plant family.
+
+    form                        ``affine`` or ``inverse``
+    increment_gain              eps: |D delta| <= eps |D v|
+    loop_peak                   max over members and w of |T_v|, from delta to the command
+    small_gain                  eps times that; below 1 hysteresis cannot destabilise the loop:
+                                increments of all signals are l2-stable
+    is_guaranteed               small_gain < 1 (every member is stable, or there is no certificate)
+    hysteresis_error_m          min(||g||_1 sup|delta|, ||g/(1 - q^-1)||_1 eps sup|D v|)
+    reference_error_m           ||(q^-p - H)/(1 - q^-1)||_1 sup|D r|
+    converter_error_m           ||g||_1 half a converter step
+    guaranteed_error_m          the sum of the three: |r[k-p] - y[k]| never exceeds it
+    noise_error_m               three standard deviations due to sensor noise; not in the sum
+    worst_member                the member that decides the sum
+    conditions                  what must be true, whole sentences
+    """
+
+    form: str
+    increment_gain: float
+    loop_peak: float
+    small_gain: float
+    is_guaranteed: bool
+    hysteresis_error_m: float
+    reference_error_m: float
+    converter_error_m: float
+    guaranteed_error_m: float
+    noise_error_m: float
+    worst_member: str
+    conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operation:
+    """How the loop will be used.
+
+    reference_slew_m_per_s  the fastest reference
+    voltage_step_V          of the converter
+    sensor_noise_rms_m      of one sample, white
+    """
+
+    reference_slew_m_per_s: float
+    voltage_step_V: float
+    sensor_noise_rms_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MemberErrors:
+    label: str
+    hysteresis_m: float
+    reference_m: float
+    converter_m: float
+    noise_m: float
+
+    @property
+    def total_m(self) -> float:
+        return self.hysteresis_m + self.reference_m + self.converter_m
+
+
+def certify(
+    members: Sequence[Fraction],
+    R: ArrayLike,
+    S: ArrayLike,
+    T: ArrayLike,
+    *,
+    path: ReferencePath,
+    bounds: HysteresisBounds,
+    operation: Operation,
+) -> Certificate:
+    """Prove what can be proven about a loop around hysteresis.
+
+        small gain   eps max|T_v| < 1,   T_v = -B R / P
+        command      sup|D v| <= ||T F A / P||_1 sup|D r| / (1 - eps ||T_v||_1)
+        error        |e| <= min(||g||_1 sup|delta|, ||g/(1 - q^-1)||_1 eps sup|D v|) + ...
+
+    g is the impulse response from delta to the output, B S / P; the integrator in S gives it a
+    zero at z = 1, so the second norm is finite. LTI operators commute with differencing, hence
+    small gain in increments.                 [Desoer & Vidyasagar 1975, for small gain]
+
+    members  each is the plant for a command in volts, gain a; their errors are bounded one by one
+    T        without the reference filter, which stands in ``path``
+    """
+    eps = bounds.increment_gain
+    rate_Hz = members[0].sampling_rate_Hz
+    grid = grid_Hz(rate_Hz, lowest_Hz=1e-2, count=4000)
+    peak = max(float(np.abs(sensitivities(m, R, S, grid).Syb).max()) for m in members)
+    for member in members:
+        _refuse_unstable(margins(member, R, S))
+    filtered = product(T, path.filter)
+    errors = [
+        _member_errors(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
+    ]
+    worst = max(errors, key=lambda error: error.total_m)
+    return Certificate(
+        form=bounds.form,
+        increment_gain=eps,
+        loop_peak=peak,
+        small_gain=eps * peak,
+        is_guaranteed=eps * peak < 1.0,
+        hysteresis_error_m=worst.hysteresis_m,
+        reference_error_m=worst.reference_m,
+        converter_error_m=worst.converter_m,
+        guaranteed_error_m=worst.total_m,
+        noise_error_m=max(error.noise_m for error in errors),
+        worst_member=worst.label,
+        conditions=(*bounds.conditions, *_conditions(len(members), operation, bounds)),
+    )
+
+
+def impulse_response(numerator: ArrayLike, denominator: ArrayLike) -> Array:
+    """Return the impulse response of a stable fraction until it has died out.
+
+    returned  (samples,); the length follows from the largest root, 1e-12 of it remains
+    """
+    from scipy.signal import lfilter
+
+    radius = spectral_radius(np.asarray(denominator))
+    wanted = np.log(_TAIL) / np.log(radius) if 0.0 < radius < 1.0 else 0.0
+    count = int(min(max(2.0 * wanted, 500.0), _LONGEST))
+    impulse = np.zeros(count)
+    impulse[0] = 1.0
+    return np.asarray(lfilter(numerator, denominator, impulse), dtype=np.float64)
+
+
+def peak_gain(numerator: ArrayLike, denominator: ArrayLike) -> float:
+    """Return the l1 norm of the impulse response: the largest output for inputs within +-1."""
+    return float(np.abs(impulse_response(numerator, denominator)).sum())
+
+
+def without_difference(polynomial: ArrayLike) -> Array:
+    """Return the polynomial divided by 1 - q^-1; its sum must be zero up to rounding."""
+    coefficients = np.asarray(polynomial, dtype=np.float64)
+    return np.cumsum(coefficients)[:-1]
+
+
+def _member_errors(
+    member: Fraction,
+    R: ArrayLike,
+    S: ArrayLike,
+    filtered: Array,
+    preview: int,
+    bounds: HysteresisBounds,
+    operation: Operation,
+) -> _MemberErrors:
+    P = closed_loop_polynomial(member, R, S)
+    through = product(member.B, S)
+    g_sum = peak_gain(through, P)
+    step_m = operation.reference_slew_m_per_s / member.sampling_rate_Hz
+    by_size_m = g_sum * bounds.error_m / bounds.gain_m_per_V
+    late = total(delayed(P, preview), -product(filtered, member.B))
+    noise = float(np.sqrt((impulse_response(product(member.B, R), P) ** 2).sum()))
+    return _MemberErrors(
+        label=member.label,
+        hysteresis_m=min(by_size_m, _by_increments_m(member, R, S, filtered, P, bounds, step_m)),
+        reference_m=peak_gain(without_difference(late), P) * step_m,
+        converter_m=g_sum * 0.5 * operation.voltage_step_V,
+        noise_m=_SIGMAS * noise * operation.sensor_noise_rms_m,
+    )
+
+
+def _by_increments_m(
+    member: Fraction,
+    R: ArrayLike,
+    S: ArrayLike,
+    filtered: Array,
+    P: Array,
+    bounds: HysteresisBounds,
+    step_m: float,
+) -> float:
+    """Return the bound from increments; infinite where the loop may amplify them."""
+    eps = bounds.increment_gain
+    amplified = eps * peak_gain(product(member.B, R), P)
+    if amplified >= 1.0:
+        return float(np.inf)
+    command_step_V = peak_gain(product(filtered, member.A), P) * step_m / (1.0 - amplified)
+    integrated = peak_gain(product(member.B, without_difference(S)), P)
+    return integrated * eps * command_step_V
+
+
+def _refuse_unstable(reached: Margins) -> None:
+    if not reached.is_stable:
+        raise UnstableLoopError(
+            f"the loop of the member '{reached.label}' has a pole of magnitude "
+            f"{reached.spectral_radius:.6g}",
+            needed="every member stable: an unstable loop has no bounded error",
+            remedy="Lower the bandwidth, or describe the family more narrowly.",
+            member=reached.label,
+        )
+
+
+def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> tuple[str, ...]:
+    return (
+        f"the linear plant is one of the {count} members",
+        f"the reference moves at most {operation.reference_slew_m_per_s:g} m/s",
+        f"the command stays within {bounds.reach_V:g} V and inside the converter's limits",
+        "sensor noise comes on top, as its own line",
+    )

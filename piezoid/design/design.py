@@ -1,0 +1,215 @@
+"""Design: the record that leaves this floor, and its file ``design.json``."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.design.certificate import Certificate
+from piezoid.design.feedforward import ReferencePath
+from piezoid.design.observer import DisturbanceObserver
+from piezoid.design.plain import from_plain, to_plain
+from piezoid.design.plant import PlantFamily
+from piezoid.design.sensitivity import Margins, margins, sensitivities
+from piezoid.design.specification import Specification
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.provenance import seal, unseal
+
+SCHEMA = "piezoid.design/1"
+METHODS = ("dob", "mpi_dob", "rst")
+REPORTED_Hz = (1.0, 10.0, 100.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member:
+    """One plant of the family as a fraction in q^-1, enough to recompute every margin."""
+
+    label: str
+    sampling_rate_Hz: float
+    B: Array
+    A: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "B", frozen(self.B, "B"))
+        object.__setattr__(self, "A", frozen(self.A, "A"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rejection:
+    """How much of an output disturbance remains at one frequency, |Syp|.
+
+    nominal, worst   magnitudes; 1 is no feedback
+    worst_member     the label of the worst
+    """
+
+    frequency_Hz: float
+    nominal: float
+    worst: float
+    worst_member: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """One way the loop was computed; all are shown, one is chosen.
+
+    name         ``placed``, ``kalman``, ``band-stop`` or ``convex``
+    is_chosen    exactly one is
+    is_feasible  every member met every limit when checked on a fine grid
+    figure       what the choice minimises; ``figure_name`` says what it is
+    parameters   what its search chose, by name
+    R, S         coefficients in q^-1
+    """
+
+    name: str
+    is_chosen: bool
+    is_feasible: bool
+    figure: float
+    figure_name: str
+    parameters: dict[str, float]
+    R: Array
+    S: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "R", frozen(self.R, "R"))
+        object.__setattr__(self, "S", frozen(self.S, "S"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopDesign:
+    """One loop of one axis, ready to be exported.
+
+    method       ``dob``, ``mpi_dob`` or ``rst``
+    observer     gains of a disturbance observer; None for ``rst``
+    bandwidth_Hz that it meets: the asked one, or less for a loop that is not recommended
+    R, S, T      the same loop as S u = T r' - R y, from which every margin was computed
+    A_0          anti-windup polynomial, monic and stable
+    reference    filter and preview that make r' from r
+    margins      reached, one per member of the family, in its order
+    rejections   at 1, 10, 100 Hz and at the bandwidth
+    certificate  None where no hysteresis bounds were given
+    candidates   how it was found
+    members      the family this loop was designed for, nominal first
+    """
+
+    method: str
+    observer: DisturbanceObserver | None
+    bandwidth_Hz: float
+    R: Array
+    S: Array
+    T: Array
+    A_0: Array
+    reference: ReferencePath
+    margins: tuple[Margins, ...]
+    rejections: tuple[Rejection, ...]
+    certificate: Certificate | None
+    candidates: tuple[Candidate, ...]
+    members: tuple[Member, ...]
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"method is {self.method!r}, expected one of {METHODS}")
+        for name in ("R", "S", "T", "A_0"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+    @property
+    def worst_modulus_margin(self) -> float:
+        """The smallest of the family."""
+        return min(reached.modulus_margin for reached in self.margins)
+
+    @property
+    def worst_delay_margin_s(self) -> float | None:
+        """The smallest of the family; None if no delay destabilises any member."""
+        known = [m.delay_margin_s for m in self.margins if m.delay_margin_s is not None]
+        return min(known) if known else None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisDesign:
+    """All loops of one axis; the first is the one recommended.
+
+    axis           ``x``, ``y``, ``z``
+    output_unit    ``m``, or ``1`` for the logarithm of a current
+    specification  what was asked
+    loops          at least one
+    """
+
+    axis: str
+    output_unit: str
+    specification: Specification
+    loops: tuple[LoopDesign, ...]
+
+    def __post_init__(self) -> None:
+        if not self.loops:
+            raise ValueError(f"axis {self.axis} has no loop")
+
+    @property
+    def recommended(self) -> LoopDesign:
+        """The loop to export unless somebody asks for another."""
+        return self.loops[0]
+
+    def loop(self, method: str) -> LoopDesign:
+        """Return the loop of a method; ``KeyError`` if there is none."""
+        for loop in self.loops:
+            if loop.method == method:
+                return loop
+        raise KeyError(f"axis {self.axis} has no loop {method!r}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Design:
+    """What leaves this floor.
+
+    axes           one per axis
+    model_digest   of the model the plants were taken from
+    """
+
+    axes: tuple[AxisDesign, ...]
+    model_digest: str
+
+    def to_json(self) -> bytes:
+        """Return the sealed file ``design.json``."""
+        return seal(SCHEMA, {"axes": to_plain(self.axes), "model_digest": self.model_digest})
+
+    def axis(self, name: str) -> AxisDesign:
+        """Return one axis; ``KeyError`` if it was not designed."""
+        for axis in self.axes:
+            if axis.axis == name:
+                return axis
+        raise KeyError(f"no axis {name!r} in this design")
+
+
+def design_from_json(content: bytes, place: str = "design.json") -> Design:
+    """Read ``design.json`` back, exactly; a changed bit or another schema is refused."""
+    record = unseal(content, SCHEMA, place)
+    plain = {name: record[name] for name in record if name not in ("schema", "digest")}
+    return from_plain(Design, plain, place)
+
+
+def members_of(family: PlantFamily) -> tuple[Member, ...]:
+    """Return the family as fractions."""
+    return tuple(
+        Member(label=m.label, sampling_rate_Hz=m.sampling_rate_Hz, B=m.B, A=m.A)
+        for m in family.members
+    )
+
+
+def reached_margins(members: tuple[Member, ...], R: Array, S: Array) -> tuple[Margins, ...]:
+    """Return the margins of every member, recomputed from R and S."""
+    return tuple(margins(member, R, S) for member in members)
+
+
+def rejections(
+    members: tuple[Member, ...], R: Array, S: Array, frequency_Hz: tuple[float, ...]
+) -> tuple[Rejection, ...]:
+    """Return |Syp| at frequencies, nominal and worst of the family."""
+    grid = np.array(frequency_Hz)
+    left = np.stack([np.abs(sensitivities(m, R, S, grid).Syp) for m in members])
+    worst = left.argmax(axis=0)
+    return tuple(
+        Rejection(
+            frequency_Hz=f,
+            nominal=float(left[0, k]),
+            worst=float(left[worst[k], k]),
+            worst_member=members[int(worst[k])].label,
+        )
+        for k, f in enumerate(frequency_Hz)
+    )

@@ -1,0 +1,105 @@
+"""Specifications that cannot be met: refused with where, by how much, and what could be met."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NoReturn, TypeVar
+
+import numpy as np
+
+from piezoid.design.specification import Specification
+from piezoid.design.templates import Violation
+from piezoid.errors import TemplateError
+
+_BISECTIONS = 7
+_LOWEST_SHARE = 0.01
+
+Attempt = Callable[[Specification], tuple[Violation, ...]]
+"""Design for a specification; return what the best candidate violates, worst first."""
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearestFeasible:
+    """The closest specification that can be met.
+
+    bandwidth_Hz   the largest that can, everything else as asked; None if lowering it to 1 % does
+                   not help
+    relaxation_dB  how far the limit that is missed most must give way at the asked bandwidth
+    """
+
+    bandwidth_Hz: float | None
+    relaxation_dB: float
+
+
+def nearest_feasible(
+    specification: Specification, violations: tuple[Violation, ...], attempt: Attempt
+) -> NearestFeasible:
+    """Bisect the bandwidth, on a logarithmic scale, for the largest that meets every limit."""
+    relaxation_dB = violations[0].excess_dB
+
+    def meets(share: float) -> bool:
+        asked = replace(specification, bandwidth_Hz=share * specification.bandwidth_Hz)
+        return not attempt(asked)
+
+    low, high = float(np.log(_LOWEST_SHARE)), 0.0
+    if not meets(_LOWEST_SHARE):
+        return NearestFeasible(bandwidth_Hz=None, relaxation_dB=relaxation_dB)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
+    nearest_Hz = _rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
+    return NearestFeasible(bandwidth_Hz=nearest_Hz, relaxation_dB=relaxation_dB)
+
+
+def refuse(
+    axis: str,
+    specification: Specification,
+    violations: tuple[Violation, ...],
+    nearest: NearestFeasible,
+) -> NoReturn:
+    """Raise ``TemplateError`` for a specification no candidate meets."""
+    worst = violations[0]
+    relaxed = f"relax '{worst.template}' by {nearest.relaxation_dB:.2f} dB"
+    if nearest.bandwidth_Hz is None:
+        remedy = f"No bandwidth helps: {relaxed}, or describe the plant family more narrowly."
+    else:
+        remedy = (
+            f"Ask for bandwidth_Hz = {nearest.bandwidth_Hz:g}, which meets every limit, or "
+            f"{relaxed}."
+        )
+    raise TemplateError(
+        f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}",
+        needed="every member of the plant family must meet every limit",
+        remedy=remedy,
+        axis=axis,
+        template=worst.template,
+        member=worst.member,
+        frequency_Hz=worst.frequency_Hz,
+        excess_dB=worst.excess_dB,
+        nearest_bandwidth_Hz=nearest.bandwidth_Hz,
+        violations=violations,
+    )
+
+
+def at_feasible_bandwidth(
+    design: Callable[[Specification], Result], specification: Specification
+) -> Result:
+    """Design as asked, or at the nearest feasible bandwidth where the asked one is refused.
+
+    For defaults, which nobody asked for in particular. Raises the refusal where no bandwidth is
+    feasible.
+    """
+    try:
+        return design(specification)
+    except TemplateError as refusal:
+        nearest_Hz = refusal.numbers["nearest_bandwidth_Hz"]
+        if not isinstance(nearest_Hz, float):
+            raise
+    return design(replace(specification, bandwidth_Hz=nearest_Hz))
+
+
+def _rounded_down(value: float) -> float:
+    """Return the value cut to three digits, so that what is advised is still feasible."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 2)
+    return float(np.floor(value / unit + 1e-9) * unit)

@@ -1,0 +1,197 @@
+"""X and Y: a disturbance observer in both forms, chosen among its tunings."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from piezoid.design.certificate import Certificate, Operation, certify
+from piezoid.design.design import (
+    AxisDesign,
+    Candidate,
+    LoopDesign,
+    Member,
+    REPORTED_Hz,
+    members_of,
+    reached_margins,
+    rejections,
+)
+from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, refuse
+from piezoid.design.feedforward import ReferencePath, fit_reference_path
+from piezoid.design.hysteresis_bounds import HysteresisBounds
+from piezoid.design.observer import LinearController, linear_controller
+from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.requirements import severity, unmet
+from piezoid.design.specification import Specification
+from piezoid.design.templates import Violation
+from piezoid.design.tuning import METHODS, TunedObserver, tune_observer
+from piezoid.errors import TemplateError
+
+_LOOP_OF_FORM = {"inverse": "mpi_dob", "affine": "dob"}
+
+
+def design_lateral(
+    axis: str,
+    families: Mapping[str, PlantFamily],
+    specification: Specification,
+    *,
+    model: Plant | None = None,
+    bounds: Mapping[str, HysteresisBounds] | None = None,
+    reference_slew_m_per_s: float | None = None,
+) -> AxisDesign:
+    """Design the disturbance observer of one lateral axis, in every form asked for.
+
+    families  by form, ``inverse`` and/or ``affine``: the affine form leaves the slope sector of
+              the hysteresis in the loop, so its family has more gain variation; see
+              ``with_sector``
+    model     what the observer computes with; a nominal member by default
+    bounds    by form, for the certificate; a form without has none
+    reference_slew_m_per_s  of the fastest reference; by default a sine at the scan frequency
+              whose amplitude uses the whole drive
+
+    Raises ``TemplateError`` where the first form (the inverse one, if asked for) cannot meet the
+    specification. A further form that cannot is designed at its nearest feasible bandwidth, for
+    comparison, and left out where there is none.
+    """
+    forms = [form for form in _LOOP_OF_FORM if form in families]
+    loops: list[LoopDesign] = []
+    for form in forms:
+        request = _Request(
+            axis=axis,
+            form=form,
+            family=families[form],
+            model=model,
+            bounds=(bounds or {}).get(form),
+            reference_slew_m_per_s=reference_slew_m_per_s,
+        )
+        if not loops:
+            loops.append(_lateral_loop(request, specification))
+            continue
+        try:
+            loops.append(at_feasible_bandwidth(partial(_lateral_loop, request), specification))
+        except TemplateError:
+            continue
+    return AxisDesign(
+        axis=axis,
+        output_unit=next(iter(families.values())).nominal.output_unit,
+        specification=specification,
+        loops=tuple(loops),
+    )
+
+
+def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
+    """Return the family with the nominal gain at both ends of the hysteresis' slope sector."""
+    nominal = family.nominal
+    ends = [
+        replace(
+            nominal,
+            label=f"slope x{slope:.3g}",
+            input_taps=nominal.input_taps * slope,
+            B=nominal.B * slope,
+        )
+        for slope in (bounds.slope_min, bounds.slope_max)
+    ]
+    return PlantFamily(members=(*family.members, *ends))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Request:
+    axis: str
+    form: str
+    family: PlantFamily
+    model: Plant | None
+    bounds: HysteresisBounds | None
+    reference_slew_m_per_s: float | None
+
+
+def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
+    family, members = request.family, members_of(request.family)
+
+    def tuned(asked: Specification) -> list[TunedObserver]:
+        return [
+            tune_observer(family, asked, model=request.model, form=request.form, method=method)
+            for method in METHODS
+        ]
+
+    def attempt(asked: Specification) -> tuple[Violation, ...]:
+        return min((_missed(members, t, asked) for t in tuned(asked)), key=severity)
+
+    found = tuned(specification)
+    missed = [_missed(members, t, specification) for t in found]
+    if all(missed):
+        best = min(missed, key=severity)
+        nearest = nearest_feasible(specification, best, attempt)
+        refuse(request.axis, specification, best, nearest)
+    chosen = min(
+        (k for k in range(len(found)) if not missed[k]),
+        key=lambda k: found[k].judgement.predicted_error,
+    )
+    controller = linear_controller(found[chosen].observer)
+    R, S, T = controller.R, controller.S, controller.T
+    path = fit_reference_path(members, R, S, T, band_Hz=specification.bandwidth_Hz)
+    return LoopDesign(
+        method=_LOOP_OF_FORM[request.form],
+        observer=found[chosen].observer,
+        bandwidth_Hz=specification.bandwidth_Hz,
+        R=R,
+        S=S,
+        T=T,
+        A_0=np.ones(1),
+        reference=path,
+        margins=reached_margins(members, R, S),
+        rejections=rejections(members, R, S, (*REPORTED_Hz, specification.bandwidth_Hz)),
+        certificate=_certified(request, controller, path, specification),
+        candidates=tuple(
+            _candidate(t, is_chosen=k == chosen, is_feasible=not missed[k])
+            for k, t in enumerate(found)
+        ),
+        members=members,
+    )
+
+
+def _missed(
+    members: tuple[Member, ...], tuned: TunedObserver, specification: Specification
+) -> tuple[Violation, ...]:
+    controller = linear_controller(tuned.observer)
+    return unmet(members, controller.R, controller.S, specification)
+
+
+def _candidate(tuned: TunedObserver, *, is_chosen: bool, is_feasible: bool) -> Candidate:
+    controller = linear_controller(tuned.observer)
+    return Candidate(
+        name=tuned.method,
+        is_chosen=is_chosen,
+        is_feasible=is_feasible,
+        figure=tuned.judgement.predicted_error,
+        figure_name="predicted tracking error with noise, rms, worst member",
+        parameters=tuned.parameters,
+        R=controller.R,
+        S=controller.S,
+    )
+
+
+def _certified(
+    request: _Request,
+    controller: LinearController,
+    path: ReferencePath,
+    specification: Specification,
+) -> Certificate | None:
+    if request.bounds is None:
+        return None
+    span_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
+    amplitude_m = span_V * abs(request.family.nominal.gain)
+    fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
+    return certify(
+        request.family.members,
+        controller.R,
+        controller.S,
+        controller.T,
+        path=path,
+        bounds=request.bounds,
+        operation=Operation(
+            reference_slew_m_per_s=request.reference_slew_m_per_s or float(fastest_m_per_s),
+            voltage_step_V=specification.voltage_step_V,
+            sensor_noise_rms_m=specification.sensor_noise_rms,
+        ),
+    )
