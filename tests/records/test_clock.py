@@ -62,6 +62,12 @@ def test_a_lost_sample_is_found_in_stamps_of_few_digits() -> None:
     assert clock_of(time_s).breaks == (900,)
 
 
+def test_a_clock_slightly_slower_than_its_print_lost_nothing() -> None:
+    clock = clock_of(np.round(np.arange(5000) / 999.0, 3))
+    assert not clock.problems
+    assert clock.sampling_rate_Hz == pytest.approx(999.0, rel=1e-3)
+
+
 def test_a_gap_is_found_among_jitter(rng: np.random.Generator) -> None:
     time_s = TIME_s + rng.normal(0, 0.05 / RATE_Hz, len(TIME_s))
     time_s[3000:] += 0.01
