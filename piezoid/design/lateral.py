@@ -48,7 +48,7 @@ def design_lateral(
     model     what the observer computes with; a nominal member by default
     bounds    by form, for the certificate; a form without has none
     reference_slew_m_per_s  of the fastest reference; by default a sine at the scan frequency
-              whose amplitude uses the whole drive
+              whose amplitude uses the drive for which the bounds hold
 
     Raises ``TemplateError`` where the first form (the inverse one, if asked for) cannot meet the
     specification. A further form that cannot is designed at its nearest feasible bandwidth, for
@@ -179,7 +179,8 @@ def _certified(
 ) -> Certificate | None:
     if request.bounds is None:
         return None
-    span_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
+    half_V = 0.5 * (specification.voltage_max_V - specification.voltage_min_V)
+    span_V = min(half_V, request.bounds.reach_V)
     amplitude_m = span_V * abs(request.family.nominal.gain)
     fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
     return certify(

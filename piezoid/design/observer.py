@@ -196,9 +196,8 @@ def linear_controller(observer: DisturbanceObserver) -> LinearController:
     A_e, B_e, C_e, L, K_e = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     closed = A_e - np.outer(B_e, K_e)
-    from_output = _response_polynomial(
-        closed @ correct, closed @ L, -K_e @ correct, -float(K_e @ L)
-    )
+    direct = -float(K_e @ L)
+    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, direct)
     S = _characteristic(closed @ correct)
     T = observer.reference_gain * _characteristic(A_e @ correct)
     return LinearController(R=-from_output, S=S, T=T)
@@ -227,9 +226,10 @@ def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array,
 
 def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
     """Return the rows c F^-1, ..., c F^-count."""
-    rows, row = [], disturbance.output
+    rows: list[Array] = []
+    row = disturbance.output
     for _ in range(count):
-        row = np.linalg.solve(disturbance.transition.T, row)
+        row = np.asarray(np.linalg.solve(disturbance.transition.T, row), dtype=np.float64)
         rows.append(row)
     return np.array(rows).reshape(count, len(disturbance.output))
 

@@ -52,9 +52,10 @@ def place(
     Raises ``DesignError`` where the fixed parts cancel the plant's poles or zeros, or where the
     equation is solved no better than 1e-10, and ``UnstableLoopError`` for an unstable P.
     """
-    if spectral_radius(np.asarray(P)) >= 1.0:
+    radius = spectral_radius(np.asarray(P))
+    if radius >= 1.0:
         raise UnstableLoopError(
-            f"the wanted polynomial P has a root of magnitude {spectral_radius(np.asarray(P)):.9g}",
+            f"the wanted polynomial P has a root of magnitude {radius:.9g}",
             needed="every root inside the unit circle",
             remedy="Ask for faster or fewer poles: many slow ones together cannot be resolved.",
         )

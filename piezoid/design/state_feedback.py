@@ -2,7 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import hessenberg
+from scipy.linalg import hessenberg, matrix_balance
 
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
@@ -25,8 +25,8 @@ def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
     Raises ``DesignError`` where a part of the state cannot be reached from B.
     """
     order = len(A)
-    basis = _scaling(A)
-    balanced = A * basis[None, :] / basis[:, None]
+    # Powers of two that make rows and columns alike: states in m and in V differ by 1e6.
+    balanced, (basis, _) = matrix_balance(A, permute=False, separate=True)
     reflect, size = _reflector(np.asarray(B, dtype=np.float64) / basis)
     form, Q = hessenberg(reflect.T @ balanced @ reflect, calc_q=True)
     links = np.concatenate([[size], np.diag(form, -1)])
@@ -42,21 +42,6 @@ def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
     for k, pole in enumerate(np.asarray(poles, dtype=np.complex128)):
         row = (row @ form - pole * row) / links[order - 1 - k]
     return np.asarray((row.real @ Q.T @ reflect.T) / basis)
-
-
-def _scaling(A: Array) -> Array:
-    """Return a diagonal scaling, powers of two, that makes rows and columns of A alike."""
-    scale = np.ones(len(A))
-    balanced = np.abs(A - np.diag(np.diag(A)))
-    for _ in range(20):
-        for k in range(len(A)):
-            row, column = balanced[k].sum(), balanced[:, k].sum()
-            if row > 0.0 and column > 0.0:
-                factor = 2.0 ** np.round(0.5 * np.log2(row / column))
-                scale[k] *= factor
-                balanced[k] /= factor
-                balanced[:, k] *= factor
-    return scale
 
 
 def _reflector(B: Array) -> tuple[Array, float]:
