@@ -3,11 +3,11 @@
 Walls climb barriers of widely spread heights, so relaxation times are spread evenly over the
 logarithm of time:
 
-    x(t) = h(t) - integral g(tau) (h - h_tau) d log10 tau,    tau dh_tau/dt = h - h_tau
+    x(t) = h(t) + integral g(tau) h_tau(t) d log10 tau,    tau dh_tau/dt = h - h_tau
 
-The spectrum g is flat over six decades with soft ends. The integral is a sum over eight relaxation
-times a decade, far denser than anything one would fit. Fast parts have followed h already: written
-with ``h - h_tau`` the displacement *lags behind* the response by what has not relaxed yet.
+with h the response of the domains that switch at once. The spectrum g is flat over six decades
+with soft ends. The integral is a sum over eight relaxation times a decade, far denser than
+anything one would fit.
 
 Source: Jung & Gweon, Rev. Sci. Instrum. 71 (2000); spectrum after Vieira, IBM J. Res. Dev. 30
 (1986).
@@ -24,7 +24,7 @@ from piezoid_datasets.virtual_lab.effects.effect import (
     Place,
     Scene,
 )
-from piezoid_datasets.virtual_lab.effects.sizing import largest
+from piezoid_datasets.virtual_lab.effects.sizing import proportional
 from piezoid_datasets.virtual_lab.signals import Array, first_order
 
 DECADES = (-2.0, 4.0)  # of relaxation time in seconds
@@ -36,8 +36,8 @@ CYCLED_s = 5.0  # the drive was cycled so long before it rested; slow domains ha
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
     """Scale the spectrum until the campaign moves by ``size_m`` beyond its response."""
     tilt = float(rng.uniform(-0.15, 0.15))
-    unit = [_relaxed(t.displacement_m, t.scene, tilt) - t.displacement_m for t in bench.traces]
-    per_decade = size_m / largest(EFFECT.measure, unit)
+    unit = [_crept(trace.displacement_m, trace.scene, tilt) for trace in bench.traces]
+    per_decade = proportional(size_m, EFFECT.measure, unit, why="the stage does not move")
     return creep_of(per_decade, tilt)
 
 
@@ -45,7 +45,7 @@ def creep_of(per_decade: float, tilt: float) -> Fault:
     """Return creep of a given strength: the fraction of a step added in each decade of time."""
 
     def change(ceramic_m: Array, scene: Scene, _: np.random.Generator) -> Array:
-        return ceramic_m + per_decade * (_relaxed(ceramic_m, scene, tilt) - ceramic_m)
+        return ceramic_m + per_decade * _crept(ceramic_m, scene, tilt)
 
     return Fault(
         acts=(Act(name="creep", place=Place.CERAMIC, change=change),),
@@ -53,26 +53,26 @@ def creep_of(per_decade: float, tilt: float) -> Fault:
     )
 
 
-def _relaxed(response_m: Array, scene: Scene, tilt: float) -> Array:
-    """Return h minus the integral of what has not relaxed, for one unit per decade."""
+def _crept(response_m: Array, scene: Scene, tilt: float) -> Array:
+    """Return the integral over the spectrum, for a spectrum of one per decade."""
     first, last = DECADES
     decades = first + (np.arange(round((last - first) * PER_DECADE)) + 0.5) / PER_DECADE
     ends = np.minimum(decades - first, last - decades)
     weight = np.clip(ends / EDGE_DECADES, 0.0, 1.0) * (1.0 + tilt * (decades - 1.0)) / PER_DECADE
     middle_m = 0.5 * float(np.min(response_m) + np.max(response_m))
-    relaxed = response_m.copy()
+    crept = np.zeros_like(response_m)
     for log_tau, share in zip(decades, weight, strict=True):
         tau_s = 10.0 ** float(log_tau)
         left = -np.expm1(-CYCLED_s / tau_s) * np.exp(-scene.rest_s / tau_s)
         start = float(response_m[0] + (middle_m - response_m[0]) * left)
-        relaxed -= share * (response_m - first_order(response_m, tau_s, scene.rate_Hz, start))
-    return relaxed
+        crept += share * first_order(response_m, tau_s, scene.rate_Hz, start)
+    return crept
 
 
 EFFECT = Effect(
     name="creep",
     measure=Measure.RMS,
-    visible_percent=0.4,
+    visible_percent=0.5,
     shown_by=("staircase", "long_hold"),
     install=install,
 )
