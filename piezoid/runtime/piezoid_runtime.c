@@ -713,23 +713,21 @@ static void correct(pz_state *s, const pz_parameters *p, pz_real innovation) {
     s->disturbance_V += p->observer_disturbance_L_V_per_m * innovation;
 }
 
-/* x = A x + B (v_a + d). Answers whether everything is still a number. */
-static int predict(pz_state *s, const pz_parameters *p, pz_real applied_V) {
+/* x = A x + B (v_a + d). */
+static void predict(pz_state *s, const pz_parameters *p, pz_real applied_V) {
     const int32_t n = p->observer_order;
     const pz_real drive = applied_V + s->disturbance_V;
     pz_real next[PZ_MAX_ORDER];
-    pz_real sum = drive;
     for (int32_t i = 0; i < n; ++i) {
         next[i] = dot(p->observer_A[i], s->observer, n) + p->observer_B[i] * drive;
-        sum += next[i];
     }
     for (int32_t i = 0; i < n; ++i) {
         s->observer[i] = next[i];
     }
-    return is_finite(sum);
 }
 
-/* After an overflow: the voltage stays, the memory of the plays stays, the rest starts anew. */
+/* A number overflowed, now or in the last prediction: the voltage and the memory of the plays
+ * stay, everything else starts anew. */
 static void restart_lateral(pz_state *s, const pz_parameters *p) {
     const pz_real y = clamp(s->measured, p->displacement_minimum_m, p->displacement_maximum_m) -
                       p->displacement_offset_m;
@@ -754,11 +752,13 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
         return;
     }
     convert(s, p, volts);
-    play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
+    if (has_plays(p)) {
+        play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
+    }
     const pz_real moved = static_displacement(p, s);
     relax(p, s, moved);
-    if (has_observer(p) && !predict(s, p, (moved + crept) / p->gain_m_per_V)) {
-        restart_lateral(s, p);
+    if (has_observer(p)) {
+        predict(s, p, (moved + crept) / p->gain_m_per_V);
     }
 }
 

@@ -71,11 +71,11 @@ def test_a_filter_starts_at_rest_wherever_it_starts():
 
 
 def test_codes_are_multiples_of_the_converter_step_and_inside_the_limits():
-    given = static(lsb_V=0.3, voltage_minimum_V=-1.0, voltage_maximum_V=1.0)
+    given = static(lsb_V=0.35, voltage_minimum_V=-1.0, voltage_maximum_V=1.0)
     u = started(given).run(np.linspace(-1, 1, 401), np.zeros(401)).voltage_V
-    assert np.array_equal(np.unique(np.round(u / 0.3)), np.arange(-3, 4))
+    assert np.array_equal(np.unique(np.round(u / 0.35)), np.arange(-2, 3))
     assert np.abs(u).max() <= 1.0
-    assert np.abs(u / 0.3 - np.round(u / 0.3)).max() < 1e-15
+    assert np.abs(u / 0.35 - np.round(u / 0.35)).max() < 1e-15
 
 
 def test_the_voltage_changes_by_no_more_than_its_step():

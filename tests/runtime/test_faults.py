@@ -96,12 +96,32 @@ def test_a_measurement_out_of_range_counts_as_the_end_of_the_range():
 
 def test_after_an_overflow_the_voltage_is_held_and_the_loop_starts_anew():
     """An observer that diverges is not refused: its design is not known here, its end is."""
-    wild = lateral(method="dob", observer_L=np.full(4, 1e12))
-    controller = started(wild)
-    run = controller.run(np.ones(2000), np.linspace(0, 1, 2000))
-    assert (run.status & Status.RESTARTED).any()
-    assert np.isfinite(run.voltage_V).all()
+    rest = observer_parameters()["observer_rest"]
+    blind_at_rest = 1e11 * np.array([1.0, -rest[0] / rest[1], 0.0, 0.0])
+    wild = lateral(
+        method="dob",
+        observer_L=np.full(4, 1e12),
+        feedback_K_V=blind_at_rest,
+        feedback_N_V_per_m=1.0,
+    )
+    run = started(wild).run(np.ones(2000), np.linspace(0, 1, 2000))
+    anew = np.flatnonzero(run.status & Status.RESTARTED)
+    assert len(anew) > 1
+    assert np.diff(anew).min() > 1
+    assert np.array_equal(run.voltage_V[anew], run.voltage_V[anew - 1])
     assert np.abs(run.voltage_V).max() <= LIMIT_V
+
+
+def test_an_anti_windup_that_overflows_starts_anew():
+    controller = Controller(
+        tunnelling(rst_A0_count=2, rst_A0=np.array([1.0, 1e9]), voltage_maximum_V=1e-3)
+    )
+    controller.start(0.0, 1e-9)
+    run = controller.run(np.full(500, 1e-8), np.full(500, 1e-9))
+    anew = np.flatnonzero(run.status & Status.RESTARTED)
+    assert len(anew) > 1
+    assert np.diff(anew).min() > 1
+    assert np.array_equal(run.voltage_V[anew], run.voltage_V[anew - 1])
 
 
 def test_before_the_start_the_voltage_is_the_one_nearest_zero():

@@ -3,9 +3,16 @@
 import numpy as np
 import pytest
 
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import (
+    Converter,
+    ModifiedPrandtlIshlinskii,
+)
+from piezoid.operators.modified_prandtl_ishlinskii import compensate as reference_compensate
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.runtime.controller import Controller
 from tests.runtime.runtime_parameters import WORKED, hysteresis
-from tests.runtime.runtime_reference import compensate, forward, random_model
+from tests.runtime.runtime_reference import compensate, follow, forward, random_model
 
 
 def rounding_V(model, y):
@@ -82,3 +89,22 @@ def test_memory_stays_true_through_clipping_and_rounding():
     lost = compensate(y, *arguments, limit_V=limit_V, lsb_V=lsb_V, synchronise=False)
     astray, _ = forward(lost, *arguments)
     assert np.abs(astray - y)[np.abs(lost) < limit_V - lsb_V].max() > 0.3
+
+
+def test_the_shipped_inverse_and_the_operators_put_out_the_same_codes(rng):
+    """Two implementations that share nothing, through the same converter."""
+    lsb_V = 2.0**-8
+    for _ in range(10):
+        model = random_model(rng, plays=16, knots_each_side=4)
+        operator = ModifiedPrandtlIshlinskii(
+            plays=PrandtlIshlinskii(threshold=model["r"], weight=model["w"]),
+            dead_zones=DeadZones(threshold=model["knot"], weight=model["weight"]),
+        )
+        y = np.cumsum(rng.uniform(-0.3, 0.3, 1000))
+        converter = Converter(minimum_V=-4.0, maximum_V=4.0, lsb_V=lsb_V)
+        memory = follow(0.0, model["r"], model["z"])
+        expected, _ = reference_compensate(operator, y, memory, converter)
+        limits = {"voltage_minimum_V": -4.0, "voltage_maximum_V": 4.0, "lsb_V": lsb_V}
+        controller = Controller(hysteresis(model, **limits))
+        controller.start(0.0, np.nan)
+        assert np.array_equal(controller.run(y, y).voltage_V, expected)

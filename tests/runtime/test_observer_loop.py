@@ -29,17 +29,27 @@ def observer(**others):
     return {**WIDE, "method": "dob", **observer_parameters(), **others}
 
 
-class HysteresisPlant(LinearPlant):
-    """Dead zones after plays, then the linear chain."""
+CREEP = {
+    "relaxation_count": 2,
+    "relaxation_rate": np.array([0.02, 0.003]),
+    "relaxation_share": np.array([0.015, 0.01]),
+}
 
-    def __init__(self, model):
+
+class HysteresisPlant(LinearPlant):
+    """Dead zones after plays, creep of what they show if asked for, then the linear chain."""
+
+    def __init__(self, model, creeps=False):
         super().__init__()
         self.model, self.z = model, model["z"]
+        self.crept, self.share = np.zeros(2), CREEP["relaxation_share"] * creeps
 
     def drive(self, volts):
         self.z = follow(volts, self.model["r"], self.z)
         h = float(self.model["w"] @ self.z)
-        super().drive(dead_zones(h, self.model["knot"], self.model["weight"]))
+        moved = dead_zones(h, self.model["knot"], self.model["weight"])
+        super().drive(moved + self.share @ self.crept)
+        self.crept = self.crept + CREEP["relaxation_rate"] * (moved - self.crept)
 
 
 def close_loop(controller, plant, reference, disturbance=0.0):
@@ -84,11 +94,13 @@ def test_a_constant_disturbance_leaves_no_error():
     assert abs(y[-1] - 1.0) < 1e-9
 
 
-def test_the_inverse_makes_a_stage_with_hysteresis_the_linear_one():
+@pytest.mark.parametrize("creeps", [False, True])
+def test_the_inverse_makes_a_stage_with_hysteresis_the_linear_one(creeps):
     """Observer and inverse on the true hysteresis move as the observer alone without it."""
     reference = 2.0 * np.sin(np.linspace(0, 20, 1500)) * np.linspace(0.1, 1.2, 1500)
-    both = started({**hysteresis(WORKED), **observer(), "method": "mpi_dob"})
-    y, u = close_loop(both, HysteresisPlant(WORKED), reference)
+    given = {**hysteresis(WORKED), **observer(), **(CREEP if creeps else {})}
+    both = started({**given, "method": "mpi_dob"})
+    y, u = close_loop(both, HysteresisPlant(WORKED, creeps), reference)
     linear, _ = close_loop(started(observer()), LinearPlant(), reference)
     assert np.abs(y - linear).max() < 1e-10
     assert np.abs(u - reference).max() > 0.3

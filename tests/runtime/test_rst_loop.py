@@ -112,6 +112,13 @@ def test_a_moment_without_current_is_held_and_a_longer_one_retracts():
     assert (run.status & Status.BAD_MEASUREMENT).all()
 
 
+def test_only_unusable_currents_in_a_row_retract():
+    controller = started(volts=1.0)
+    current = np.r_[np.full(4, np.nan), REFERENCE_A, np.full(4, np.inf), REFERENCE_A]
+    run = controller.run(np.full(10, REFERENCE_A), current)
+    assert np.array_equal(run.voltage_V, np.ones(10))
+
+
 def test_a_current_that_ignores_the_voltage_retracts():
     controller = started(stuck_samples=20, stuck_voltage_V=1e-4)
     run = controller.run(np.full(60, 2 * REFERENCE_A), np.full(60, REFERENCE_A))
