@@ -9,13 +9,12 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import DIMENSION_OF, Meaning, Role, meaning_of
 from piezoid.records.recording import Problem, Quantity
+from piezoid.records.refusal import places_of, refuse
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import Dimension, Unit, unit_of
 
 _KEYS = {quantity.name.lower(): quantity for quantity in Quantity}
 _PIEZO = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-_SHOWN_COLUMNS = 8
-_SHOWN_VALUES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,9 +64,9 @@ def assign(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
     clocks = [(column, m) for column, m in read if m.role is Role.TIME]
     channels = _with_axes(table, entry, [(c, m) for c, m in read if m.role is Role.CHANNEL])
     if len(clocks) > 1:
-        raise _refuse(table, f"{_names([c for c, _ in clocks])} are both a time")
+        raise refuse(table, f"{places_of([c for c, _ in clocks])} are both a time")
     if not channels:
-        raise _refuse(table, "no column is a drive voltage or a displacement")
+        raise refuse(table, "no column is a drive voltage or a displacement")
     time = [_converted(table, lab, entry, column, None, "") for column, _ in clocks]
     converted = [
         _converted(table, lab, entry, c, quantity, axis) for c, quantity, axis in channels
@@ -163,16 +162,14 @@ def _with_axes(
     parts = [(column, m.quantity, m.axis, m.by_name) for column, m in channels if m.quantity]
     lone = [c for c, quantity, _, named in parts if quantity is Quantity.VOLTAGE and not named]
     if lone and not any(quantity is Quantity.DISPLACEMENT for _, quantity, _, _ in parts):
-        raise _refuse(table, f"{_names(lone)} in volts may be a drive or a sensor's output")
+        raise refuse(table, f"{places_of(lone)} in volts may be a drive or a sensor's output")
     default = _default_axis(table, entry, [(quantity, axis) for _, quantity, axis, _ in parts])
     found: dict[tuple[Quantity, str], Column] = {}
     for column, quantity, axis, _ in parts:
         key = (quantity, axis or default)
         if key in found:
-            pair = _names([found[key], column])
-            raise _refuse(
-                table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}"
-            )
+            pair = places_of([found[key], column])
+            raise refuse(table, f"{pair} both claim to be the {quantity.name.lower()} of {key[1]}")
         found[key] = column
     return [(column, quantity, axis) for (quantity, axis), column in found.items()]
 
@@ -190,9 +187,7 @@ def _default_axis(
         return named[0]
     if len(named) > 1 and bare and "x" in named:
         kinds = ", ".join(quantity.name.lower() for quantity in bare)
-        raise _refuse(
-            table, f"the file names the axes {', '.join(named)}, but not that of {kinds}"
-        )
+        raise refuse(table, f"the file names the axes {', '.join(named)}, but not that of {kinds}")
     return "x"
 
 
@@ -213,7 +208,7 @@ def _converted(
         text = f"{column.place} has no unit; a voltage that lab.toml names is taken to be in volts"
         problems = (Problem(kind="unit_assumed", place=column.place, text=text),)
     if unit is None:
-        raise _refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
+        raise refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
     values = column.values * unit.factor + unit.offset
     if quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
@@ -225,7 +220,7 @@ def _converted(
             )
         values = values / gain_V_per_m
     elif unit.dimension is not wanted:
-        raise _refuse(
+        raise refuse(
             table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
@@ -245,47 +240,3 @@ def _unit_for(
 
 def _name_of(quantity: Quantity | None) -> str:
     return "time" if quantity is None else quantity.name.lower()
-
-
-def _names(columns: list[Column]) -> str:
-    return " and ".join(column.place for column in columns)
-
-
-def _refuse(table: RawTable, found: str) -> UnitError:
-    """Refuse, showing the columns and the lines of lab.toml that would decide."""
-    seen = [
-        f"{c.place}: {', '.join(f'{value:.6g}' for value in c.values[:_SHOWN_VALUES])}, ..."
-        for c in table.columns[:_SHOWN_COLUMNS]
-    ]
-    more = len(table.columns) - _SHOWN_COLUMNS
-    seen += [f"and {more} more columns"] if more > 0 else []
-    return UnitError(
-        f"{table.name}: {found} (seen: {'; '.join(seen)})",
-        needed="every column that is read needs one meaning, one axis and one unit",
-        remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
-        f"columns:\n\n{lab_block(table)}\n",
-        columns=tuple(column.label for column in table.columns),
-    )
-
-
-def lab_block(table: RawTable) -> str:
-    """Return the ``[[recording]]`` entry to complete for this file, as TOML."""
-    clock = [c for c in table.columns if meaning_of(c.heading).role is Role.TIME]
-    columns = [f"time = {_toml(clock[0].label)}"] if clock else []
-    columns += ['voltage = "..."', 'displacement = "..."']
-    lines = [
-        "[[recording]]",
-        f"file = {_toml(table.name)}",
-        'axis = "x"',
-        f"columns = {{ {', '.join(columns)} }}",
-        'units = { voltage = "...", displacement = "..." }',
-    ]
-    if not clock and table.sampling_rate_Hz is None:
-        lines.append("sampling_rate_Hz = ...")
-    return "\n".join(lines)
-
-
-def _toml(text: str) -> str:
-    import json
-
-    return json.dumps(text, ensure_ascii=True)

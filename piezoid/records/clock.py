@@ -45,7 +45,8 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
     name    of the file, for messages
     place   says where a row stands
 
-    Stamps that a uniform clock would print with these digits are uniform: few digits are no jitter. Stamps that share no interval are refused.
+    Stamps that a uniform clock would print with these digits are uniform: few digits are no
+    jitter. Stamps that share no interval are refused.
     """
     if len(time_s) < 3:
         raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
-from piezoid.records.assignment import Assigned, Assignment, assign, lab_block
+from piezoid.records.assignment import Assigned, Assignment, assign
 from piezoid.records.clock import Clock, plain_rate_Hz, read_clock
 from piezoid.records.faults import faults_of
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.own_axis import incomplete, own_axis, several_axes
 from piezoid.records.readers import read_table
-from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.recording import Channel, Problem, Recording
+from piezoid.records.refusal import lab_block
 from piezoid.records.table import RawTable
 
 Rows = NDArray[np.intp]
@@ -69,7 +71,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     return Recording(
         name=table.name,
         digest=table.digest,
-        axis=_own_axis(entry, channels, lab.place),
+        axis=own_axis(entry, channels, lab.place),
         sampling_rate_Hz=clock.sampling_rate_Hz,
         channels=channels,
         breaks=tuple(sorted(b - part.start for b in breaks if part.start < b < part.stop)),
@@ -79,8 +81,8 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
             *row_problems,
             *clock.problems,
             *faults_of(table, frozenset(a.column.number for a in assignment.channels)),
-            *_incomplete(channels),
-            *_several_axes(entry, channels),
+            *incomplete(channels),
+            *several_axes(entry, channels),
         ),
     )
 
@@ -195,57 +197,4 @@ def _channel(assigned: Assigned, rows: Rows) -> Channel:
         axis=assigned.axis,
         values=assigned.values[rows],
         label=column.label or f"column {column.number}",
-    )
-
-
-def _complete_axes(channels: tuple[Channel, ...]) -> list[str]:
-    held = {(c.quantity, c.axis) for c in channels}
-    axes = sorted({c.axis for c in channels})
-    pair = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-    return [axis for axis in axes if all((quantity, axis) in held for quantity in pair)]
-
-
-def _own_axis(entry: RecordingEntry, channels: tuple[Channel, ...], place: str) -> str:
-    """The axis of the entry, else the one with drive and response that is driven the most."""
-    axes = sorted({c.axis for c in channels})
-    if entry.axis is not None:
-        if entry.axis not in axes:
-            raise LabFileError(
-                f"{place}: {entry.file} is said to be about axis {entry.axis!r}, its columns are "
-                f"of {', '.join(axes)}",
-                needed="an axis one of its columns belongs to",
-                remedy="Correct the axis, or name the columns.",
-            )
-        return entry.axis
-    complete = _complete_axes(channels)
-    spans = {c.axis: float(np.ptp(c.values)) for c in channels if c.quantity is Quantity.VOLTAGE}
-    if complete:
-        return max(complete, key=lambda axis: spans[axis])
-    displaced = [c.axis for c in channels if c.quantity is Quantity.DISPLACEMENT]
-    return min(displaced or axes)
-
-
-def _several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
-    complete = _complete_axes(channels)
-    if entry.axis is not None or len(complete) < 2:
-        return ()
-    own = _own_axis(entry, channels, "")
-    text = (
-        f"drive and response of the axes {', '.join(complete)} are here; taken to be about {own}, "
-        "whose drive moves the most, as lab.toml names none"
-    )
-    return (Problem(kind="several_axes", place="columns", text=text),)
-
-
-def _incomplete(channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
-    held = {c.quantity for c in channels}
-    wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-    return tuple(
-        Problem(
-            kind="incomplete",
-            place="columns",
-            text=f"no {quantity.name.lower()} here: alone this recording cannot be fitted",
-        )
-        for quantity in wanted
-        if quantity not in held
     )

@@ -88,8 +88,6 @@ def _parse_fast(text: str, layout: Layout) -> Block | None:
     except (ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning):
         return None
     columns = tuple(frame[k].to_numpy(dtype=np.float64, copy=True) for k in frame.columns)
-    for column in columns:
-        column[~np.isfinite(column)] = np.nan
     return Block(columns=columns, textual=frozenset(), problems=())
 
 
