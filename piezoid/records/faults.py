@@ -2,16 +2,19 @@
 
 import hashlib
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Problem
+from piezoid.records.recording import Problem, Quantity
 from piezoid.records.table import Column, RawTable
 
 # A clipped converter rests on its last code; noise and slope let nothing else rest this long.
 _CLIPPED_RUN = 5
-_CLIPPED_RATIO = 3
+# The last code of a coarsely converted sine is held up to 2 / (sqrt(2) - 1) = 4.8 times as long as
+# the one before it, by the parabola at its top; what rests eight times as long is no sine.
+_CLIPPED_RATIO = 8
 # A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
 _JUMP = 5.0
 _JUMP_SHARE = 0.2
@@ -55,11 +58,13 @@ def is_dead(values: Array) -> bool:
     return bool(np.ptp(values) == 0)
 
 
-def clipped_share(values: Array) -> float:
+def clipped_share(values: Array, *, rest: float | None = None) -> float:
     """Return the share of samples clipped at the largest or smallest value.
 
+    rest  a value the channel may hold on purpose (0 V, of a drive between two motions), or None
+
     Clipped means: run into the extreme without a jump, stay for at least five samples, and rest
-    nowhere else a third as long. A staircase rests elsewhere too; a step arrives by a jump.
+    nowhere else an eighth as long. A staircase rests elsewhere too; a step arrives by a jump.
     """
     if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
         return 0.0
@@ -68,9 +73,11 @@ def clipped_share(values: Array) -> float:
     lengths, levels = ends - begins, values[begins]
     extreme = (levels == values.max()) | (levels == values.min())
     typical = float(np.median(np.abs(np.diff(levels))))
-    inner = begins > 0
+    # What is held at the beginning or the end may be a rest before or after the motion.
+    inner = (begins > 0) & (ends < len(values))
+    inner &= np.ones(len(begins), dtype=bool) if rest is None else levels != rest
     arrival = np.zeros(len(begins))
-    arrival[inner] = np.abs(levels[inner] - values[begins[inner] - 1])
+    arrival[1:] = np.abs(np.diff(levels))
     elsewhere = int(lengths[~extreme].max(initial=1))
     longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
     jump = np.minimum(_JUMP * typical, _JUMP_SHARE * np.ptp(values))
@@ -78,10 +85,10 @@ def clipped_share(values: Array) -> float:
     return float(lengths[clipped].sum() / len(values))
 
 
-def faults_of(table: RawTable, read: frozenset[int]) -> tuple[Problem, ...]:
+def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, ...]:
     """Return the problems of all columns: empty, dead, saturated, equal to another.
 
-    read  numbers of the columns that become channels; only there does clipping mean anything
+    read  columns, by number, that become channels; only there does clipping mean anything
     """
     found: list[Problem] = []
     seen: dict[bytes, Column] = {}
@@ -93,7 +100,9 @@ def faults_of(table: RawTable, read: frozenset[int]) -> tuple[Problem, ...]:
             unit = "" if column.heading.unit is None else f" {column.heading.unit.symbol}"
             found.append(_problem("dead", column, f"is {held[0]:.6g}{unit} throughout"))
         else:
-            share = clipped_share(held) if column.number in read else 0.0
+            quantity = read.get(column.number)
+            rest = 0.0 if quantity is Quantity.VOLTAGE else None
+            share = 0.0 if quantity is None else clipped_share(held, rest=rest)
             if share > 0:
                 ends = f"rests on {held.min():.6g} or {held.max():.6g} (as found)"
                 text = f"{ends} for {100 * share:.2g} % of the samples: clipped?"

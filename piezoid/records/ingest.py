@@ -80,7 +80,9 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
             *assignment.problems,
             *row_problems,
             *clock.problems,
-            *faults_of(table, frozenset(a.column.number for a in assignment.channels)),
+            *faults_of(
+                table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
+            ),
             *incomplete(channels),
             *several_axes(entry, channels),
         ),

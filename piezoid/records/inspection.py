@@ -117,7 +117,7 @@ def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> I
                 _summary(column, meaning_of(column.heading)) for column in table.columns
             ),
             sampling_rate_Hz=table.sampling_rate_Hz,
-            problems=(*table.problems, *faults_of(table, frozenset())),
+            problems=(*table.problems, *faults_of(table, {})),
             refusal=str(error),
         )
     assignment = assign(table, lab, RecordingEntry(file=table.name) if entry is None else entry)
@@ -191,7 +191,7 @@ def _numbers(
         noise_rms=noise_rms(held) if len(held) > 4 else None,
         step=step_size(held) if len(held) else 0.0,
         is_dead=bool(len(held)) and is_dead(held),
-        clipped=clipped_share(held) if len(held) else 0.0,
+        clipped=clipped_share(held, rest=0.0 if si_unit == "V" else None) if len(held) else 0.0,
         missing=int(np.count_nonzero(~np.isfinite(column.values))),
     )
 

@@ -40,12 +40,23 @@ def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> N
     [
         SINE,
         np.round(SINE, 2),
+        np.round(SINE, 4),
+        np.concatenate([np.maximum(SINE, 0)[:6000], np.zeros(3000)]),
         np.repeat([0.0, 1, 2, 3, 2, 1, 0], 500),
         np.repeat([0.0, 1, 0, 1], 500),
         np.abs(np.arange(-5000, 5000) % 2000 - 1000) / 1000,
         np.zeros(100),
     ],
-    ids=["sine", "coarse sine", "staircase", "steps", "triangle", "dead"],
+    ids=[
+        "sine",
+        "coarse sine",
+        "fine sine",
+        "bursts from rest",
+        "staircase",
+        "steps",
+        "triangle",
+        "dead",
+    ],
 )
 def test_drives_that_rest_where_they_should_are_not_clipped(values: np.ndarray) -> None:
-    assert clipped_share(values) == 0
+    assert clipped_share(values, rest=0.0) == 0
