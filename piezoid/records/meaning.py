@@ -42,7 +42,11 @@ class Meaning:
     reason: str = ""
 
 
-_TIME_WORDS = frozenset({"time", "t", "zeit", "temps", "timestamp", "timestamps", "elapsed"})
+_TIME_WORDS = frozenset(
+    {"time", "t", "zeit", "temps", "timestamp", "timestamps", "elapsed", "date", "datetime"}
+)
+# What oscilloscopes call a column whose unit is a time: ``X``, ``x-axis``, or nothing.
+_ABSCISSA_WORDS = frozenset({"axis"})
 _NAME_WORDS = {
     Quantity.VOLTAGE: frozenset(
         {"voltage", "volt", "volts", "u", "v", "drive", "spannung", "tension"}
@@ -81,7 +85,8 @@ def meaning_of(heading: Heading) -> Meaning:
     """
     words, axis = _words_of(heading.stem)
     dimension = None if heading.unit is None else heading.unit.dimension
-    if words & _TIME_WORDS and dimension in (None, Dimension.TIME):
+    is_abscissa = dimension is Dimension.TIME and words <= _ABSCISSA_WORDS
+    if is_abscissa or (words & _TIME_WORDS and dimension in (None, Dimension.TIME)):
         return Meaning(role=Role.TIME)
     named = [quantity for quantity, names in _NAME_WORDS.items() if words & names]
     foreign = words & _FOREIGN_WORDS

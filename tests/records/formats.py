@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +143,20 @@ def tektronix(path: Path) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
+def tektronix_above(path: Path) -> None:
+    above = "Model,MSO\n\nHorizontal Units,S,\nVertical Units,V,V\nLabel,,\nTIME,CH1,CH2\n"
+    path.write_text(above + _rows(",", ".", COLUMNS * [1, 1, 0.1]))
+
+
+def logger(path: Path) -> None:
+    start = datetime(2024, 2, 28, 23, 59, 59, 950000, tzinfo=UTC)
+    lines = ["date,voltage [V],position [um],state"]
+    for t, v, d in COLUMNS:
+        stamp = (start + timedelta(seconds=t)).isoformat(timespec="microseconds")
+        lines.append(f"{stamp},{v:.6f},{d:.6f},ok")
+    path.write_text("\n".join(lines) + "\n")
+
+
 def gcs(path: Path) -> None:
     above = (
         f"# VERSION = 1\n# TYPE = 1\n# SEPARATOR = 9\n# DIM = 2\n# NDATA = {SAMPLES}\n"
@@ -171,10 +186,12 @@ SPEAKING: dict[str, Callable[[Path], None]] = {
     "run.lvm": lvm,
     "history.dat": nanonis,
     "recorder.dat": gcs,
+    "logger.csv": logger,
 }
 # Files that need lab.toml to be a recording.
 SILENT: dict[str, Callable[[Path], None]] = {
     "rigol.csv": rigol,
     "tek.csv": tektronix,
+    "tek2.csv": tektronix_above,
     "run.npy": npy,
 }

@@ -17,7 +17,7 @@ from piezoid.records.readers import read_table
 from piezoid.records.readers.source import open_source
 from tests.records.formats import SILENT, SPEAKING
 
-MUTATIONS = 60  # for each of seventeen formats; 1000 for each were tried once as well
+MUTATIONS = 60  # for each of nineteen formats; 1000 for each were tried once as well
 
 
 def _mutated(content: bytes, rng: np.random.Generator) -> bytes:

@@ -35,6 +35,7 @@ READERS: tuple[Reader, ...] = (
     nanonis.READER,
     rigol.READER,
     tektronix.READER,
+    tektronix.ABOVE,
     gcs_array.READER,
     text_table.READER,
 )

@@ -4,12 +4,16 @@ import io
 import re
 import warnings
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.source import unreadable
 from piezoid.records.recording import Problem
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 _EMPTY = frozenset({"", "nan", "n/a", "na", "null", "none", "-", "--", "#n/a", "-nan", "inf",
                     "-inf", "+inf", "infinity", "-infinity"})  # fmt: skip
@@ -36,11 +40,13 @@ class Block:
 
     columns   (fields,) arrays of equal length; NaN where a field holds no number
     textual   fields that hold text in most of their rows
+    stamped   fields that hold dates with times, now seconds from the first
     problems  damaged fields and rows, with their lines
     """
 
     columns: tuple[Array, ...]
     textual: frozenset[int]
+    stamped: frozenset[int] = frozenset()
     problems: tuple[Problem, ...]
 
 
@@ -63,32 +69,90 @@ def number_of(text: str, decimal: str) -> float | None:
 
 def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
     """Read the rows of a table; ``first_line`` is the line its first row stands on."""
-    block = _parse_fast(text, layout)
+    block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
     return _parse_slowly(text, layout, name, first_line) if block is None else block
 
 
 def _parse_fast(text: str, layout: Layout) -> Block | None:
+    """Read a table in which every field is a number or empty, or return None."""
+    frame = _frame(text, layout, np.float64)
+    if frame is None:
+        return None
+    columns = tuple(frame[k].to_numpy(dtype=np.float64) for k in frame.columns)
+    return Block(columns=columns, textual=frozenset(), problems=())
+
+
+def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
+    """Read a table of whole rows in which some fields hold text or dates, or return None."""
+    import pandas as pd
+
+    frame = None if "\n\n" in text.rstrip("\n") else _frame(text, layout, str)
+    if frame is None:
+        return None
+    columns, texts, stamped = [], [], set()
+    for k in frame.columns:
+        held = frame[k].str.strip()
+        points = held.str.replace(",", ".") if layout.decimal == "," else held
+        numbers = pd.to_numeric(points, errors="coerce")
+        wrong_here = held.notna() & numbers.isna() & ~held.str.lower().isin(_EMPTY)
+        texts.append(np.array(wrong_here, dtype=bool))
+        if 2 * texts[-1].sum() > len(held):
+            stamps = pd.to_datetime(held, format="ISO8601", errors="coerce", utc=True)
+            if stamps.notna().all():
+                numbers = (stamps - stamps.iloc[0]).dt.total_seconds()
+                texts[-1][:] = False
+                stamped.add(int(k))
+        columns.append(numbers.to_numpy(dtype=np.float64))
+    wrong = np.array(texts)
+    textual = frozenset(np.flatnonzero(2 * wrong.sum(axis=1) > len(frame)).tolist())
+    if len(textual) == layout.fields or 4 * _most(wrong, textual) > len(frame):
+        return None
+    first = [first_line + int(np.argmax(row)) for row in wrong]
+    problems = _text_problems(wrong.sum(axis=1), first, textual)
+    return Block(
+        columns=tuple(columns), textual=textual, stamped=frozenset(stamped), problems=problems
+    )
+
+
+def _most(wrong: np.ndarray, textual: frozenset[int]) -> int:
+    counts = wrong.sum(axis=1)
+    return max((int(counts[k]) for k in range(len(counts)) if k not in textual), default=0)
+
+
+def _text_problems(
+    texts: np.ndarray, first: list[int], textual: frozenset[int]
+) -> tuple[Problem, ...]:
+    return tuple(
+        Problem(
+            kind="not_a_number",
+            place=f"line {first[k]}, column {k + 1}",
+            text=f"{texts[k]} fields of column {k + 1} hold text instead of a number",
+        )
+        for k in range(len(texts))
+        if texts[k] and k not in textual
+    )
+
+
+def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
     import pandas as pd
 
     try:
         # The warning says that fields were dropped: that must send us the slow way, not be lost.
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)
-            frame = pd.read_csv(
+            return pd.read_csv(
                 io.StringIO(text),
                 sep=layout.separator or r"\s+",
                 decimal=layout.decimal,
                 header=None,
                 names=list(range(layout.fields)),
                 index_col=False,
-                dtype=np.float64,
+                dtype=dtype,
                 engine="c",
                 na_values=["-", "--"],
             )
     except (ValueError, OverflowError, pd.errors.ParserError, pd.errors.ParserWarning):
         return None
-    columns = tuple(frame[k].to_numpy(dtype=np.float64, copy=True) for k in frame.columns)
-    return Block(columns=columns, textual=frozenset(), problems=())
 
 
 def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Block:
@@ -117,15 +181,7 @@ def _judge(
             first[k] = first[k] or line
             texts[k] += 1
     textual = frozenset(np.flatnonzero(2 * texts > count).tolist())
-    problems = [
-        Problem(
-            kind="not_a_number",
-            place=f"line {first[k]}, column {k + 1}",
-            text=f"{texts[k]} fields of column {k + 1} hold text instead of a number",
-        )
-        for k in range(fields)
-        if texts[k] and k not in textual
-    ]
+    problems = list(_text_problems(texts, first, textual))
     if strange:
         line, found = strange[0]
         rows[[k for k, (at, _) in enumerate(lines) if at in {s for s, _ in strange}]] = np.nan

@@ -41,21 +41,8 @@ def find_start(lines: list[str], name: str) -> Start:
     The layout with the most rows of numbers wins; among equals the one whose headings fit, then
     the earlier one in the list (a tab is never an accident, a blank often is).
     """
-    best: Start | None = None
-    best_score = (0, False)
-    for separator, decimal in _LAYOUTS:
-        rows = _numeric_rows(lines, separator, decimal)
-        if not rows:
-            continue
-        fields = Counter(rows.values()).most_common(1)[0][0]
-        first = min(row for row, count in rows.items() if count == fields)
-        start = replace(
-            _headed(lines, first, Layout(separator=separator, decimal=decimal, fields=fields)),
-            strays=tuple(row + 1 for row in rows if row < first),
-        )
-        score = (sum(count == fields for count in rows.values()), any(start.labels))
-        if score > best_score:
-            best, best_score = start, score
+    # Rows of nothing but numbers first; only where there are none, rows with texts among them.
+    best = _best_start(lines, share=1.0) or _best_start(lines, share=0.5)
     if best is None:
         raise unreadable(
             name,
@@ -67,14 +54,36 @@ def find_start(lines: list[str], name: str) -> Start:
     return best
 
 
-def _numeric_rows(lines: list[str], separator: str, decimal: str) -> dict[int, int]:
+def _best_start(lines: list[str], share: float) -> Start | None:
+    best: Start | None = None
+    best_score = (0, False)
+    for separator, decimal in _LAYOUTS:
+        rows = _numeric_rows(lines, separator, decimal, share)
+        if not rows:
+            continue
+        fields = Counter(rows.values()).most_common(1)[0][0]
+        first = min(row for row, count in rows.items() if count == fields)
+        start = replace(
+            _headed(lines, first, Layout(separator=separator, decimal=decimal, fields=fields)),
+            strays=tuple(row + 1 for row in rows if row < first),
+        )
+        score = (sum(count == fields for count in rows.values()), any(start.labels))
+        if score > best_score:
+            best, best_score = start, score
+    return best
+
+
+def _numeric_rows(lines: list[str], separator: str, decimal: str, share: float) -> dict[int, int]:
+    """Return the fields of each row in which at least a share of the filled ones are numbers."""
     found = {}
     for row, line in enumerate(lines):
         if not line.strip() or (separator and separator not in line and separator != ","):
             continue
         fields = split(line, separator)
         values = [number_of(field, decimal) for field in fields if field]
-        if values and all(value is not None for value in values) and any(map(_is_digit, fields)):
+        numbers = sum(value is not None for value in values)
+        is_whole = numbers == len(values) if share == 1 else numbers > 1
+        if numbers and is_whole and numbers >= share * len(values) and any(map(_is_digit, fields)):
             found[row] = len(fields)
     return found
 

@@ -5,9 +5,11 @@ out after some twenty rows, the samples go on.
 """
 
 import re
+from dataclasses import replace
 
 import numpy as np
 
+from piezoid.records.readers import text_table
 from piezoid.records.readers.block import Layout, number_of, parse_block, split
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
@@ -109,6 +111,34 @@ def _missing(settings: dict[str, str], held: int) -> tuple[Problem, ...]:
     return (Problem(kind="truncated", place="line 1", text=text),)
 
 
+def recognises_above(source: Source) -> bool:
+    """Tell the later form, settings above the samples, by its unit lines and its heading."""
+    wanted = (rb"^Horizontal Units,", rb"^Vertical Units,", rb"^TIME,")
+    return all(re.search(line, source.head, re.MULTILINE) for line in wanted)
+
+
+def read_above(source: Source) -> RawTable:
+    """Read the later form: a text table whose units stand among the settings above it."""
+    table = text_table.read(source)
+    units = [
+        table.metadata.get("Horizontal Units", "").strip(",").lower(),
+        *table.metadata.get("Vertical Units", "").split(","),
+    ]
+    columns = tuple(
+        replace(column, declared_unit=units[column.number - 1])
+        if column.number <= len(units)
+        else column
+        for column in table.columns
+    )
+    return replace(table, columns=columns, format="Tektronix oscilloscope, settings above")
+
+
+ABOVE = Reader(
+    name="Tektronix oscilloscope, settings above",
+    suffixes=(".csv",),
+    recognises=recognises_above,
+    read=read_above,
+)
 READER = Reader(
     name="Tektronix oscilloscope", suffixes=(".csv",), recognises=recognises, read=read
 )

@@ -45,7 +45,7 @@ def _columns(start: Start, block: Block) -> tuple[Column, ...]:
         Column(
             number=k + 1,
             label=label,
-            declared_unit=unit_cell(unit),
+            declared_unit="s" if k in block.stamped else unit_cell(unit),
             values=values,
         )
         for k, (label, unit, values) in enumerate(
