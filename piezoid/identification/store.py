@@ -72,6 +72,8 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
             "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
             "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
             "dead_zone_weight": hysteresis.dead_zones.weight.tolist(),
+            "envelope_threshold_V": hysteresis.envelope.threshold.tolist(),
+            "envelope_weight": hysteresis.envelope.weight.tolist(),
             "voltage_offset_V": hysteresis.voltage_offset_V,
             "displacement_offset_m": hysteresis.displacement_offset_m,
         },
@@ -151,6 +153,10 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
             dead_zones=DeadZones(
                 threshold=np.array(hysteresis["dead_zone_threshold_m"]),
                 weight=np.array(hysteresis["dead_zone_weight"]),
+            ),
+            envelope=DeadZones(
+                threshold=np.array(hysteresis["envelope_threshold_V"]),
+                weight=np.array(hysteresis["envelope_weight"]),
             ),
             voltage_offset_V=hysteresis["voltage_offset_V"],
             displacement_offset_m=hysteresis["displacement_offset_m"],

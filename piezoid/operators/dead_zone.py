@@ -1,5 +1,6 @@
 """One-sided dead zones: the memoryless part of the modified model, and its exact inverse."""
 
+import ctypes
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,6 +8,18 @@ import numpy as np
 from piezoid.errors import NotInvertibleError
 from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
 from piezoid.operators.library import KERNELS, address, contiguous
+
+
+class KernelMap(ctypes.Structure):
+    """The kernels' ``pk_map``; it holds the arrays it points to."""
+
+    _fields_ = (
+        ("knots", ctypes.c_size_t),
+        ("knot", ctypes.c_void_p),
+        ("slope", ctypes.c_void_p),
+        ("zero", ctypes.c_size_t),
+    )
+    arrays: tuple[Array, Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +82,13 @@ class DeadZones:
             address(local),
         )
         return output, local
+
+    def kernel_map(self) -> KernelMap:
+        """Return the map as a kernel takes it."""
+        knot, slope = self.threshold, contiguous(self.slope)
+        found = KernelMap(len(knot), address(knot), address(slope), self.zero)
+        found.arrays = (knot, slope)
+        return found
 
     def columns(self, h: Array) -> Array:
         """Return s_r(h) for every threshold, (samples, zones), column-major."""

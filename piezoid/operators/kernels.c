@@ -141,31 +141,36 @@ void pk_piecewise_linear(size_t samples, const double *input, size_t knots, cons
     }
 }
 
+static double mapped(double x, const pk_map *map) {
+    double unused = 0.0;
+    return piecewise(x, map->knots, map->knot, map->slope, map->zero, &unused);
+}
+
 void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
                                const double *threshold_V, const double *weight,
                                const double *inverse_threshold, const double *inverse_weight,
-                               size_t knots, const double *knot, const double *slope, size_t zero,
-                               double offset_V, double minimum_V, double maximum_V, double lsb_V,
-                               int synchronise, double *state_V, double *inverse_state,
-                               double *applied_V) {
-    double unused = 0.0;
+                               const pk_map *inverse_zones, const pk_map *envelope,
+                               const pk_map *inverse_envelope, double offset_V, double minimum_V,
+                               double maximum_V, double lsb_V, int synchronise, double *state_V,
+                               double *inverse_state, double *applied_V) {
     for (size_t k = 0; k < samples; ++k) {
-        const double q = piecewise(desired[k], knots, knot, slope, zero, &unused);
-        double u = 0.0;
+        const double q = mapped(desired[k], inverse_zones);
+        double drive = 0.0;
         for (size_t i = 0; i < plays; ++i) {
             const double r = inverse_threshold[i];
             inverse_state[i] = clamp(inverse_state[i], q - r, q + r);
-            u += inverse_weight[i] * inverse_state[i];
+            drive += inverse_weight[i] * inverse_state[i];
         }
-        double volts = clamp(u + offset_V, minimum_V, maximum_V);
+        double volts = mapped(drive, inverse_envelope) + offset_V;
+        volts = clamp(volts, minimum_V, maximum_V);
         if (lsb_V > 0.0) {
             volts = clamp(lsb_V * nearbyint(volts / lsb_V), minimum_V, maximum_V);
         }
         applied_V[k] = volts;
-        u = volts - offset_V;
+        drive = mapped(volts - offset_V, envelope);
         double total = 0.0;
         for (size_t i = 0; i < plays; ++i) {
-            state_V[i] = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);
+            state_V[i] = clamp(state_V[i], drive - threshold_V[i], drive + threshold_V[i]);
             total += weight[i];
         }
         if (synchronise != 0) {

@@ -39,24 +39,34 @@ void pk_play_sum(size_t samples, const double *input_V, size_t plays, const doub
 void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
                          const double *slope, size_t zero, double *output, double *local);
 
-/* Online inverse of dead zones after plays with clipping, rounding and re-synchronised memory.
- *   desired       (samples,)          output asked of the plant
- *   plays, threshold_V, weight        the forward plays
- *   inverse_threshold, inverse_weight the inverse plays
- *   knots, knot, slope, zero          the INVERSE dead zones, as in pk_piecewise_linear
- *   offset_V                          the plays see the applied voltage less this
- *   minimum_V, maximum_V, lsb_V       converter: limits and step (0: none) of the applied voltage
- *   synchronise                       0: keep the inverse's own memory (shows why not to)
- *   state_V, inverse_state (plays,)   in/out: forward and inverse memory
- *   applied_V     (samples,)          out: what the converter really puts out
+/* A continuous piecewise-linear map through the origin, as in pk_piecewise_linear. */
+typedef struct {
+    size_t knots;
+    const double *knot;
+    const double *slope;
+    size_t zero;
+} pk_map;
+
+/* Online inverse of dead zones after plays after an envelope, with clipping, rounding and
+ * re-synchronised memory.
+ *   desired                 (samples,)  output asked of the plant
+ *   plays, threshold_V, weight          the forward plays
+ *   inverse_threshold, inverse_weight   the inverse plays
+ *   inverse_zones           the INVERSE dead zones
+ *   envelope, inverse_envelope          in front of the plays, and its inverse
+ *   offset_V                the envelope sees the applied voltage less this
+ *   minimum_V, maximum_V, lsb_V         converter: limits and step (0: none)
+ *   synchronise             0: keep the inverse's own memory (shows why not to)
+ *   state_V, inverse_state  (plays,)    in/out: forward and inverse memory
+ *   applied_V               (samples,)  out: what the converter really puts out
  */
 void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,
                                const double *threshold_V, const double *weight,
                                const double *inverse_threshold, const double *inverse_weight,
-                               size_t knots, const double *knot, const double *slope, size_t zero,
-                               double offset_V, double minimum_V, double maximum_V, double lsb_V,
-                               int synchronise, double *state_V, double *inverse_state,
-                               double *applied_V);
+                               const pk_map *inverse_zones, const pk_map *envelope,
+                               const pk_map *inverse_envelope, double offset_V, double minimum_V,
+                               double maximum_V, double lsb_V, int synchronise, double *state_V,
+                               double *inverse_state, double *applied_V);
 
 /* First-order filters in place, one per column, all with the same coefficients:
  *   y[k] = pole y[k-1] + b0 x[k] + b1 x[k-1]

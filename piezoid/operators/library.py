@@ -20,8 +20,9 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_piecewise_linear": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, *[_POINTER] * 2),
     "pk_inverse_resynchronised": (
         *(_SIZE, _POINTER, _SIZE),
-        *[_POINTER] * 4,
-        *(_SIZE, _POINTER, _POINTER, _SIZE, *[_DOUBLE] * 4, _INT),
+        *[_POINTER] * 7,
+        *[_DOUBLE] * 4,
+        _INT,
         *[_POINTER] * 3,
     ),
     "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),

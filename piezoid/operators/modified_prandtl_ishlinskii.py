@@ -1,11 +1,16 @@
-"""The Modified Prandtl-Ishlinskii model: dead zones after plays, with offsets, and its inverse."""
+"""The Modified Prandtl-Ishlinskii model: dead zones after plays, with offsets, and its inverse.
 
+With an envelope in front of the plays it is the generalised model with equal envelopes, whose
+inverse is as exact.
+"""
+
+import ctypes
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.library import KERNELS, address, contiguous
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
@@ -14,12 +19,14 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 class ModifiedPrandtlIshlinskii:
     """Dead zones after plays: memory first, static nonlinearity second.
 
-        y = y_off + Psi(H[u - u_off])                                    [Kuhnen 2003]
+        y = y_off + Psi(H[gamma(u - u_off)])
 
     plays                  H, thresholds in V, weights in m/V
     dead_zones             Psi, thresholds in m, weights without unit
-    voltage_offset_V       u_off; memory is kept of u - u_off
+    voltage_offset_V       u_off; memory is kept of gamma(u - u_off)
     displacement_offset_m  y_off
+    envelope               gamma, V to V; the identity in Kuhnen's model [Kuhnen 2003], increasing
+                           in the generalised one [Al Janaideh, Rakheja & Su 2011]
 
     Gauge: the dead zone at 0 has weight 1, so H carries the metres. Two models are compared only
     in the same gauge; ``regauged`` brings any other here.
@@ -29,17 +36,23 @@ class ModifiedPrandtlIshlinskii:
     dead_zones: DeadZones
     voltage_offset_V: float = 0.0
     displacement_offset_m: float = 0.0
+    envelope: DeadZones = LINEAR
 
     @property
     def is_invertible(self) -> bool:
-        """Whether both parts have an inverse."""
-        return self.plays.is_invertible and self.dead_zones.is_invertible
+        """Whether all parts have an inverse."""
+        return (
+            self.plays.is_invertible
+            and self.dead_zones.is_invertible
+            and self.envelope.is_invertible
+        )
 
     @property
     def slope_sector_m_per_V(self) -> tuple[float, float]:
         """Least and greatest increment gain: m <= dy/du <= M for every step of every input."""
-        slope, local = self.plays.slope, self.dead_zones.slope
-        return float(slope.min() * local.min()), float(slope.max() * local.max())
+        slopes = (self.envelope.slope, self.plays.slope, self.dead_zones.slope)
+        least, greatest = np.prod([[s.min(), s.max()] for s in slopes], axis=0)
+        return float(least), float(greatest)
 
     def virgin_memory(self) -> Array:
         """Return the de-poled state."""
@@ -49,16 +62,17 @@ class ModifiedPrandtlIshlinskii:
         """Return the displacement and the memory after the last sample.
 
         voltage_V  (samples,)  V
-        memory_V   (plays,)    V, admissible states of u - u_off before the first sample
+        memory_V   (plays,)    V, admissible states before the first sample
         returned   (samples,)  m, and (plays,) V
         """
-        h_m, after_V = self.plays.run(voltage_V - self.voltage_offset_V, memory_V)
+        drive_V = self.envelope.run(voltage_V - self.voltage_offset_V)
+        h_m, after_V = self.plays.run(drive_V, memory_V)
         return self.dead_zones.run(h_m) + self.displacement_offset_m, after_V
 
     def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
         """Return the voltage that makes this displacement, and the forward memory after it.
 
-            u = u_off + H^-1[Psi^-1(y - y_off)]
+            u = u_off + gamma^-1(H^-1[Psi^-1(y - y_off)])
 
         displacement_m  (samples,)  m
         memory_V        (plays,)    V, the forward memory before the first sample
@@ -67,7 +81,7 @@ class ModifiedPrandtlIshlinskii:
         start = self.plays.inverse_memory(memory_V)
         command_V, _ = self.plays.inverse().run(q_m, start)
         _, after_V = self.plays.run(command_V, memory_V)
-        return command_V + self.voltage_offset_V, after_V
+        return self.envelope.inverse().run(command_V) + self.voltage_offset_V, after_V
 
     def regauged(self) -> "ModifiedPrandtlIshlinskii":
         """Return the same operator with weight 1 at the central dead zone."""
@@ -79,6 +93,7 @@ class ModifiedPrandtlIshlinskii:
             ),
             voltage_offset_V=self.voltage_offset_V,
             displacement_offset_m=self.displacement_offset_m,
+            envelope=self.envelope,
         )
 
 
@@ -116,7 +131,11 @@ def compensate(
     synchronise  False keeps the inverse's own memory, to show what that costs
     returned     (samples,)  V applied, and (plays,) V the forward memory after it
     """
-    inverse_plays, inverse_zones = model.plays.inverse(), model.dead_zones.inverse()
+    inverse_plays = model.plays.inverse()
+    maps = [
+        part.kernel_map()
+        for part in (model.dead_zones.inverse(), model.envelope, model.envelope.inverse())
+    ]
     wanted = contiguous(desired_m - model.displacement_offset_m)
     forward = np.array(memory_V, dtype=np.float64)
     backward = np.array(model.plays.inverse_memory(forward))
@@ -129,10 +148,7 @@ def compensate(
         address(model.plays.weight),
         address(inverse_plays.threshold),
         address(inverse_plays.weight),
-        len(inverse_zones.threshold),
-        address(inverse_zones.threshold),
-        address(contiguous(inverse_zones.slope)),
-        inverse_zones.zero,
+        *(ctypes.addressof(part) for part in maps),
         model.voltage_offset_V,
         converter.minimum_V,
         converter.maximum_V,

@@ -3,7 +3,7 @@
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.dead_zone import DeadZones, from_slopes
+from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import project_memory
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -34,6 +34,7 @@ def draw_model(rng: np.random.Generator) -> ModifiedPrandtlIshlinskii:
         dead_zones=draw_zones(rng),
         voltage_offset_V=float(rng.normal()),
         displacement_offset_m=float(rng.normal()),
+        envelope=LINEAR if rng.random() < 0.5 else draw_zones(rng),
     )
 
 

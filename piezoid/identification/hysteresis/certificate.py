@@ -1,8 +1,9 @@
 """The boundedness certificate: how wrong the model can be for any drive in its range.
 
-    |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) int |W_t - W_m| dr + sup |Psi_t - Psi_m| + rho
+    |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) (int |W_t - W_m| dr + Lip(H_m) sup |gamma_t - gamma_m|)
+                                 + sup |Psi_t - Psi_m| + rho
 
-The first two terms are 95 % quantiles over models drawn from the fit's own uncertainty; rho is
+The first terms are 95 % quantiles over models drawn from the fit's own uncertainty; rho is
 the 99.9 % quantile of the held-out residual. Every term is finite, so the error of the model, and
 with it that of the compensation by its inverse, is bounded for all bounded drives.
 """
@@ -15,6 +16,7 @@ from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Scales
 from piezoid.identification.model import Certificate
 from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.worst_case import worst_case
 
@@ -64,9 +66,19 @@ def apart(
 ) -> tuple[float, float]:
     """Return the play and the dead-zone term of the distance between two models, m."""
     steepest = float(model.dead_zones.slope.max())
-    plays_m = steepest * worst_case(other.plays, model.plays, reach_V).bound
-    top_m = float(other.plays.loading_curve(np.array([reach_V]))[0])
-    knots = np.concatenate([model.dead_zones.threshold, other.dead_zones.threshold])
-    grid = np.concatenate([[-top_m, top_m], knots[np.abs(knots) < top_m]])
-    zones_m = float(np.abs(model.dead_zones.run(grid) - other.dead_zones.run(grid)).max())
-    return plays_m, zones_m
+    reach = np.array([-reach_V, reach_V])
+    widest_V = float(np.abs(other.envelope.run(reach)).max())
+    bends_V = _sup_difference(model.envelope, other.envelope, reach_V)
+    plays_m = steepest * (
+        worst_case(other.plays, model.plays, widest_V).bound
+        + float(np.abs(model.plays.weight).sum()) * bends_V
+    )
+    top_m = float(other.plays.loading_curve(np.array([widest_V]))[0])
+    return plays_m, _sup_difference(model.dead_zones, other.dead_zones, top_m)
+
+
+def _sup_difference(first: DeadZones, second: DeadZones, reach: float) -> float:
+    """Return the greatest distance of two piecewise-linear maps over [-reach, reach]."""
+    knots = np.concatenate([first.threshold, second.threshold])
+    grid = np.concatenate([[-reach, reach], knots[np.abs(knots) < reach]])
+    return float(np.abs(first.run(grid) - second.run(grid)).max())

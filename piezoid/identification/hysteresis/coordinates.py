@@ -8,14 +8,19 @@ numbers are of order one. The parametrisation makes every constraint a bound on 
     slopes of Psi         free numbers >= a least slope, the two at the origin fixed to 1
     kinks of Psi          sums of gaps >= a least gap, outwards from 0
     play weights          w_0 >= a least slope, w_i >= 0
+    slopes of gamma       free numbers within a factor of five of the one in the middle, which is 1
+
+gamma is the envelope in front of the plays: without bends it is the identity and the model is
+Kuhnen's; with them it is the generalised Prandtl-Ishlinskii model with equal envelopes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
 
 LEAST_GAP = 2e-3
 GREATEST_GAP = 0.5
@@ -31,12 +36,14 @@ class Shape:
     plays         moving plays besides the identity r_0 = 0
     below, above  dead zones with negative and positive thresholds besides the one at 0
     lag           ``none``, ``delay`` or ``first_order``
+    bends         kinks of the envelope gamma on each side of its middle
     """
 
     plays: int
     below: int
     above: int
     lag: str = "delay"
+    bends: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +70,8 @@ class Coordinates:
             "below_slope": shape.below,
             "above_gap": shape.above,
             "above_slope": shape.above,
+            "below_envelope": shape.bends,
+            "above_envelope": shape.bends,
             "lag": 0 if shape.lag == "none" else 1,
         }
         edges = np.concatenate([[0], np.cumsum(list(counts.values()))])
@@ -111,6 +120,7 @@ class Coordinates:
                 "gap": (LEAST_GAP, GREATEST_GAP),
                 "weight": (0.0, GREATEST_SLOPE),
                 "slope": (LEAST_SLOPE, GREATEST_SLOPE),
+                "envelope": (0.2, 5.0),
                 "lag": (0.0, longest_lag_s),
             }[name.rpartition("_")[2]]
         lower[self.slices["weight"].start] = LEAST_SLOPE
@@ -123,11 +133,13 @@ class Coordinates:
 
         A play wider than that never moves: nothing is known about it.
         """
-        reach = float(theta[self.slices["gap"]].sum())
-        if reach <= GREATEST_REACH:
+        widest = float(theta[self.slices["gap"]].sum())
+        low, high = operator_of(theta, self).envelope.run(np.array([-1.0, 1.0]))
+        reach = GREATEST_REACH * (high - low) / 2
+        if widest <= reach:
             return theta
         drawn = theta.copy()
-        drawn[self.slices["gap"]] *= GREATEST_REACH / reach
+        drawn[self.slices["gap"]] *= reach / widest
         return drawn
 
 
@@ -141,6 +153,7 @@ class Scaled:
     slope           (zones + 1,)  slopes below, between and above the kinks
     zero            index of the kink at 0
     lag_s           seconds
+    envelope        gamma, in front of the plays
     """
 
     gap: Array
@@ -150,6 +163,7 @@ class Scaled:
     slope: Array
     zero: int
     lag_s: float
+    envelope: DeadZones = LINEAR
 
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
@@ -169,6 +183,19 @@ def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:
         ),
         zero=len(below),
         lag_s=float(lag[0]) if lag.size else 0.0,
+        envelope=_envelope(theta[place["below_envelope"]], theta[place["above_envelope"]]),
+    )
+
+
+def _envelope(below: Array, above: Array) -> DeadZones:
+    """Return gamma with its kinks at even places of the scaled drive."""
+    bends = len(below)
+    if not bends:
+        return LINEAR
+    places = np.arange(1, bends + 1) / (bends + 1.0)
+    return from_slopes(
+        np.concatenate([-places[::-1], [0.0], places]),
+        np.concatenate([below[::-1], [1.0, 1.0], above]),
     )
 
 
@@ -183,4 +210,11 @@ def vector_of(operator: Scaled, coordinates: Coordinates) -> Array:
     theta[place["below_slope"]] = operator.slope[:zero][::-1]
     theta[place["above_slope"]] = operator.slope[zero + 2 :]
     theta[place["lag"]] = operator.lag_s
+    theta[place["below_envelope"]] = operator.envelope.slope[: operator.envelope.zero][::-1]
+    theta[place["above_envelope"]] = operator.envelope.slope[operator.envelope.zero + 2 :]
     return theta
+
+
+def bent(operator: Scaled, bends: int) -> Scaled:
+    """Return the same operator with an envelope that may bend, and does not yet."""
+    return replace(operator, envelope=_envelope(np.ones(bends), np.ones(bends)))

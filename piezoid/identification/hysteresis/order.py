@@ -22,6 +22,7 @@ from piezoid.numerics.arrays import Array
 
 ORDERS = ((2, 0), (4, 1), (6, 1), (8, 2), (10, 3), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
+BENDS = (3, 6)
 CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
 FOLDS = 3
 
@@ -64,14 +65,20 @@ def choose_shape(
     orders: Sequence[tuple[int, int]] = ORDERS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Try orders, then lags at the chosen order, and take the smallest that predicts as well."""
+    """Try orders, then envelopes and lags, and take the smallest that predicts as well."""
     trials = [
         _try(pieces, Shape(plays=plays, below=zones, above=zones), settings, progress)
         for plays, zones in orders
     ]
     best = _smallest_close(trials)
-    for lag in LAGS[1:]:
-        other = _try(pieces, replace(best.shape, lag=lag), settings, progress)
+    # An envelope has something to bend only where minor loops stand at several biases, and then
+    # it needs the plays: it is tried at the richest order.
+    richest = max((trial.shape for trial in trials), key=lambda shape: shape.plays)
+    for shape in (
+        *(replace(richest, bends=bends) for bends in BENDS),
+        *(replace(best.shape, lag=lag) for lag in LAGS[1:]),
+    ):
+        other = _try(pieces, shape, settings, progress)
         trials.append(other)
         if other.held_out_rms * CLOSE < best.held_out_rms:
             best = other
@@ -87,7 +94,10 @@ def _smallest_close(trials: Sequence[Trial]) -> Trial:
 def _try(
     pieces: Sequence[Piece], shape: Shape, settings: Settings, progress: Callable[[str], None]
 ) -> Trial:
-    progress(f"{shape.plays} plays, {shape.below + shape.above} dead zones, {shape.lag}")
+    progress(
+        f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
+        f"{shape.lag.replace('_', ' ')}"
+    )
     total, count = 0.0, 0
     for training, testing in folds_of(pieces):
         error = held_out_error(search(training, shape, settings), training, testing)

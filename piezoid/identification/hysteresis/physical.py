@@ -21,6 +21,9 @@ def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> Modifie
         dead_zones=from_slopes(operator.knot * stroke_m, operator.slope),
         voltage_offset_V=scales.voltage_offset_V,
         displacement_offset_m=offset_m,
+        envelope=from_slopes(
+            operator.envelope.threshold * scales.voltage_V, operator.envelope.slope
+        ),
     )
 
 
@@ -32,6 +35,7 @@ def parameter_names(operator: Scaled) -> tuple[str, ...]:
         *(f"play_weight_m_per_V[{i}]" for i in range(plays + 1)),
         *(f"dead_zone_threshold_m[{j}]" for j in range(zones)),
         *(f"dead_zone_weight[{j}]" for j in range(zones)),
+        *(f"envelope_weight[{j}]" for j in range(len(operator.envelope.weight))),
         "lag_s",
     )
 
@@ -46,6 +50,7 @@ def parameter_values(theta: Array, coordinates: Coordinates, scales: Scales) -> 
             model.plays.weight,
             model.dead_zones.threshold,
             model.dead_zones.weight,
+            model.envelope.weight,
             [scaled.lag_s],
         ]
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from piezoid.identification.hysteresis.coordinates import Coordinates, Scaled, operator_of
 from piezoid.identification.hysteresis.filters import Lag, filter_columns, first_order, lag_of
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.static import static_columns
+from piezoid.identification.hysteresis.static import Static
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.play import PlayTangents, first_carry, play_tangents
@@ -24,6 +24,8 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 CHUNK = 8192
 THIN = 3  # from this stride on, computing two rows for each that counts is cheaper than all
+
+QUICK = 0.5  # samples: a declared pole quicker than this acts as a delay
 
 Samples = NDArray[np.int_]
 
@@ -46,7 +48,7 @@ def starting_memory(theta: Array, coordinates: Coordinates, index: int, piece: P
     """Return the memory of the moving plays before a piece's first sample, (plays,)."""
     operator = operator_of(theta, coordinates)
     slopes = theta[coordinates.memory_slice(index)]
-    return np.asarray(piece.drive[0] + np.cumsum(operator.gap * slopes))
+    return np.asarray(operator.envelope.run(piece.drive[:1]) + np.cumsum(operator.gap * slopes))
 
 
 def simulate(
@@ -54,17 +56,31 @@ def simulate(
 ) -> Array:
     """Return the model's output over a whole piece, (samples,), without tangents."""
     operator = operator_of(theta, coordinates)
-    memory = np.concatenate([piece.drive[:1], starting_memory(theta, coordinates, index, piece)])
+    drive = operator.envelope.run(piece.drive)
+    memory = np.concatenate([drive[:1], starting_memory(theta, coordinates, index, piece)])
     plays = PrandtlIshlinskii(
         threshold=np.concatenate([[0.0], operator.threshold]), weight=operator.weight
     )
-    h, _ = plays.run(piece.drive, memory)
+    h, _ = plays.run(drive, memory)
     output = from_slopes(operator.knot, operator.slope).run(h)[:, None]
-    lagged, _ = lag_of(coordinates.shape.lag, operator.lag_s, piece.sampling_rate_Hz).run(output)
-    sensed = lagged if rig_pole is None else _sense(lagged, rig_pole, piece, None)[0]
+    lag_s, pole_Hz = _declared(coordinates, operator, piece, rig_pole)
+    lagged, _ = lag_of(coordinates.shape.lag, lag_s, piece.sampling_rate_Hz).run(output)
+    sensed = lagged if pole_Hz is None else _sense(lagged, pole_Hz, piece, None)[0]
     knots = theta[coordinates.offset_slice(index)]
     zero = offset_columns(np.arange(len(piece.drive)), piece, len(knots)) @ knots
     return np.asarray(sensed[:, 0] + zero)
+
+
+def _declared(
+    coordinates: Coordinates, operator: Scaled, piece: Piece, pole_Hz: float | None
+) -> tuple[float, float | None]:
+    """Return the lag and the declared pole; a pole far above the sampling rate is a delay."""
+    if pole_Hz is None or coordinates.shape.lag != "delay":
+        return operator.lag_s, pole_Hz
+    time_s = 1.0 / (2 * np.pi * pole_Hz)
+    if time_s * piece.sampling_rate_Hz < QUICK:
+        return operator.lag_s + time_s, None
+    return operator.lag_s, pole_Hz
 
 
 def offset_columns(sample: Samples, piece: Piece, knots: int) -> Array:
@@ -94,33 +110,31 @@ def rows_of(
     slopes = theta[coordinates.memory_slice(index)]
     knots = theta[coordinates.offset_slice(index)]
     carry = first_carry(starting_memory(theta, coordinates, index, piece))
-    sensor = sensor_pole if sensor_pole is not None else np.inf
-    behind = _behind(coordinates, operator, piece, stride, sensor)
+    static = Static(operator=operator, slopes=slopes, first=float(piece.drive[0]))
+    behind = _behind(coordinates, static, piece, stride, sensor_pole)
     for first in range(0, piece.last, CHUNK):
         u = piece.drive[first : min(first + CHUNK, piece.last)]
-        tangents = play_tangents(u, operator.threshold, carry)
+        tangents = play_tangents(operator.envelope.run(u), operator.threshold, carry)
         carry = tangents.carry
-        kept, sample = behind.run(first, u, tangents, operator, slopes)
+        kept, sample = behind.run(first, u, tangents)
         yield _assemble(kept, sample, coordinates, knots, piece)
 
 
 def _behind(
-    coordinates: Coordinates, operator: Scaled, piece: Piece, stride: int, sensor_Hz: float
+    coordinates: Coordinates, static: Static, piece: Piece, stride: int, sensor_Hz: float | None
 ) -> "Behind":
     """Return the cheapest way from static columns to the rows that count."""
     kind = coordinates.shape.lag
-    if kind != "first_order" and np.isinf(sensor_Hz) and stride >= THIN:
-        lag_s = operator.lag_s if kind == "delay" else 0.0
-        return ThinnedDelay(piece, stride, lag_s, has_lag=kind == "delay")
-    return EveryRow(piece, stride, lag_of(kind, operator.lag_s, piece.sampling_rate_Hz), sensor_Hz)
+    lag_s, pole_Hz = _declared(coordinates, static.operator, piece, sensor_Hz)
+    if kind != "first_order" and pole_Hz is None and stride >= THIN:
+        return ThinnedDelay(static, piece, stride, lag_s, has_lag=kind == "delay")
+    return EveryRow(static, piece, stride, lag_of(kind, lag_s, piece.sampling_rate_Hz), pole_Hz)
 
 
 class Behind(Protocol):
     """From the static columns of a chunk to its filtered and thinned rows."""
 
-    def run(
-        self, first: int, u: Array, tangents: PlayTangents, operator: Scaled, slopes: Array
-    ) -> tuple[Array, Samples]:
+    def run(self, first: int, u: Array, tangents: PlayTangents) -> tuple[Array, Samples]:
         """Return [y | tangents | d/d lag] and the samples these rows belong to."""
 
 
@@ -128,20 +142,19 @@ class Behind(Protocol):
 class EveryRow:
     """Any filter: all rows are computed, filtered, and then thinned."""
 
+    static: Static
     piece: Piece
     stride: int
     lag: Lag
-    sensor_Hz: float
+    sensor_Hz: float | None
     state: Array | None = None
 
-    def run(
-        self, first: int, u: Array, tangents: PlayTangents, operator: Scaled, slopes: Array
-    ) -> tuple[Array, Samples]:
+    def run(self, first: int, u: Array, tangents: PlayTangents) -> tuple[Array, Samples]:
         """Return [y | tangents | d/d lag] and the samples these rows belong to."""
-        columns, by_lag = self.lag.run(static_columns(u, tangents, operator, slopes))
+        columns, by_lag = self.lag.run(self.static.columns(u, tangents))
         if by_lag.shape[1]:
             columns = np.hstack([columns, by_lag])
-        if np.isfinite(self.sensor_Hz):
+        if self.sensor_Hz is not None:
             columns, self.state = _sense(columns, self.sensor_Hz, self.piece, self.state)
         sample = np.arange(first, first + len(u))
         counts = (sample >= self.piece.first) & ((sample - self.piece.first) % self.stride == 0)
@@ -152,15 +165,14 @@ class EveryRow:
 class ThinnedDelay:
     """A pure delay needs two static rows for each row that counts, and no others."""
 
+    static: Static
     piece: Piece
     stride: int
     lag_s: float
     has_lag: bool
     before: tuple[Array, PlayTangents] | None = None
 
-    def run(
-        self, first: int, u: Array, tangents: PlayTangents, operator: Scaled, slopes: Array
-    ) -> tuple[Array, Samples]:
+    def run(self, first: int, u: Array, tangents: PlayTangents) -> tuple[Array, Samples]:
         """Return [y | tangents | d/d lag] and the samples these rows belong to."""
         rate_Hz = self.piece.sampling_rate_Hz
         whole = int(np.floor(self.lag_s * rate_Hz))
@@ -170,12 +182,12 @@ class ThinnedDelay:
         counts = (sample >= self.piece.first) & (sample < self.piece.last)
         counts &= (sample - self.piece.first) % self.stride == 0
         place = np.flatnonzero(counts)
-        newer = static_columns(u[place], _take(tangents, place, None), operator, slopes)
+        newer = self.static.columns(u[place], _take(tangents, place, None))
         if not self.has_lag:
             return newer, sample[place]
         last = self.before if self.before is not None else (u[:1], _take(tangents, [0], None))
         earlier = np.where(place > 0, u[place - 1], last[0][0])
-        older = static_columns(earlier, _take(tangents, place - 1, last[1]), operator, slopes)
+        older = self.static.columns(earlier, _take(tangents, place - 1, last[1]))
         self.before = (u[-1:], _take(tangents, [len(u) - 1], None))
         by_lag = (older[:, :1] - newer[:, :1]) * rate_Hz
         return np.hstack([(1.0 - part) * newer + part * older, by_lag]), sample[place]

@@ -9,6 +9,7 @@ from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
     Shape,
+    bent,
     operator_of,
     vector_of,
 )
@@ -67,8 +68,8 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
     """Fit one shape to pieces, from a convex start."""
     lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
     begin = kuhnen_start(pieces, shape, lag_s) if shape.plays else linear_start(pieces, lag_s)
-    task = task_for(pieces, begin.operator, shape.lag, settings)
-    theta = vector_of(begin.operator, task.coordinates)
+    task = task_for(pieces, bent(begin.operator, shape.bends), shape.lag, settings)
+    theta = vector_of(bent(begin.operator, shape.bends), task.coordinates)
     for index in range(len(pieces)):
         theta[task.coordinates.offset_slice(index)] = begin.offset
     # Kinks move the cost in jumps: weights first, thresholds once the rest is in place.
@@ -84,6 +85,7 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
         below=operator.zero,
         above=len(operator.knot) - operator.zero - 1,
         lag=lag,
+        bends=operator.envelope.zero,
     )
     offsets = tuple(_zero_knots(piece) if settings.follow_zero else 1 for piece in pieces)
     return Task(

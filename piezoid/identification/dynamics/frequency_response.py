@@ -1,0 +1,158 @@
+"""FrequencyResponse: what was measured at each line, how surely, and what was rejected."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from piezoid.errors import ExcitationError
+from piezoid.numerics.arrays import Array, frozen, strictly_increasing
+
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrequencyResponse:
+    """A non-parametric response of several inputs and outputs, with its variances.
+
+    inputs, outputs      names of the axes
+    sampling_rate_Hz     of the data
+    frequency_Hz         (lines,)  increasing, > 0
+    response             (lines, outputs, inputs)  m/V, complex
+    noise_variance       (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
+                         between periods
+    distortion_variance  (lines, outputs, inputs)  m2/V2, of the estimate, from what changes
+                         between realisations beyond noise; zero where it could not be told apart
+    coherence            (lines, outputs)  share of the output's power a linear system explains
+    is_interference      (lines, outputs)  single lines whose residual stands out: mains, drift
+    is_rejected          (lines, outputs)  those, and where coherence is below
+                         ``least_coherence``: kept to be shown, left out of fits
+    least_coherence      the limit used
+    variance_freedom     complex degrees of freedom behind each variance after smoothing
+    drive_rms_V          (inputs,)  the level at which all this holds
+    realisations         how many there were
+    periods              how many of each
+
+    At one level this is the best linear approximation, not the small-signal response.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sampling_rate_Hz: float
+    frequency_Hz: Array
+    response: ComplexArray
+    noise_variance: Array
+    distortion_variance: Array
+    coherence: Array
+    is_interference: NDArray[np.bool_]
+    is_rejected: NDArray[np.bool_]
+    least_coherence: float
+    variance_freedom: float
+    drive_rms_V: Array
+    realisations: int
+    periods: int
+
+    def __post_init__(self) -> None:
+        for name, ndim in _REAL_FIELDS:
+            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        object.__setattr__(self, "response", frozen_complex(self.response, "response"))
+        for name in ("is_interference", "is_rejected"):
+            flags = np.array(getattr(self, name), dtype=np.bool_)
+            flags.setflags(write=False)
+            object.__setattr__(self, name, flags)
+        strictly_increasing(self.frequency_Hz, "frequency_Hz")
+        shape = (len(self.frequency_Hz), len(self.outputs), len(self.inputs))
+        for name in ("response", "noise_variance", "distortion_variance"):
+            if (found := getattr(self, name).shape) != shape:
+                raise ValueError(f"{name} has shape {found}, expected {shape}")
+        for name in ("coherence", "is_interference", "is_rejected"):
+            if (found := getattr(self, name).shape) != shape[:2]:
+                raise ValueError(f"{name} has shape {found}, expected {shape[:2]}")
+
+    @property
+    def variance(self) -> Array:
+        """Variance of the estimate from noise and distortion together, m2/V2."""
+        return np.asarray(self.noise_variance + self.distortion_variance)
+
+    def weights(self) -> Array:
+        """Return one over the standard deviation, V/m; zero where a line is rejected."""
+        spread = np.sqrt(self.variance)
+        floor = 1e-9 * np.abs(self.response).max()  # a noiseless simulation must not divide by 0
+        return np.asarray(np.where(self.is_rejected[:, :, None], 0.0, 1.0 / (spread + floor)))
+
+    def band(self, lowest_Hz: float, highest_Hz: float) -> "FrequencyResponse":
+        """Return the lines between two frequencies, both included."""
+        kept = (self.frequency_Hz >= lowest_Hz) & (self.frequency_Hz <= highest_Hz)
+        if not kept.any():
+            raise ExcitationError(
+                f"no line between {lowest_Hz:g} and {highest_Hz:g} Hz",
+                needed=f"lines there; the data has {self.frequency_Hz[0]:g} to "
+                f"{self.frequency_Hz[-1]:g} Hz",
+                remedy="Choose a band inside the excitation.",
+            )
+        cut = {name: getattr(self, name)[kept] for name in _BY_LINE}
+        return FrequencyResponse(**{**vars(self), **cut})
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain lists and numbers that come back exactly."""
+        record = {name: _plain(value) for name, value in vars(self).items()}
+        record["response"] = complex_to_lists(self.response)
+        return record
+
+    @staticmethod
+    def from_json(record: dict[str, Any]) -> "FrequencyResponse":
+        """Return the record that ``to_json`` wrote."""
+        changed = {
+            "inputs": tuple(record["inputs"]),
+            "outputs": tuple(record["outputs"]),
+            "response": complex_from_lists(record["response"]),
+        }
+        return FrequencyResponse(**{**record, **changed})
+
+
+_REAL_FIELDS = (
+    ("frequency_Hz", 1),
+    ("noise_variance", 3),
+    ("distortion_variance", 3),
+    ("coherence", 2),
+    ("drive_rms_V", 1),
+)
+_BY_LINE = (
+    "frequency_Hz",
+    "response",
+    "noise_variance",
+    "distortion_variance",
+    "coherence",
+    "is_interference",
+    "is_rejected",
+)
+
+
+def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArray:
+    """Return a read-only complex copy of finite values."""
+    array = np.array(values, dtype=np.complex128, order="C", copy=True)
+    if array.ndim != ndim:
+        raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds values that are not finite")
+    array.setflags(write=False)
+    return array
+
+
+def complex_to_lists(values: ComplexArray) -> list[Any]:
+    """Return nested lists whose innermost pairs are real and imaginary part."""
+    pairs: list[Any] = np.stack([values.real, values.imag], axis=-1).tolist()
+    return pairs
+
+
+def complex_from_lists(pairs: list[Any]) -> ComplexArray:
+    """Return the complex array that ``complex_to_lists`` wrote."""
+    array = np.asarray(pairs, dtype=np.float64)
+    return np.asarray(array[..., 0] + 1j * array[..., 1])
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,252 @@
+"""The weighted output-error fit of the modal form: gains eliminated, shape by Gauss-Newton."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.frequency_response import ComplexArray
+from piezoid.identification.dynamics.modal_basis import (
+    Lines,
+    Structure,
+    Term,
+    basis,
+    term_columns,
+    terms_of,
+)
+from piezoid.identification.dynamics.vector_fitting import stacked
+from piezoid.numerics.arrays import Array
+
+ROUNDS = 40
+ENOUGH = 1e-2  # half of it is the gain in log likelihood: a tenth of a standard deviation
+STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
+LONGEST_MOVE = 0.3  # of a log frequency or log damping in one round
+OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
+LEAST_DAMPING = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalFit:
+    """The minimum of sum |G_hat - G|^2 / variance, and its curvature.
+
+    shape             (shapes,)             as in ``modal_basis.basis``
+    gains             (outputs, inputs, columns)
+    cost              twice the negative log likelihood but for a constant
+    shape_covariance  (shapes, shapes)      inflated where the residual is larger than its variance
+    gain_std          (outputs, inputs, columns)
+    static_std        (outputs, inputs)     of the gain at frequency zero
+    values            complex values that counted
+    """
+
+    shape: Array
+    gains: Array
+    cost: float
+    shape_covariance: Array
+    gain_std: Array
+    static_std: Array
+    values: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Point:
+    """One evaluation: cost, gradient and curvature with the gains eliminated."""
+
+    shape: Array
+    cost: float
+    gains: Array
+    gradient: Array
+    curvature: Array
+    line_scores: Array
+    gain_roots: list[Array]
+    gain_slopes: list[Array]
+
+
+def maximise_likelihood(
+    response: ComplexArray, weight: Array, lines: Lines, structure: Structure, shape: Array
+) -> ModalFit:
+    """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
+
+    For each shape the best gains are a linear problem; the shape moves by Gauss-Newton on what
+    is left, with damped steps (variable projection, Golub & Pereyra 2003, Kaufman's form).
+
+    response  (lines, outputs, inputs)  measured
+    weight    (lines, outputs, inputs)  one over the standard deviation; zero leaves a value out
+    shape     (shapes,)                 a start, for example from vector fitting
+    """
+    bounds = _bounds(lines, structure)
+    here = _evaluate(response, weight, lines, structure, np.clip(shape, *bounds))
+    damping = 1e-3
+    for _ in range(ROUNDS):
+        there = _evaluate(response, weight, lines, structure, _move(here, damping, bounds))
+        gained = here.cost - there.cost
+        if gained > 0:
+            here, damping = there, max(damping / 10, 1e-12)
+        else:
+            damping *= 10
+        if (0 <= gained < ENOUGH) or damping > 1e8:
+            break
+    return _with_covariance(here, weight, structure)
+
+
+def _move(point: _Point, damping: float, bounds: tuple[Array, Array]) -> Array:
+    """The damped Gauss-Newton step of what is free to move, in scaled unknowns."""
+    low, high = bounds
+    pushed = ((point.shape <= low) & (point.gradient < 0)) | (
+        (point.shape >= high) & (point.gradient > 0)
+    )
+    free = np.flatnonzero(~pushed)
+    curvature = point.curvature[np.ix_(free, free)]
+    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    matrix = curvature / np.outer(scale, scale) + damping * np.eye(len(free))
+    step = np.zeros(len(low))
+    step[free] = np.linalg.solve(matrix, point.gradient[free] / scale) / scale
+    longest = np.append(np.full(len(low) - 1, LONGEST_MOVE), high[-1] / 10)
+    return np.clip(point.shape + np.clip(step, -longest, longest), low, high)
+
+
+def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
+    """How far a shape may go: beyond, a term is a constant to this data, or a single line.
+
+    Delays are causal, and at most as long as the slowest measured period.
+    """
+    n, lags = structure.modes, structure.lags
+    lowest, highest = lines.frequency_Hz[[0, -1]]
+    log_f = np.log([lowest / OUT_OF_BAND, highest * OUT_OF_BAND])
+    low = np.repeat([log_f[0], np.log(LEAST_DAMPING), log_f[0], 0.0], [n, n, lags, 1])
+    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1.0 / lowest], [n, n, lags, 1])
+    return low, high
+
+
+def _evaluate(
+    response: ComplexArray, weight: Array, lines: Lines, structure: Structure, shape: Array
+) -> _Point:
+    columns = basis(lines, structure, shape)
+    slopes = _slopes(lines, structure, shape)
+    paths = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
+    gains = np.empty((*response.shape[1:], structure.columns))
+    curvature = np.zeros((structure.shapes, structure.shapes))
+    scores = np.zeros((len(columns), structure.shapes))
+    cost, roots, drags = 0.0, [], []
+    for i, j in paths:
+        w = weight[:, i, j, None]
+        weighted = stacked(columns * w)
+        size = np.linalg.norm(weighted, axis=0)
+        Q, R = np.linalg.qr(weighted / size)
+        target = stacked(response[:, i, j, None] * w)[:, 0]
+        root = _inverse_triangle(R) / size[:, None]
+        gains[i, j] = root @ (Q.T @ target)
+        tangent = stacked(_tangent(slopes, gains[i, j]) * w)
+        inside = Q.T @ tangent
+        tangent -= Q @ inside
+        residual = target - Q @ (Q.T @ target)
+        cost += float(residual @ residual)
+        curvature += tangent.T @ tangent
+        scores += (tangent * residual[:, None]).reshape(2, len(columns), -1).sum(axis=0)
+        roots.append(root)
+        drags.append(-root @ inside)
+    return _Point(
+        shape=shape,
+        cost=cost,
+        gains=gains,
+        gradient=scores.sum(axis=0),
+        curvature=curvature,
+        line_scores=scores,
+        gain_roots=roots,
+        gain_slopes=drags,
+    )
+
+
+def _inverse_triangle(R: Array) -> Array:
+    diagonal = np.abs(np.diag(R))
+    if len(R) < R.shape[1] or not diagonal.min() > 1e-13 * diagonal.max():
+        raise IdentificationError(
+            f"the modal form is singular: smallest pivot {diagonal.min():.1e} of "
+            f"{diagonal.max():.1e}",
+            needed="more measured values than gains, and no two terms alike",
+            remedy="Take fewer modes, leave out the direct term, or measure more lines.",
+        )
+    return np.asarray(np.linalg.inv(R))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Slope:
+    """What one shape parameter does to the columns it touches."""
+
+    columns: list[int]
+    change: ComplexArray
+
+
+def _slopes(lines: Lines, structure: Structure, shape: Array) -> list[_Slope]:
+    """Central differences of the columns by each shape parameter, the delay last."""
+    terms = terms_of(structure)
+    found = {
+        p: _difference(lines, (term,), shape, p, STEP) for term in terms for p in term.parameters
+    }
+    late = _difference(lines, terms, shape, len(shape) - 1, STEP / lines.sampling_rate_Hz)
+    return [found[p] for p in range(len(shape) - 1)] + [late]
+
+
+def _difference(
+    lines: Lines, terms: tuple[Term, ...], shape: Array, parameter: int, step: float
+) -> _Slope:
+    up, down = shape.copy(), shape.copy()
+    up[parameter] += step
+    down[parameter] -= step
+    down[-1] = max(down[-1], 0.0)  # at delay zero the difference is one-sided
+    width = up[parameter] - down[parameter]
+    change = [term_columns(lines, t, up) - term_columns(lines, t, down) for t in terms]
+    columns = [column for term in terms for column in term.columns]
+    return _Slope(columns=columns, change=np.concatenate(change, axis=1) / width)
+
+
+def _tangent(slopes: list[_Slope], gains: Array) -> ComplexArray:
+    return np.stack([slope.change @ gains[slope.columns] for slope in slopes], axis=1)
+
+
+def _with_covariance(point: _Point, weight: Array, structure: Structure) -> ModalFit:
+    """Curvature and the sandwich over lines, whichever is wider for each parameter.
+
+    A complex value of variance one has parts of variance one half, hence the halves. The sandwich
+    counts a line as one draw: distortion is shared by all outputs at that line.
+    """
+    values = int((weight > 0).sum())
+    unknowns = structure.shapes + point.gains.size
+    spare = max(values - unknowns / 2, 1.0)
+    excess = max(1.0, point.cost / spare)
+    inverse = _scaled_inverse(point.curvature)
+    plain = 0.5 * excess * inverse
+    lines = int((weight > 0).any(axis=(1, 2)).sum())
+    meat = point.line_scores.T @ point.line_scores * lines / max(lines - unknowns / 2, 1.0)
+    sandwich = inverse @ meat @ inverse
+    ratio = np.diag(sandwich) / np.maximum(np.diag(plain), np.finfo(float).tiny)
+    wider = np.sqrt(np.maximum(ratio, 1.0))
+    covariance = plain * np.outer(wider, wider)
+    gain_std, static_std = _gain_spread(point, covariance, excess, structure)
+    return ModalFit(
+        shape=point.shape,
+        gains=point.gains,
+        cost=point.cost,
+        shape_covariance=covariance,
+        gain_std=gain_std,
+        static_std=static_std,
+        values=values,
+    )
+
+
+def _scaled_inverse(curvature: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _gain_spread(
+    point: _Point, covariance: Array, excess: float, structure: Structure
+) -> tuple[Array, Array]:
+    static = structure.static_columns()
+    spread, static_spread = [], []
+    for root, drag in zip(point.gain_roots, point.gain_slopes, strict=True):
+        whole = 0.5 * excess * root @ root.T + drag @ covariance @ drag.T
+        spread.append(np.sqrt(np.diag(whole)))
+        static_spread.append(np.sqrt(max(float(static @ whole @ static), 0.0)))
+    shape = point.gains.shape
+    return np.reshape(spread, shape), np.reshape(static_spread, shape[:2])

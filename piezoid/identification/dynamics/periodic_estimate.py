@@ -1,0 +1,207 @@
+"""The response from periodic data, with noise and nonlinear distortion told apart."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammainccinv
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.numerics.arrays import Array, frozen
+
+WANTED_FREEDOM = 30  # smoothed over so many; the weights of a fit must not be random themselves
+LEAST_COHERENCE = 0.5
+LEVEL_LINES = 41  # the local level of a line's variance is the median of so many
+FALSE_ALARMS = 0.01  # expected per response where nothing interferes
+
+
+def estimate_response(
+    data: PeriodicData,
+    *,
+    lines: NDArray[np.int64] | None = None,
+    least_coherence: float = LEAST_COHERENCE,
+) -> FrequencyResponse:
+    """Return the best linear approximation and the two variances of its estimate.
+
+        G = Y U^H (U U^H)^-1,   E = Y - G U              [Pintelon & Schoukens 2012]
+
+    Y, U are means over periods, one column per realisation. What E does between the periods of
+    a realisation is noise; what is left of it between realisations is nonlinear distortion.
+
+    data             realisations >= inputs; more of either realisations or periods for variances
+    lines            which to use; None takes those the drive occupies
+    least_coherence  below, an output's line is rejected; so are single lines whose residual
+                     stands out of their neighbourhood, where something else interferes
+
+    Orthogonal multisines (see ``piezoid.records.excitation``) keep U U^H well conditioned. With
+    as many realisations as inputs distortion cannot be seen; with one period, noise cannot be
+    told from it and all variance is called distortion.
+    """
+    used = data.excited_lines() if lines is None else np.asarray(lines, dtype=np.int64)
+    drive, moved = data.spectra(used)
+    inputs, realisations, periods = drive.shape[1:]
+    _check_enough(inputs, realisations, periods)
+    U, Y = drive.mean(axis=3), moved.mean(axis=3)
+    gram = U @ _adjoint(U)
+    inverse = np.linalg.inv(gram)
+    G = Y @ _adjoint(U) @ inverse
+    total, noise, freedom, is_interference = _output_variances(drive, moved, G)
+    per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
+    power = (np.abs(Y) ** 2).mean(axis=2)
+    coherence = np.clip(1.0 - total / np.maximum(power, np.finfo(float).tiny), 0.0, 1.0)
+    return FrequencyResponse(
+        inputs=data.inputs,
+        outputs=data.outputs,
+        sampling_rate_Hz=data.sampling_rate_Hz,
+        frequency_Hz=data.frequency_Hz(used),
+        response=G,
+        noise_variance=noise[:, :, None] * per_input,
+        distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
+        coherence=coherence,
+        is_interference=is_interference,
+        is_rejected=(coherence < least_coherence) | is_interference,
+        least_coherence=least_coherence,
+        variance_freedom=freedom,
+        drive_rms_V=data.voltage_V.std(axis=(0, 2, 3)),
+        realisations=realisations,
+        periods=periods,
+    )
+
+
+def _check_enough(inputs: int, realisations: int, periods: int) -> None:
+    if realisations < inputs or (realisations == inputs and periods < 2):
+        raise ExcitationError(
+            f"{realisations} realisations of {periods} periods for {inputs} inputs",
+            needed="as many realisations as inputs, and one realisation or one period more to "
+            "see the variance",
+            remedy="Record orthogonal multisines: twice as many realisations as inputs.",
+        )
+
+
+def _adjoint(matrix: ComplexArray) -> ComplexArray:
+    return np.conj(np.swapaxes(matrix, 1, 2))
+
+
+def _output_variances(
+    drive: ComplexArray, moved: ComplexArray, G: ComplexArray
+) -> tuple[Array, Array, float, NDArray[np.bool_]]:
+    """Variances of an output's mean over periods: in all, and from noise alone, (lines, outputs).
+
+    Then the number of complex degrees of freedom behind the first, and where single lines stand
+    out of their neighbourhood; those do not raise the variance of the lines around them.
+    """
+    inputs, realisations, periods = drive.shape[1:]
+    residual = moved - np.einsum("koi,kirp->korp", G, drive)
+    noise = np.zeros(residual.shape[:2])
+    noise_freedom = realisations * (periods - 1)
+    if noise_freedom:
+        noise = residual.var(axis=3, ddof=1).mean(axis=2) / periods
+    freedom = realisations - inputs
+    width = _odd_width(freedom or noise_freedom, len(residual))
+    total = noise
+    if freedom:
+        total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
+    level, is_interference = _standing_out(total, freedom or noise_freedom)
+    total = smoothed(np.where(is_interference, level, total), width)
+    return (
+        total,
+        smoothed(noise, width),
+        float(width * (freedom or noise_freedom)),
+        is_interference,
+    )
+
+
+def _standing_out(variance: Array, freedom: int) -> tuple[Array, NDArray[np.bool_]]:
+    """The local level of a variance, and the lines far above it: mains, its harmonics, drift.
+
+    A variance of d complex degrees of freedom is gamma distributed; a median over neighbours is
+    turned into a mean by its factor.
+    """
+    width = min(LEVEL_LINES, (len(variance) - 1) // 2 * 2 + 1)
+    padded = np.pad(variance, ((width // 2, width // 2), (0, 0)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
+    level = np.median(windows, axis=2) * freedom / gammainccinv(freedom, 0.5)
+    limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / freedom
+    return level, variance > limit * level
+
+
+def _odd_width(freedom: int, lines: int) -> int:
+    wanted = int(np.ceil(WANTED_FREEDOM / freedom)) // 2 * 2 + 1
+    return max(1, min(wanted, (lines - 1) // 2 * 2 + 1))
+
+
+def smoothed(variance: Array, width: int) -> Array:
+    """Average over ``width`` neighbouring lines, an odd number, reflecting at the ends."""
+    half = width // 2
+    padded = np.pad(variance, ((half, half), (0, 0)), mode="reflect")
+    running = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
+    return np.asarray((running[width:] - running[:-width]) / width)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectionLines:
+    """What came out at lines nobody drove: the nonlinearity's own handwriting.
+
+    frequency_Hz  (lines,)
+    is_even       (lines,)  even lines carry even distortion (asymmetry), odd ones odd distortion
+    amplitude_m   (lines, outputs)  peak, after removing what leaked through the drive
+    noise_m       (lines, outputs)  one standard deviation of that amplitude
+    """
+
+    frequency_Hz: Array
+    is_even: NDArray[np.bool_]
+    amplitude_m: Array
+    noise_m: Array
+
+    def __post_init__(self) -> None:
+        for name, ndim in (("frequency_Hz", 1), ("amplitude_m", 2), ("noise_m", 2)):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+
+    def level_m(self, *, even: bool) -> Array:
+        """Return the rms amplitude on even or odd lines beyond noise, (outputs,), m."""
+        chosen = self.is_even if even else ~self.is_even
+        if not chosen.any():
+            return np.zeros(self.amplitude_m.shape[1])
+        excess = self.amplitude_m[chosen] ** 2 - self.noise_m[chosen] ** 2
+        return np.asarray(np.sqrt(np.maximum(excess.mean(axis=0), 0.0)))
+
+
+def detect_distortion(data: PeriodicData) -> DetectionLines:
+    """Read the lines between the excited ones, inside the excited band.
+
+    data  an odd multisine with lines left out; at least two periods
+
+    The response there is interpolated from the excited lines to remove what the drive leaked.
+    """
+    excited = data.excited_lines()
+    inside = np.arange(excited[0], excited[-1] + 1)
+    silent = np.setdiff1d(inside, excited)
+    if not len(silent) or data.voltage_V.shape[3] < 2:
+        raise ExcitationError(
+            f"{len(silent)} lines without drive, {data.voltage_V.shape[3]} periods",
+            needed="lines left out of the multisine, and two periods to know the noise",
+            remedy="Record an odd random-phase multisine with detection lines.",
+        )
+    known = estimate_response(data)
+    frequency_Hz = data.frequency_Hz(silent)
+    G = interpolated(known.response, known.frequency_Hz, frequency_Hz)
+    drive, moved = data.spectra(silent)
+    own = moved - np.einsum("koi,kirp->korp", G, drive)
+    spread = own.var(axis=3, ddof=1).mean(axis=2) / own.shape[3]
+    return DetectionLines(
+        frequency_Hz=frequency_Hz,
+        is_even=silent % 2 == 0,
+        amplitude_m=np.sqrt((np.abs(own.mean(axis=3)) ** 2).mean(axis=2)),
+        noise_m=np.sqrt(spread),
+    )
+
+
+def interpolated(values: ComplexArray, known_Hz: Array, wanted_Hz: Array) -> ComplexArray:
+    """Return a complex response between its lines, straight from line to line."""
+    flat = values.reshape(len(values), -1)
+    real = [np.interp(wanted_Hz, known_Hz, column) for column in flat.real.T]
+    imaginary = [np.interp(wanted_Hz, known_Hz, column) for column in flat.imag.T]
+    found = np.stack(real, axis=1) + 1j * np.stack(imaginary, axis=1)
+    return np.asarray(found.reshape(len(wanted_Hz), *values.shape[1:]))

@@ -1,0 +1,117 @@
+"""Vector fitting: start values for the common poles of a matrix of responses."""
+
+import numpy as np
+
+from piezoid.identification.dynamics.frequency_response import ComplexArray
+from piezoid.numerics.arrays import Array
+
+SETTLED = 1e-6  # relative motion of the poles at which relocating stops
+
+
+def vector_fit(
+    s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray, *, rounds: int
+) -> ComplexArray:
+    """Relocate poles until sum_m R_m / (s - p_m) + D follows the responses.
+
+        sigma(s) = d + sum_m c_m / (s - p_m),   sigma G = sum_m R_m / (s - p_m) + D
+        new poles = zeros of sigma = eigenvalues of diag(p) - 1 c^T / d
+                                              [Gustavsen & Semlyen 1999; Gustavsen 2006]
+
+    s         (lines,)           j w, scaled so that the band is of order one
+    response  (lines, entries)   entries share their poles
+    weight    (lines, entries)   one over the standard deviation; zero leaves a line out
+    poles     (n,)               a start; complex ones with Im > 0 stand for a pair
+    rounds    at most; stops earlier once no pole moves by more than ``SETTLED``
+    returned  stable poles, the upper half of each pair and the real ones
+
+    Noise biases the result: it is a start for maximum likelihood, not an answer.
+    """
+    for _ in range(rounds):
+        new = _relocate(s, response, weight, poles)
+        settled = len(new) == len(poles) and bool(
+            (np.abs(new - poles) < SETTLED * np.abs(new)).all()
+        )
+        poles = new
+        if settled:
+            break
+    return poles
+
+
+def start_poles(lowest: float, highest: float, pairs: int, real: int) -> ComplexArray:
+    """Spread lightly damped pairs evenly over a band, real poles evenly on a logarithmic scale."""
+    imaginary = np.linspace(lowest, highest, pairs + 2)[1:-1]
+    lags = np.geomspace(max(lowest, 1e-2 * highest), highest, real + 2)[1:-1]
+    return np.concatenate([(-0.01 + 1j) * imaginary, -lags.astype(np.complex128)])
+
+
+def weighted_misfit(
+    s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray
+) -> float:
+    """Return the weighted sum of squares after the best residues and direct terms."""
+    columns = np.concatenate([_fractions(s, poles), np.ones((len(s), 1))], axis=1)
+    misfit = 0.0
+    for g, w in zip(response.T, weight.T, strict=True):
+        matrix, target = stacked(columns * w[:, None]), stacked((g * w)[:, None])[:, 0]
+        scale = np.linalg.norm(matrix, axis=0)
+        solution = np.linalg.lstsq(matrix / scale, target, rcond=None)[0]
+        misfit += float(np.sum((target - (matrix / scale) @ solution) ** 2))
+    return misfit
+
+
+def stacked(matrix: ComplexArray) -> Array:
+    """Return real parts above imaginary parts: complex least squares with real unknowns."""
+    return np.concatenate([matrix.real, matrix.imag])
+
+
+def _fractions(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
+    """Partial fractions with real coefficients: two columns for a pair, one for a real pole."""
+    pairs, real = poles[poles.imag > 0], poles[poles.imag == 0]
+    upper, lower = 1 / (s[:, None] - pairs), 1 / (s[:, None] - np.conj(pairs))
+    return np.concatenate([upper + lower, 1j * (upper - lower), 1 / (s[:, None] - real)], axis=1)
+
+
+def _relocate(
+    s: ComplexArray, response: ComplexArray, weight: Array, poles: ComplexArray
+) -> ComplexArray:
+    fractions = _fractions(s, poles)
+    one = np.ones((len(s), 1))
+    numerator = np.concatenate([fractions, one], axis=1)
+    triangles = []
+    for g, w in zip(response.T, weight.T, strict=True):
+        sigma = -g[:, None] * np.concatenate([fractions, one], axis=1)
+        whole = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
+        known = numerator.shape[1]
+        triangles.append(np.linalg.qr(whole, mode="r")[known:, known:])
+    c, d = _sigma(triangles, fractions, float(np.linalg.norm(weight * np.abs(response))))
+    return _zeros_of_sigma(poles, c, d)
+
+
+def _sigma(triangles: list[Array], fractions: ComplexArray, scale: float) -> tuple[Array, float]:
+    """Coefficients of sigma, its mean over the lines held at one (relaxed form, not d = 1)."""
+    lines = len(fractions)
+    mean = np.append(fractions.sum(axis=0).real, lines) * scale / lines
+    matrix = np.concatenate([*triangles, mean[None]])
+    target = np.zeros(len(matrix))
+    target[-1] = scale
+    size = np.maximum(np.linalg.norm(matrix, axis=0), np.finfo(float).tiny)
+    found = np.linalg.lstsq(matrix / size, target, rcond=None)[0] / size
+    d = float(found[-1])
+    return found[:-1], (d if abs(d) > 1e-8 else float(np.copysign(1e-8, d)))
+
+
+def _zeros_of_sigma(poles: ComplexArray, c: Array, d: float) -> ComplexArray:
+    pairs, real = poles[poles.imag > 0], poles[poles.imag == 0].real
+    n = len(pairs)
+    matrix = np.zeros((2 * n + len(real), 2 * n + len(real)))
+    place = np.arange(n)
+    matrix[place, place] = matrix[n + place, n + place] = pairs.real
+    matrix[place, n + place], matrix[n + place, place] = pairs.imag, -pairs.imag
+    matrix[2 * n :, 2 * n :] = np.diag(real)
+    ones = np.concatenate([np.full(n, 2.0), np.zeros(n), np.ones(len(real))])
+    moved = np.linalg.eigvals(matrix - np.outer(ones, c) / d)
+    stable = -np.abs(moved.real) + 1j * moved.imag
+    tiny = 1e-12 * np.abs(stable)
+    upper = stable[stable.imag > tiny]
+    flat = stable[np.abs(stable.imag) <= tiny].real
+    upper = upper[np.argsort(upper.imag)]
+    return np.concatenate([upper, np.sort(flat)[::-1].astype(np.complex128)])

@@ -1,0 +1,134 @@
+"""Spectra of reference, drive and log current, block by block.
+
+All three signals are differenced first: G commutes with that, and drift, which would leak from
+the block edges over every line, becomes a constant. A periodic dither is cut into its periods, so
+that nothing leaks at all; any other is cut into half overlapping windowed blocks.
+
+Lines at multiples of 50 and of 60 Hz are left out: mains hum repeats with every period whose
+length is a whole number of its cycles, and would pass for an answer to the dither.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.numerics.arrays import Array
+
+ComplexArray = NDArray[np.complex128]
+
+FEWEST_BLOCKS = 8
+_MAINS_Hz = (50.0, 60.0)
+_HIGHEST_MAINS_Hz = 500.0
+_LEAST_LINE = 1e-3  # of the strongest line's power; a periodic dither has none elsewhere
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopSpectra:
+    """Fourier coefficients of one record.
+
+    frequency_Hz  (lines,)
+    reference     (blocks, lines)
+    drive         (blocks, lines)
+    output        (blocks, lines)  of the log current
+    """
+
+    frequency_Hz: Array
+    reference: ComplexArray
+    drive: ComplexArray
+    output: ComplexArray
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.reference)
+
+    @property
+    def dither_share(self) -> float:
+        """How much of the drive's power on these lines the dither explains, 0 to 1.
+
+        |S_ur|^2 / (S_uu S_rr), summed over the lines with the weight S_uu
+        """
+        cross = np.abs(np.sum(self.drive * self.reference.conj(), axis=0)) ** 2
+        reference = np.sum(np.abs(self.reference) ** 2, axis=0)
+        drive = np.sum(np.abs(self.drive) ** 2)
+        return float(np.sum(cross / np.maximum(reference, 1e-300)) / drive)
+
+
+def spectra_of_dither(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
+    """Return the spectra on the lines the dither excites, up to a highest frequency."""
+    if record.period_samples is None:
+        length = _block_length(record)
+        spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
+    else:
+        length = record.period_samples
+        _refuse_few_periods(record, length)
+        spectra = _cut(record, length, length, np.ones(length))
+    power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
+    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
+    inside &= ~_is_mains(spectra.frequency_Hz, record.sampling_rate_Hz / length)
+    if not np.max(power, initial=0.0) > 0.0:
+        raise ExcitationError(
+            f"{record.label}: the reference does not move",
+            needed="a dither that does not depend on the current",
+            remedy="Add a small multisine to the set point or to the drive and record it.",
+        )
+    return _lines(spectra, inside & (power > _LEAST_LINE * np.max(power[inside])))
+
+
+def spectra_of_all(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
+    """Return the windowed spectra on every line, as a plain transfer function takes them."""
+    length = _block_length(record)
+    spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
+    inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
+    return _lines(spectra, inside)
+
+
+def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
+    """Which lines a harmonic of the mains falls on, to half a line."""
+    hit = np.zeros(len(frequency_Hz), dtype=bool)
+    for mains_Hz in _MAINS_Hz:
+        harmonic_Hz = np.maximum(np.round(frequency_Hz / mains_Hz), 1.0) * mains_Hz
+        hit |= np.abs(frequency_Hz - harmonic_Hz) < 0.5 * resolution_Hz
+    return hit & (frequency_Hz <= _HIGHEST_MAINS_Hz)
+
+
+def _block_length(record: LoopRecord) -> int:
+    """A power of two that leaves at least sixteen blocks without overlap."""
+    return max(int(2 ** np.floor(np.log2(record.samples / 16))), 16)
+
+
+def _refuse_few_periods(record: LoopRecord, length: int) -> None:
+    if record.samples // length < FEWEST_BLOCKS:
+        raise ExcitationError(
+            f"{record.label}: {record.samples} samples hold {record.samples // length} periods "
+            f"of {length}",
+            needed=f"at least {FEWEST_BLOCKS} periods, to tell the dither from the noise",
+            remedy="Record longer, or shorten the dither's period.",
+        )
+
+
+def _cut(record: LoopRecord, length: int, advance: int, window: Array) -> LoopSpectra:
+    signals = (record.reference, record.drive_V, record.log_current)
+    transformed = []
+    for signal in signals:
+        steps = np.diff(signal, prepend=signal[:1])
+        blocks = np.lib.stride_tricks.sliding_window_view(steps, length)[::advance]
+        transformed.append(np.fft.rfft(blocks * window, axis=1))
+    return LoopSpectra(
+        frequency_Hz=np.fft.rfftfreq(length, 1.0 / record.sampling_rate_Hz),
+        reference=transformed[0],
+        drive=transformed[1],
+        output=transformed[2],
+    )
+
+
+def _lines(spectra: LoopSpectra, chosen: NDArray[np.bool_]) -> LoopSpectra:
+    return LoopSpectra(
+        frequency_Hz=spectra.frequency_Hz[chosen],
+        reference=spectra.reference[:, chosen],
+        drive=spectra.drive[:, chosen],
+        output=spectra.output[:, chosen],
+    )
