@@ -1,12 +1,12 @@
-/* How firmware uses the runtime: three calls at power-up, one in the 20 kHz interrupt.
+/* How firmware uses the runtime: two calls at power-up, one in the 20 kHz interrupt.
  *
- * On a desk computer this program reads pairs from its input: first "voltage measured" as they are
- * at power-up, then "reference measured" for every sample; it writes "voltage status" for each, so
- * that your own build can be compared with golden.csv:
+ * On a desk computer this program steps the controllers through golden.csv and compares, so that
+ * your compiler, your flags and your precision can prove themselves before they meet a stage:
  *
  *     cc -std=c99 -ffp-contract=off example_main.c piezoid_runtime.c -o example
+ *     ./example < golden.csv
  *
- * Add -DPZ_REAL_FLOAT to try what a single-precision target will do.
+ * Add -DPZ_REAL_FLOAT for what a single-precision target will do.
  */
 #include <stdio.h>
 
@@ -14,32 +14,57 @@
 #include "piezoid_runtime.h"
 
 /* One state per axis, yours; the parameters stay in ROM. */
-static pz_state axis;
+static pz_state state[PIEZO_AXES];
 
-/* The interrupt: measure, step, put out. The voltage is finite and inside the limits always. */
-static pz_real on_sample(pz_real reference, pz_real measured) {
-    return pz_step(&axis, &piezo_params, reference, measured);
+/* Power-up: start where the converter and the sensor are, so that nothing jumps. Answers with the
+ * name of the parameter that cannot be used, or NULL. */
+static const char *power_up(int axis, pz_real voltage_V, pz_real measured) {
+    const int32_t unusable = pz_start(&state[axis], &piezo_params[axis], voltage_V, measured);
+    return unusable == PZ_OK ? NULL : pz_describe(unusable)->name;
+}
+
+/* The interrupt: measured in, voltage out. Finite and inside the limits, whatever comes in. */
+static pz_real on_sample(int axis, pz_real reference, pz_real measured) {
+    return pz_step(&state[axis], &piezo_params[axis], reference, measured);
 }
 
 int main(void) {
-    /* Power-up: refuse to run with parameters that are not what was designed. */
-    const int32_t unusable = pz_check(&piezo_params);
-    if (unusable != PZ_OK) {
-        const pz_field *const field = pz_describe(unusable);
-        fprintf(stderr, "unusable parameter: %s\n", field != NULL ? field->name : "?");
-        return 1;
-    }
-    /* What the converter puts out and the sensor shows now, so that nothing jumps. */
-    double voltage_V, reference, measured;
-    if (scanf("%lf %lf", &voltage_V, &measured) != 2) {
+    int axis;
+    int started[PIEZO_AXES] = {0};
+    long samples = 0, differ = 0;
+    double reference, measured, expected_V[2];
+    unsigned status[2];
+    const int precision = sizeof(pz_real) == sizeof(float) ? 1 : 0;
+    if (scanf("%*[^\n]") != 0) { /* the line of names */
         return 2;
     }
-    if (pz_start(&axis, &piezo_params, (pz_real)voltage_V, (pz_real)measured) != PZ_OK) {
-        return 1;
+    while (scanf("%d,%lf,%lf,%lf,%u,%lf,%u", &axis, &reference, &measured, &expected_V[0],
+                 &status[0], &expected_V[1], &status[1]) == 7) {
+        if (axis < 0 || axis >= PIEZO_AXES) {
+            return 2;
+        }
+        if (started[axis] == 0) {
+            const char *const unusable = power_up(axis, (pz_real)0, (pz_real)measured);
+            if (unusable != NULL) {
+                fprintf(stderr, "unusable parameter: %s\n", unusable);
+                return 1;
+            }
+            started[axis] = 1;
+        }
+        const double voltage_V = (double)on_sample(axis, (pz_real)reference, (pz_real)measured);
+        const double difference_V = voltage_V - expected_V[precision];
+        ++samples;
+        if (difference_V < 0.0 || difference_V > 0.0 || state[axis].status != status[precision]) {
+            if (++differ <= 10) {
+                fprintf(stderr, "sample %ld: %.17g V, expected %.17g V\n", samples, voltage_V,
+                        expected_V[precision]);
+            }
+        }
     }
-    while (scanf("%lf %lf", &reference, &measured) == 2) {
-        const pz_real answer_V = on_sample((pz_real)reference, (pz_real)measured);
-        printf("%.17g %u\n", (double)answer_V, (unsigned)axis.status);
+    if (!feof(stdin)) {
+        fprintf(stderr, "line %ld of the table cannot be read\n", samples + 2);
+        return 2;
     }
-    return 0;
+    printf("%ld samples, %ld differ\n", samples, differ);
+    return samples > 0 && differ == 0 ? 0 : 1;
 }

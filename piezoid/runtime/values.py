@@ -53,6 +53,7 @@ def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
     else:
         full[tuple(slice(n) for n in numbers.shape)] = numbers
     _within_bounds(parameter, full)
+    full += 0.0  # a negative zero becomes a zero: what is not written is a zero too
     full.setflags(write=False)
     return full
 

@@ -1,0 +1,96 @@
+"""The bundle: six files a firmware engineer copies, compiles, and is done with."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+
+from piezoid.export.c_header import c_header
+from piezoid.export.golden import SAMPLES, golden_csv
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.provenance import digest_of_bytes
+from piezoid.runtime.library import library
+
+SHIPPED = ("piezoid_runtime.h", "piezoid_runtime.c", "example_main.c")
+
+_README = """\
+# Controller of {name}
+
+| file | what it is |
+| --- | --- |
+| `piezoid_runtime.h`, `piezoid_runtime.c` | the controller, C99; this very source was verified |
+| `piezo_params.h` | the parameters of this stage |
+| `example_main.c` | how firmware calls it; also compares your build with `golden.csv` |
+| `golden.csv` | {samples} samples per axis, and the answers in both precisions |
+
+    cc -std=c99 -O2 -ffp-contract=off example_main.c piezoid_runtime.c -o example
+    ./example < golden.csv
+
+must say that 0 samples differ. Add `-DPZ_REAL_FLOAT` for a target of single precision.
+With `-ffp-contract=off` every IEEE machine gives these bits; a compiler that contracts products
+and sums may choose a neighbouring converter code here and there.
+
+Nothing is allocated, printed or kept by the controller; there is one `pz_state` per axis, and it
+is yours. `piezoid_runtime.h` says beside each call what it does, what it costs, and when it may
+be called.
+
+| axis | index | method | calls per second | plays | dead zones | observer order | states, bytes |
+| --- | --- | --- | --- | --- | --- | --- | --- |
+{axes}
+
+Parameters: {digest}
+Runtime source: {source}
+"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bundle:
+    """The files by name, as they are written.
+
+    files          name to bytes
+    source_digest  of piezoid_runtime.h and .c, one after the other
+    """
+
+    files: Mapping[str, bytes]
+    source_digest: str
+
+
+def shipped(name: str) -> bytes:
+    """Return a file of the runtime as it was installed, byte for byte."""
+    return files("piezoid.runtime").joinpath(name).read_bytes()
+
+
+def source_digest() -> str:
+    """Return the digest of the runtime's source, header first."""
+    return digest_of_bytes(shipped("piezoid_runtime.h") + shipped("piezoid_runtime.c"))
+
+
+def bundle(file: ParameterFile) -> Bundle:
+    """Return everything firmware needs for this parameter file; the same input, the same bytes."""
+    digest = digest_of(file)
+    made = {
+        "piezo_params.h": c_header(file, digest),
+        "golden.csv": golden_csv(file),
+        "README.md": _README.format(
+            name=inert(file.name),
+            samples=SAMPLES,
+            axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
+            digest=digest,
+            source=source_digest(),
+        ),
+    }
+    content = {name: shipped(name) for name in SHIPPED}
+    content.update({name: text.encode() for name, text in made.items()})
+    return Bundle(files=MappingProxyType(content), source_digest=source_digest())
+
+
+def _row(place: int, axis: AxisParameters) -> str:
+    values = axis.values
+    counts = [int(values[f"{name}_count"]) for name in ("play", "knot")]
+    cells = (
+        *(axis.axis, place, axis.method, f"{float(values['sampling_rate_Hz']):g}"),
+        *(*counts, int(values["observer_order"])),
+        " / ".join(f"{library(p).state_size} ({p})" for p in ("float", "double")),
+    )
+    return "| " + " | ".join(str(cell) for cell in cells) + " |"

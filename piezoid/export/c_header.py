@@ -1,0 +1,123 @@
+"""piezo_params.h: the parameter file as constants of the shipped structure.
+
+Numbers are printed so that they come back: the shortest decimal that reads as the same double;
+the compiler rounds it once more where pz_real is float, as the library here does. Members are
+named in the initialiser, so a member of another spelling does not compile.
+"""
+
+import ctypes
+import textwrap
+from typing import Any
+
+import numpy as np
+
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, used
+from piezoid.runtime.library import PRECISIONS, library
+from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter
+from piezoid.runtime.values import SEALED
+
+_TOP = """\
+/* Parameters of the piezoid runtime for the stage: {name}
+ * {digest}
+ * Written by piezoid from params.json; change that, not this. SI units throughout.
+ */
+#ifndef PIEZO_PARAMS_H
+#define PIEZO_PARAMS_H
+
+#include "piezoid_runtime.h"
+
+#if PZ_SCHEMA_VERSION != {version}
+#error "these parameters were written for schema version {version} of the piezoid runtime"
+#endif
+
+#define PIEZO_PARAMS_DIGEST "{digest}"
+
+enum {{ {enumerators}, PIEZO_AXES }};
+
+#ifdef PZ_REAL_FLOAT
+{sealed_float}
+#else
+{sealed_double}
+#endif
+
+typedef char piezo_params_fit_the_runtime[sizeof(pz_parameters) == PIEZO_PARAMS_SIZE ? 1 : -1];
+
+static const pz_parameters piezo_params[PIEZO_AXES] = {{
+"""
+
+_BOTTOM = """\
+};
+
+#endif
+"""
+
+
+def c_header(file: ParameterFile, digest: str) -> str:
+    """Return the text of ``piezo_params.h``.
+
+    file    what ships
+    digest  of the ``params.json`` it is written to, ``sha256:`` and 64 hexadecimal digits
+    """
+    top = _TOP.format(
+        name=inert(file.name),
+        digest=digest,
+        version=VERSION,
+        enumerators=", ".join(
+            f"PIEZO_AXIS_{axis.axis.upper()} = {place}" for place, axis in enumerate(file.axes)
+        ),
+        **{f"sealed_{precision}": _sealed(file, precision) for precision in PRECISIONS},
+    )
+    return top + "".join(_axis(axis) for axis in file.axes) + _BOTTOM
+
+
+def _sealed(file: ParameterFile, precision: str) -> str:
+    opened = library(precision)
+    lines = [f"#define PIEZO_PARAMS_SIZE {ctypes.sizeof(opened.parameters)}"]
+    for axis in file.axes:
+        checksum: int = opened.pack(axis.values).checksum
+        lines.append(f"#define PIEZO_CHECKSUM_{axis.axis.upper()} 0x{checksum:08x}u")
+    return "\n".join(lines)
+
+
+def _axis(axis: AxisParameters) -> str:
+    name = axis.axis.upper()
+    sealed = dict(
+        zip(
+            SEALED,
+            ("PZ_SCHEMA_VERSION", "PIEZO_PARAMS_SIZE", f"PIEZO_CHECKSUM_{name}"),
+            strict=True,
+        )
+    )
+    lines = [
+        _member(p, sealed[p.name] if p.name in sealed else _value(p, axis)) for p in PARAMETERS
+    ]
+    return f"    [PIEZO_AXIS_{name}] = {{\n" + "\n".join(lines) + "\n    },\n"
+
+
+def _member(parameter: Parameter, value: str) -> str:
+    unit = "" if parameter.unit == "1" else f"{parameter.unit}: "
+    wrapped = textwrap.wrap(
+        f".{parameter.name} = {value},",
+        width=99,
+        initial_indent=" " * 8,
+        subsequent_indent=" " * 12,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+    return "\n".join([f"        /* {unit}{inert(parameter.meaning)} */", *wrapped])
+
+
+def _value(parameter: Parameter, axis: AxisParameters) -> str:
+    value = used(parameter, axis.values[parameter.name])
+    if parameter.kind == "integer":
+        return str(int(value))
+    return _literal(value)
+
+
+def _literal(value: Any) -> str:
+    """Return a number, or nested braces; an array of zeros alone is {PZ_REAL(0)}."""
+    if value.ndim == 0:
+        return f"PZ_REAL({float(value)!r})"
+    rows = [_literal(np.asarray(row)) for row in value]
+    return "{" + ", ".join(rows or ["{PZ_REAL(0)}" if value.ndim > 1 else "PZ_REAL(0)"]) + "}"

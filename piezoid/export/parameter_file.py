@@ -1,0 +1,188 @@
+"""ParameterFile: everything the runtime consumes, for every axis; the one thing that is verified.
+
+Whatever follows the design (header, bundle, verification, report) starts from this record, so it
+sees the numbers that ship and no others.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.errors import ParameterFileError
+from piezoid.numerics.arrays import Array
+from piezoid.provenance import seal, unseal
+from piezoid.runtime.library import PRECISIONS, library
+from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
+from piezoid.runtime.values import SEALED, Values, complete
+
+# What a C enumerator and a file name can both carry.
+_AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisParameters:
+    """One axis: its name and every number of the runtime's schema.
+
+    axis    short lower-case name, ``x``
+    values  by name, in the schema's order, full shapes, read-only
+    """
+
+    axis: str
+    values: Values
+
+    def __post_init__(self) -> None:
+        if not _AXIS.fullmatch(self.axis):
+            raise ParameterFileError(
+                f"an axis is called {self.axis!r}",
+                needed="a letter, then at most 15 letters, digits or underscores, lower case",
+                remedy="Rename the axis in lab.toml.",
+            )
+        object.__setattr__(self, "values", complete(self.values))
+        for precision in PRECISIONS:
+            library(precision).pack(self.values)
+
+    @property
+    def method(self) -> str:
+        """What the controller of this axis does, one of ``METHODS``."""
+        return METHODS[int(self.values["method"])]
+
+    def with_values(self, changed: Mapping[str, ArrayLike | str]) -> "AxisParameters":
+        """Return the axis with some values replaced, checked again."""
+        return AxisParameters(axis=self.axis, values=complete({**self.values, **changed}))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ParameterFile:
+    """What ships.
+
+    name     of the stage, any text
+    axes     at least one, names all different, every one usable by the runtime in both precisions
+    sources  digests of the records it was made from, by what they are: ``model``, ``design``
+    """
+
+    name: str
+    axes: tuple[AxisParameters, ...]
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = [axis.axis for axis in self.axes]
+        if not names or len(set(names)) != len(names):
+            raise ParameterFileError(
+                f"the axes are {names}",
+                needed="at least one axis, each under its own name",
+                remedy="Give every axis of the stage one controller.",
+            )
+
+    def axis(self, name: str) -> AxisParameters:
+        """Return the axis of this name, or refuse."""
+        for axis in self.axes:
+            if axis.axis == name:
+                return axis
+        raise ParameterFileError(
+            f"no parameters for axis {name!r}",
+            needed=f"one of {', '.join(axis.axis for axis in self.axes)}",
+            remedy="Export that axis as well, or ask for one that is there.",
+        )
+
+
+def to_json(file: ParameterFile) -> bytes:
+    """Return ``params.json``: sealed, one entry per parameter with its unit and meaning."""
+    return seal(
+        SCHEMA,
+        {
+            "name": file.name,
+            "sources": dict(file.sources),
+            "axes": [
+                {"axis": a.axis, "method": a.method, "parameters": _entries(a.values)}
+                for a in file.axes
+            ],
+        },
+    )
+
+
+def digest_of(file: ParameterFile) -> str:
+    """Return the digest that stands in this file's ``params.json``."""
+    return str(json.loads(to_json(file))["digest"])
+
+
+def from_json(content: bytes, place: str) -> ParameterFile:
+    """Read ``params.json`` back, bit for bit, or say why not.
+
+    content  the file's bytes
+    place    its name, for the message
+
+    Raises ``ParameterFileError``: another schema version, one changed bit, a missing or unknown
+    parameter, another unit, numbers the runtime cannot use.
+    """
+    record = unseal(content, SCHEMA, place)
+    try:
+        axes = [(axis["axis"], axis["parameters"]) for axis in record["axes"]]
+        name, sources = str(record["name"]), dict(record["sources"])
+    except (KeyError, TypeError) as error:
+        raise _incomplete(place, f"no {error}") from error
+    return ParameterFile(
+        name=name,
+        axes=tuple(AxisParameters(axis=a, values=_values(e, place)) for a, e in axes),
+        sources=sources,
+    )
+
+
+def _shipped() -> list[Parameter]:
+    """Return what a file holds: size and checksum depend on the precision it is built for."""
+    return [p for p in PARAMETERS if p.name not in SEALED]
+
+
+def _entries(values: Values) -> dict[str, Any]:
+    return {
+        p.name: {
+            "unit": p.unit,
+            "value": used(p, values[p.name]).tolist(),
+            "meaning": p.meaning,
+        }
+        for p in _shipped()
+    }
+
+
+def used(parameter: Parameter, value: Array) -> Any:
+    """Return the first places of an array up to the last that is not 0, or the number itself."""
+    whole = value.astype(np.int64) if parameter.kind == "integer" else value
+    if not parameter.shape:
+        return whole
+    places = np.argwhere(value != 0.0)
+    extent = places.max(axis=0) + 1 if len(places) else np.zeros(value.ndim, dtype=np.int64)
+    return whole[tuple(slice(int(n)) for n in extent)]
+
+
+def _values(entries: Mapping[str, Any], place: str) -> Values:
+    expected = {p.name: p.unit for p in _shipped()}
+    try:
+        found = {name: entry["unit"] for name, entry in entries.items()}
+        given = {name: entry["value"] for name, entry in entries.items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise _incomplete(place, f"an entry without {error}") from error
+    if found != expected:
+        differing = sorted(set(found.items()) ^ set(expected.items()))
+        raise _incomplete(place, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
+    arrays = {p.name: _array(p, given[p.name]) for p in _shipped()}
+    return complete({name: array for name, array in arrays.items() if array.size})
+
+
+def _array(parameter: Parameter, value: Any) -> Array:
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise _incomplete("parameter file", f"{parameter.name} holds no numbers") from error
+    return array.reshape((0,) * len(parameter.shape)) if array.size == 0 else array
+
+
+def _incomplete(place: str, found: str) -> ParameterFileError:
+    return ParameterFileError(
+        f"{place}: {found}",
+        needed=f"the entries of schema {SCHEMA}, each with its unit",
+        remedy="Export the parameters again with this version of piezoid.",
+    )

@@ -1,0 +1,156 @@
+"""The bundle: compiled as a firmware engineer would, and compared bit for bit."""
+
+import ctypes
+import re
+
+import numpy as np
+import pytest
+
+from piezoid.export.bundle import SHIPPED, bundle, shipped
+from piezoid.export.c_header import c_header
+from piezoid.export.golden import SAMPLES, golden_csv
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import digest_of
+from piezoid.runtime.controller import Status
+from piezoid.runtime.library import library
+from tests.export.stage import stage
+from tests.runtime.compiler import PRECISION, STRICT, found, run
+
+# The example answers for its own reading of the table; the library for every bit of the numbers.
+DUMP = """
+#include <stdio.h>
+#include "piezo_params.h"
+int main(void) {
+    return fwrite(piezo_params, sizeof piezo_params, 1, stdout) == 1 ? 0 : 1;
+}
+"""
+
+
+def written(folder, made=None):
+    for name, content in (made or bundle(stage())).files.items():
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def built(folder, *flags, main="example_main.c", out="example"):
+    compiler = found("cc", "gcc", "clang")
+    sources = [str(folder / main), str(folder / "piezoid_runtime.c")]
+    run(compiler, *flags, f"-I{folder}", *sources, "-o", str(folder / out))
+    return str(folder / out)
+
+
+@pytest.mark.parametrize("precision", PRECISION)
+@pytest.mark.parametrize("optimisation", ["-O0", "-O3"])
+def test_a_fresh_build_gives_the_golden_answers_bit_for_bit(precision, optimisation, tmp_path):
+    folder = written(tmp_path)
+    program = built(folder, *STRICT, optimisation, *PRECISION[precision])
+    with (folder / "golden.csv").open() as table:
+        said = run(program, stdin=table)
+    assert said == f"{3 * SAMPLES} samples, 0 differ\n"
+
+
+def test_another_answer_is_noticed(tmp_path):
+    folder = written(tmp_path)
+    table = (folder / "golden.csv").read_text().splitlines()
+    cells = table[500].split(",")
+    cells[3] = repr(float(np.nextafter(float(cells[3]), 99)))
+    (folder / "golden.csv").write_text("\n".join([*table[:500], ",".join(cells), *table[501:]]))
+    program = built(folder, *STRICT)
+    with (
+        (folder / "golden.csv").open() as changed,
+        pytest.raises(AssertionError, match="1 differ"),
+    ):
+        run(program, stdin=changed)
+
+
+def test_a_table_that_cannot_be_read_to_its_end_is_noticed(tmp_path):
+    folder = written(tmp_path)
+    program = built(folder, *STRICT)
+    golden = (folder / "golden.csv").read_text()
+    (folder / "golden.csv").write_text(golden[:20000] + "?" + golden[20000:])
+    with (folder / "golden.csv").open() as broken, pytest.raises(AssertionError, match="line"):
+        run(program, stdin=broken)
+
+
+@pytest.mark.parametrize("precision", PRECISION)
+def test_every_bit_of_the_header_is_that_of_the_packed_parameters(precision, tmp_path):
+    folder = written(tmp_path)
+    (folder / "dump.c").write_text(DUMP)
+    program = built(folder, *STRICT, *PRECISION[precision], main="dump.c", out="dump")
+    run("sh", "-c", f"{program} > {folder / 'dumped'}")
+    packed = [bytes(library(precision).pack(axis.values)) for axis in stage().axes]
+    assert (folder / "dumped").read_bytes() == b"".join(packed)
+
+
+def test_the_shipped_files_are_the_installed_ones_byte_for_byte():
+    files = bundle(stage()).files
+    assert set(files) == {*SHIPPED, "piezo_params.h", "golden.csv", "README.md"}
+    assert all(files[name] == shipped(name) for name in SHIPPED)
+
+
+def test_the_same_parameters_give_the_same_bytes():
+    assert dict(bundle(stage()).files) == dict(bundle(stage()).files)
+
+
+def test_a_runtime_of_another_schema_does_not_compile(tmp_path):
+    folder = written(tmp_path)
+    runtime = folder / "piezoid_runtime.h"
+    runtime.write_text(runtime.read_text().replace("PZ_SCHEMA_VERSION 1", "PZ_SCHEMA_VERSION 2"))
+    with pytest.raises(AssertionError, match="written for schema version 1"):
+        built(folder, "-std=c99")
+
+
+@pytest.mark.parametrize(
+    "place", [r"PZ_REAL\((3\.525)e-06\)", r"#else\n#define .*\n#define PIEZO_CHECKSUM_X 0x(....)"]
+)
+def test_an_edited_header_does_not_start(place, tmp_path):
+    folder = written(tmp_path)
+    header = folder / "piezo_params.h"
+    text = header.read_text()
+    match = re.search(place, text)
+    assert match is not None
+    edited = "3.526" if match[1] == "3.525" else "0000"
+    header.write_text(text[: match.start(1)] + edited + text[match.end(1) :])
+    program = built(folder, *STRICT)
+    with (folder / "golden.csv").open() as table, pytest.raises(AssertionError, match="checksum"):
+        run(program, stdin=table)
+
+
+@pytest.mark.parametrize(
+    "name", ["*/ int evil; /*", "line\nbreak", "back\\", '"quote"', "tri??/graph", "Ångström", ""]
+)
+def test_a_hostile_name_stays_a_comment(name, tmp_path):
+    file = stage(name)
+    files = bundle(file).files
+    folder = written(tmp_path, bundle(file))
+    built(folder, *STRICT)
+    assert "evil" not in re.sub(r"/\*.*?\*/", "", files["piezo_params.h"].decode(), flags=re.S)
+    files["piezo_params.h"].decode("ascii")
+
+
+def test_inert_text_holds_nothing_a_compiler_reads():
+    assert inert('a*/b\\c"d??e\nf', length=12) == "a__b_c_d__e_"
+
+
+def test_the_header_names_the_digest_of_the_parameter_file():
+    digest = digest_of(stage())
+    assert f'#define PIEZO_PARAMS_DIGEST "{digest}"' in c_header(stage(), digest)
+    assert digest in bundle(stage()).files["README.md"].decode()
+
+
+def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
+    rows = [line.split(",") for line in golden_csv(stage()).splitlines()[1:]]
+    table = np.array([[float(cell) for cell in row] for row in rows])
+    assert len(table) == 3 * SAMPLES
+    said = np.bitwise_or.reduce(table[:, 4].astype(np.int64))
+    assert said & Status.BAD_REFERENCE
+    assert said & Status.BAD_MEASUREMENT
+    assert np.isfinite(table[:, 3]).all()
+    assert np.abs(table[:, 3]).max() <= 10
+    assert np.ptp(table[:SAMPLES, 3]) > 5
+
+
+def test_the_readme_counts_the_states_bytes():
+    readme = bundle(stage()).files["README.md"].decode()
+    assert f"{library('float').state_size} (float)" in readme
+    assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()

@@ -1,0 +1,120 @@
+"""params.json: what comes back is what was written, or nothing does."""
+
+import json
+
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.parameter_file import (
+    AxisParameters,
+    ParameterFile,
+    digest_of,
+    from_json,
+    to_json,
+)
+from piezoid.provenance import seal, unseal
+from piezoid.runtime.schema import PARAMETERS, SCHEMA
+from tests.export.stage import lateral, stage
+
+
+def rewritten(change):
+    """A sealed file whose content was changed before it was sealed."""
+    record = unseal(to_json(stage()), SCHEMA, "params.json")
+    content = {key: value for key, value in record.items() if key not in ("schema", "digest")}
+    change(content)
+    return seal(SCHEMA, content)
+
+
+def test_every_number_comes_back_bit_for_bit():
+    original = stage()
+    back = from_json(to_json(original), "params.json")
+    assert (back.name, back.sources) == (original.name, original.sources)
+    for one, two in zip(original.axes, back.axes, strict=True):
+        assert one.axis == two.axis
+        for parameter in PARAMETERS:
+            name = parameter.name
+            assert one.values[name].tobytes() == two.values[name].tobytes(), name
+
+
+def test_the_same_parameters_are_the_same_bytes():
+    assert to_json(stage()) == to_json(stage())
+    assert to_json(from_json(to_json(stage()), "params.json")) == to_json(stage())
+
+
+def test_every_entry_says_its_unit_and_meaning():
+    record = json.loads(to_json(stage()))
+    entries = record["axes"][0]["parameters"]
+    assert entries["lsb_V"] == {
+        "unit": "V",
+        "value": 20 / 65536,
+        "meaning": entries["lsb_V"]["meaning"],
+    }
+    assert record["axes"][0]["method"] == "mpi_dob"
+    assert record["digest"] == digest_of(stage())
+
+
+def test_one_changed_bit_anywhere_is_refused():
+    content = bytearray(to_json(stage()))
+    for place in range(len(content)):
+        content[place] ^= 1 << (place % 8)
+        with pytest.raises(ParameterFileError):
+            from_json(bytes(content), "params.json")
+        content[place] ^= 1 << (place % 8)
+    from_json(bytes(content), "params.json")
+
+
+def test_a_file_cut_short_or_empty_is_refused():
+    content = to_json(stage())
+    for length in (0, 1, 100, len(content) // 2, len(content) - 1):
+        with pytest.raises(ParameterFileError):
+            from_json(content[:length], "params.json")
+
+
+def test_another_schema_version_is_refused_with_both_names():
+    other = seal("piezoid.params/0", {"name": "old", "axes": []})
+    with pytest.raises(ParameterFileError, match=r"piezoid\.params/0.*piezoid\.params/1"):
+        from_json(other, "params.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda c: c["axes"][0]["parameters"].pop("lsb_V"), "lsb_V"),
+        (lambda c: c["axes"][0]["parameters"]["lsb_V"].update(unit="mV"), "lsb_V"),
+        (lambda c: c["axes"][0]["parameters"].update(gain={"unit": "1", "value": 1}), "gain"),
+        (lambda c: c["axes"][0]["parameters"]["lsb_V"].update(value=-1.0), "lsb_V"),
+        (lambda c: c["axes"][0]["parameters"]["lsb_V"].update(value="wide"), "lsb_V"),
+        (lambda c: c["axes"][0]["parameters"]["knot_m"].update(value=[[1.0]]), "knot_m"),
+        (lambda c: c["axes"][0]["parameters"]["gain_m_per_V"].update(value=1e-6), "observer_C"),
+        (lambda c: c["axes"][0].pop("parameters"), "parameters"),
+        (lambda c: c.pop("axes"), "axes"),
+        (lambda c: c["axes"].clear(), "at least one axis"),
+    ],
+)
+def test_a_sealed_file_with_other_content_is_refused(change, said):
+    with pytest.raises(ParameterFileError, match=said):
+        from_json(rewritten(change), "params.json")
+
+
+@pytest.mark.parametrize("name", ["", "X", "1x", "x y", "x;", "x" * 17, "../x"])
+def test_an_axis_name_that_is_no_identifier_is_refused(name):
+    with pytest.raises(ParameterFileError, match="axis"):
+        AxisParameters(axis=name, values=lateral("dob"))
+
+
+def test_two_axes_of_one_name_are_refused():
+    axis = AxisParameters(axis="x", values=lateral("dob"))
+    with pytest.raises(ParameterFileError, match="own name"):
+        ParameterFile(name="twice", axes=(axis, axis))
+
+
+def test_parameters_the_runtime_cannot_use_do_not_become_a_file():
+    with pytest.raises(ParameterFileError, match="play_weight_m_per_V"):
+        AxisParameters(axis="x", values={**lateral("mpi"), "play_weight_m_per_V": [0.0]})
+
+
+def test_a_method_can_be_exchanged_and_an_axis_asked_for():
+    axis = stage().axis("x").with_values({"method": "none"})
+    assert axis.method == "none"
+    with pytest.raises(ParameterFileError, match="x, y, z"):
+        stage().axis("w")
