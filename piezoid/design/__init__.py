@@ -1,9 +1,10 @@
-"""Model and specification in, a Design out. Start at specification.py, then design.py.
+"""Model and specification in, a Design out. Start at specification.py, then lateral.py.
 
-plant.py            what is controlled: a nominal plant and its family
-specification.py    what is asked
-observer.py         disturbance observer; tuning.py chooses its poles, kalman.py its noise
-rst.py              pole placement; shaping.py (band-stops) and youla.py (convex) shape it
-sensitivity.py      what a loop does, from R, S, T and a plant alone
-certificate.py      what is guaranteed with hysteresis in the loop
+chain.py, plant.py   what is controlled: physical sections, a nominal plant and its family
+specification.py     what is asked
+lateral.py           X and Y: observer.py, its poles by tuning.py or its noise by kalman.py
+vertical.py          Z: rst.py, shaped by shaping.py (band-stops) or youla.py (convex)
+sensitivity.py       what a loop does, from R, S, T and a plant alone
+certificate.py       what is guaranteed with hysteresis in the loop
+design.py            the record that leaves this floor
 """

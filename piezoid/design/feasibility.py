@@ -25,18 +25,18 @@ class NearestFeasible:
 
     bandwidth_Hz   the largest that can, everything else as asked; None if lowering it to 1 % does
                    not help
-    relaxation_dB  how far the limit that is missed most must give way at the asked bandwidth
+    relaxation_dB  by template, how far each must give way at the asked bandwidth
     """
 
     bandwidth_Hz: float | None
-    relaxation_dB: float
+    relaxation_dB: dict[str, float]
 
 
 def nearest_feasible(
     specification: Specification, violations: tuple[Violation, ...], attempt: Attempt
 ) -> NearestFeasible:
     """Bisect the bandwidth, on a logarithmic scale, for the largest that meets every limit."""
-    relaxation_dB = violations[0].excess_dB
+    relaxation_dB = {v.template: v.excess_dB for v in reversed(violations)}
 
     def meets(share: float) -> bool:
         asked = replace(specification, bandwidth_Hz=share * specification.bandwidth_Hz)
@@ -60,7 +60,10 @@ def refuse(
 ) -> NoReturn:
     """Raise ``TemplateError`` for a specification no candidate meets."""
     worst = violations[0]
-    relaxed = f"relax '{worst.template}' by {nearest.relaxation_dB:.2f} dB"
+    relaxed = "relax " + " and ".join(
+        f"'{name}' by {_rounded_up(excess_dB):.2f} dB"
+        for name, excess_dB in sorted(nearest.relaxation_dB.items(), key=lambda item: -item[1])
+    )
     if nearest.bandwidth_Hz is None:
         remedy = f"No bandwidth helps: {relaxed}, or describe the plant family more narrowly."
     else:
@@ -78,6 +81,7 @@ def refuse(
         frequency_Hz=worst.frequency_Hz,
         excess_dB=worst.excess_dB,
         nearest_bandwidth_Hz=nearest.bandwidth_Hz,
+        relaxation_dB=nearest.relaxation_dB,
         violations=violations,
     )
 
@@ -103,3 +107,7 @@ def _rounded_down(value: float) -> float:
     """Return the value cut to three digits, so that what is advised is still feasible."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 2)
     return float(np.floor(value / unit + 1e-9) * unit)
+
+
+def _rounded_up(excess_dB: float) -> float:
+    return float(np.ceil(excess_dB * 100.0) / 100.0)

@@ -10,7 +10,7 @@ is the exact inverse of the hysteresis model at v, and d holds only what the mod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from piezoid.design.plant import Plant
@@ -18,7 +18,6 @@ from piezoid.design.state_feedback import placed_gain
 from piezoid.numerics.arrays import Array, frozen
 
 FORMS = ("affine", "inverse")
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,22 +71,6 @@ class DisturbanceObserver:
             raise ValueError(f"form is {self.form!r}, expected one of {FORMS}")
         object.__setattr__(self, "A", frozen(self.A, "A", ndim=2))
         for name in ("B", "C", "state_gain", "disturbance_gain", "feedback_gain"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LinearController:
-    """An observer written as S u = T r - R y, for margins that trust nobody.
-
-    R, S, T    coefficients in q^-1, S monic; S(1) = 0 for a constant disturbance model
-    """
-
-    R: Array
-    S: Array
-    T: Array
-
-    def __post_init__(self) -> None:
-        for name in ("R", "S", "T"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
 
 
@@ -187,43 +170,6 @@ def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]
     return A_e, np.concatenate([plant.output_vector, np.zeros(states)])
 
 
-def linear_controller(observer: DisturbanceObserver) -> LinearController:
-    """Write the whole observer with its feedback as S u = T r - R y.
-
-    With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
-    S its characteristic polynomial; T = N det(I - q^-1 A_e M), the observer's own polynomial.
-    """
-    A_e, B_e, C_e, L, K_e = _stacked(observer)
-    correct = np.eye(len(A_e)) - np.outer(L, C_e)
-    closed = A_e - np.outer(B_e, K_e)
-    direct = -float(K_e @ L)
-    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, direct)
-    S = _characteristic(closed @ correct)
-    T = observer.reference_gain * _characteristic(A_e @ correct)
-    return LinearController(R=-from_output, S=S, T=T)
-
-
-def error_poles(observer: DisturbanceObserver) -> Complex:
-    """Return the eigenvalues of the estimation error, A_e - A_e L C_e."""
-    A_e, _, C_e, L, _ = _stacked(observer)
-    return np.asarray(np.linalg.eigvals(A_e - A_e @ np.outer(L, C_e)), dtype=np.complex128)
-
-
-def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array, Array]:
-    model = observer.disturbance
-    states = len(model.output)
-    A_e = np.block(
-        [
-            [observer.A, np.outer(observer.B, model.output)],
-            [np.zeros((states, len(observer.A))), model.transition],
-        ]
-    )
-    B_e = np.concatenate([observer.B, np.zeros(states)])
-    C_e = np.concatenate([observer.C, np.zeros(states)])
-    L = np.concatenate([observer.state_gain, observer.disturbance_gain])
-    return A_e, B_e, C_e, L, np.concatenate([observer.feedback_gain, model.output])
-
-
 def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
     """Return the rows c F^-1, ..., c F^-count."""
     rows: list[Array] = []
@@ -232,23 +178,3 @@ def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:
         row = np.asarray(np.linalg.solve(disturbance.transition.T, row), dtype=np.float64)
         rows.append(row)
     return np.array(rows).reshape(count, len(disturbance.output))
-
-
-def _response_polynomial(A: Array, B: Array, C: Array, direct: float) -> Array:
-    """Return the numerator of C (zI - A)^-1 B + direct over det(zI - A), in q^-1.
-
-    Multiplying the first samples of the impulse response by the denominator keeps the digits
-    that differences of characteristic polynomials lose.
-    """
-    denominator = _characteristic(A)
-    impulse = np.empty(len(denominator))
-    impulse[0], state = direct, B
-    for k in range(1, len(impulse)):
-        impulse[k] = C @ state
-        state = A @ state
-    return np.convolve(impulse, denominator)[: len(denominator)]
-
-
-def _characteristic(matrix: Array) -> Array:
-    """Return det(I - q^-1 M), monic in q^-1."""
-    return np.ascontiguousarray(np.poly(matrix).real, dtype=np.float64)

@@ -1,7 +1,6 @@
-"""What is controlled: a sampled linear plant, built from physical numbers, and its family."""
+"""What is controlled: a sampled linear plant, and the family it may really be."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -9,47 +8,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.polynomial import spectral_radius, trimmed
-from piezoid.numerics.zero_order_hold import SampledSystem, fraction, realised, sample
-
-_INSTANTANEOUS = float(np.finfo(np.float64).eps)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """One factor of the analogue chain with unit gain at rest.
-
-        damping None:  w / (s + w);   else  w^2 / (s^2 + 2 zeta w s + w^2),   w = 2 pi f
-
-    frequency_Hz  > 0
-    damping       > 0, or None for a first-order lag
-    """
-
-    frequency_Hz: float
-    damping: float | None = None
-
-    def __post_init__(self) -> None:
-        if not self.frequency_Hz > 0 or (self.damping is not None and not self.damping > 0):
-            raise ValueError(f"a section needs a positive frequency and damping, found {self}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Chain:
-    """The physical description of a plant: command voltage in, displacement (or neper) out.
-
-    label             the member's name in tables
-    sampling_rate_Hz  > 0
-    gain              output unit per volt, at rest
-    output_unit       ``m``, or ``1`` for the logarithm of a tunnelling current
-    sections          amplifier, mechanics, sensor, ... in the order of the signal
-    delay_s           >= 0, of converters and computation; need not be whole samples
-    """
-
-    label: str
-    sampling_rate_Hz: float
-    gain: float
-    output_unit: str
-    sections: tuple[Section, ...]
-    delay_s: float = 0.0
+from piezoid.numerics.zero_order_hold import SampledSystem, realised
 
 
 class Fraction(Protocol):
@@ -154,17 +113,6 @@ class PlantFamily:
         return self.members[0]
 
 
-def plant_from_chain(chain: Chain) -> Plant:
-    """Sample a chain behind its zero-order hold.
-
-    A first-order section whose sampled pole exp(-2 pi f / fs) is below the precision of float64
-    (f > 5.7 fs) is instantaneous at this rate and leaves no state.
-    """
-    A, B, C = _continuous(chain)
-    system = sample(A, B, C, 1.0 / chain.sampling_rate_Hz, chain.delay_s)
-    return _plant(chain.label, chain.sampling_rate_Hz, chain.output_unit, system)
-
-
 def plant_from_fraction(
     label: str, B: ArrayLike, A: ArrayLike, *, sampling_rate_Hz: float, output_unit: str
 ) -> Plant:
@@ -193,82 +141,3 @@ def plant_from_fraction(
         B=b,
         A=a,
     )
-
-
-def family_from_chains(nominal: Chain, variations: Sequence[Chain]) -> PlantFamily:
-    """Sample a nominal chain and its variations."""
-    return PlantFamily(members=tuple(plant_from_chain(c) for c in (nominal, *variations)))
-
-
-def varied(
-    chain: Chain,
-    *,
-    gain_factor: float = 1.0,
-    mode_factor: float = 1.0,
-    damping_factor: float = 1.0,
-    delay_s: float = 0.0,
-) -> Chain:
-    """Return the chain with its gain and the slowest section's frequency and damping multiplied,
-    and a delay added; the label says what was changed.
-
-    The slowest section is the mechanics of a piezo stage: what load and mounting change.
-    """
-    slowest = min(range(len(chain.sections)), key=lambda k: chain.sections[k].frequency_Hz)
-    section = chain.sections[slowest]
-    damping = None if section.damping is None else section.damping * damping_factor
-    changed = replace(section, frequency_Hz=section.frequency_Hz * mode_factor, damping=damping)
-    sections = (*chain.sections[:slowest], changed, *chain.sections[slowest + 1 :])
-    factors = (("gain", gain_factor), ("mode", mode_factor), ("damping", damping_factor))
-    said = [f"{name} x{factor:g}" for name, factor in factors if factor != 1.0]
-    said += [f"delay +{delay_s * 1e6:g} us"] if delay_s else []
-    return replace(
-        chain,
-        label=", ".join(said) or chain.label,
-        gain=chain.gain * gain_factor,
-        sections=sections,
-        delay_s=chain.delay_s + delay_s,
-    )
-
-
-def _plant(label: str, rate_Hz: float, unit: str, system: SampledSystem) -> Plant:
-    B, A = fraction(system)
-    return Plant(
-        label=label,
-        sampling_rate_Hz=rate_Hz,
-        output_unit=unit,
-        state_matrix=system.A,
-        input_taps=system.taps,
-        output_vector=system.C,
-        B=B,
-        A=A,
-    )
-
-
-def _continuous(chain: Chain) -> tuple[Array, Array, Array]:
-    """Return the chain in state space: each section drives the next, the gain is at the input."""
-    kept = [s for s in chain.sections if not _is_instantaneous(s, chain.sampling_rate_Hz)]
-    orders = [1 if section.damping is None else 2 for section in kept]
-    size = sum(orders)
-    if size == 0:
-        raise ValueError(f"{chain.label}: no section is slow enough to have a state")
-    A, B, C = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    first = np.concatenate([[0], np.cumsum(orders)[:-1]]).astype(int)
-    for k, (section, place) in enumerate(zip(kept, first.tolist(), strict=True)):
-        w = 2.0 * np.pi * section.frequency_Hz
-        last = place + orders[k] - 1
-        if section.damping is None:
-            A[place, place] = -w
-        else:
-            A[place, last] = w
-            A[last, place], A[last, last] = -w, -2.0 * section.damping * w
-        if k == 0:
-            B[last] = w * chain.gain
-        else:
-            A[last, first[k - 1]] = w
-    C[first[-1]] = 1.0
-    return A, B, C
-
-
-def _is_instantaneous(section: Section, rate_Hz: float) -> bool:
-    decay = np.exp(-2.0 * np.pi * section.frequency_Hz / rate_Hz)
-    return section.damping is None and bool(decay < _INSTANTANEOUS)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.plant import Plant, Section
+from piezoid.design.chain import Section
+from piezoid.design.plant import Plant
 from piezoid.design.rst import sampled_poles
 from piezoid.numerics.polynomial import roots_of
 

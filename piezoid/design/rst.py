@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.plant import Plant, Section
+from piezoid.design.chain import Section
+from piezoid.design.plant import Plant
 from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.polynomial import from_roots, product, solve_bezout, spectral_radius

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.design.band_stop import BandStop, band_stop_polynomials
+from piezoid.design.chain import Section
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
-from piezoid.design.plant import Plant, PlantFamily, Section
+from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import (
     INTEGRATOR,
     OPEN_AT_NYQUIST,

@@ -5,16 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.design.chain import Section
 from piezoid.design.family_grid import FamilyGrid, Judgement, family_grid, judge
 from piezoid.design.kalman import kalman_gain
 from piezoid.design.observer import (
     DisturbanceObserver,
     disturbance_model,
-    linear_controller,
     observer_with_gain,
     place_observer,
 )
-from piezoid.design.plant import Plant, PlantFamily, Section
+from piezoid.design.observer_loop import linear_controller
+from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.search import search
 from piezoid.design.specification import Specification, slowest_Hz

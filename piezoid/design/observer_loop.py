@@ -1,0 +1,114 @@
+"""An observer with its feedback as one linear controller, S u = T r - R y."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.design.observer import DisturbanceModel, DisturbanceObserver
+from piezoid.numerics.arrays import Array, frozen
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinearController:
+    """An observer written as S u = T r - R y, for margins that trust nobody.
+
+    R, S, T    coefficients in q^-1, S monic; S(1) = 0 for a constant disturbance model
+    """
+
+    R: Array
+    S: Array
+    T: Array
+
+    def __post_init__(self) -> None:
+        for name in ("R", "S", "T"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+
+def linear_controller(observer: DisturbanceObserver) -> LinearController:
+    """Write the whole observer with its feedback as S u = T r - R y.
+
+    With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
+    S its characteristic polynomial; T = N det(I - q^-1 A_e M), the observer's own polynomial.
+    """
+    A_e, B_e, C_e, L, K_e = _stacked(observer)
+    correct = np.eye(len(A_e)) - np.outer(L, C_e)
+    closed = A_e - np.outer(B_e, K_e)
+    direct = -float(K_e @ L)
+    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, direct)
+    S = _characteristic(closed @ correct)
+    T = observer.reference_gain * _characteristic(A_e @ correct)
+    return LinearController(R=-from_output, S=S, T=T)
+
+
+def error_poles(observer: DisturbanceObserver) -> Complex:
+    """Return the eigenvalues of the estimation error, A_e - A_e L C_e."""
+    A_e, _, C_e, L, _ = _stacked(observer)
+    return np.asarray(np.linalg.eigvals(A_e - A_e @ np.outer(L, C_e)), dtype=np.complex128)
+
+
+def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObserver:
+    """Return the same observer with its oscillators among the states of x.
+
+    A runtime that knows one constant disturbance runs resonant modes this way:
+
+        A' = [A  B c_o; 0 F_o],  B' = [B; 0],  C' = [C 0],  L' = [L; L_o],  K' = [K c_o]
+    """
+    model = observer.disturbance
+    inner = len(model.output) - 1
+    if inner == 0:
+        return observer
+    oscillation = model.transition[1:, 1:]
+    return DisturbanceObserver(
+        form=observer.form,
+        A=np.block(
+            [
+                [observer.A, np.outer(observer.B, model.output[1:])],
+                [np.zeros((inner, len(observer.A))), oscillation],
+            ]
+        ),
+        B=np.concatenate([observer.B, np.zeros(inner)]),
+        C=np.concatenate([observer.C, np.zeros(inner)]),
+        disturbance=DisturbanceModel(transition=np.ones((1, 1)), output=np.ones(1)),
+        state_gain=np.concatenate([observer.state_gain, observer.disturbance_gain[1:]]),
+        disturbance_gain=observer.disturbance_gain[:1],
+        feedback_gain=np.concatenate([observer.feedback_gain, model.output[1:]]),
+        reference_gain=observer.reference_gain,
+    )
+
+
+def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array, Array]:
+    model = observer.disturbance
+    states = len(model.output)
+    A_e = np.block(
+        [
+            [observer.A, np.outer(observer.B, model.output)],
+            [np.zeros((states, len(observer.A))), model.transition],
+        ]
+    )
+    B_e = np.concatenate([observer.B, np.zeros(states)])
+    C_e = np.concatenate([observer.C, np.zeros(states)])
+    L = np.concatenate([observer.state_gain, observer.disturbance_gain])
+    return A_e, B_e, C_e, L, np.concatenate([observer.feedback_gain, model.output])
+
+
+def _response_polynomial(A: Array, B: Array, C: Array, direct: float) -> Array:
+    """Return the numerator of C (zI - A)^-1 B + direct over det(zI - A), in q^-1.
+
+    Multiplying the first samples of the impulse response by the denominator keeps the digits
+    that differences of characteristic polynomials lose.
+    """
+    denominator = _characteristic(A)
+    impulse = np.empty(len(denominator))
+    impulse[0], state = direct, B
+    for k in range(1, len(impulse)):
+        impulse[k] = C @ state
+        state = A @ state
+    return np.convolve(impulse, denominator)[: len(denominator)]
+
+
+def _characteristic(matrix: Array) -> Array:
+    """Return det(I - q^-1 M), monic in q^-1."""
+    return np.ascontiguousarray(np.poly(matrix).real, dtype=np.float64)
