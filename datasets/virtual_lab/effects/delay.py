@@ -64,7 +64,7 @@ def _change_by_rows(trace: Trace, rows: float) -> Array:
 EFFECT = Effect(
     name="delay",
     measure=Measure.RMS,
-    visible_percent=0.15,
+    visible_percent=0.25,
     shown_by=("rates", "chirp"),
     install=install,
 )

@@ -52,7 +52,7 @@ def filtered(reading_m: Array, tau_s: float, rate_Hz: float) -> Array:
 EFFECT = Effect(
     name="lag",
     measure=Measure.RMS,
-    visible_percent=0.15,
+    visible_percent=0.25,
     shown_by=("rates", "chirp"),
     install=install,
 )

@@ -1,8 +1,10 @@
 """Resonance: the stage is a mass on a spring and rings when it is pushed fast.
 
-    x'' + 2 z w x' + w^2 x = w^2 h,      w = 2 pi f,  damping z of some per cent
+    m'' + 2 z w m' + w^2 m = w^2 h,      x = (1 - p) h + p m
 
-The whole displacement passes through the mode; its frequency decides how much one sees.
+with w = 2 pi f and a damping z of some per cent. Either the whole displacement passes through the
+main mode (p = 1; its frequency decides how much one sees), or a side mode of the flexures, at a
+lower frequency, takes part with a share p.
 
 Source: any flexure stage's data sheet; Devasia, Eleftheriou & Moheimani, IEEE TCST 15 (2007).
 """
@@ -16,38 +18,46 @@ from piezoid_datasets.virtual_lab.effects.effect import (
     Fault,
     Measure,
     Place,
+    Scene,
     Trace,
 )
-from piezoid_datasets.virtual_lab.effects.sizing import bisected
+from piezoid_datasets.virtual_lab.effects.sizing import bisected, proportional
 from piezoid_datasets.virtual_lab.signals import Array, second_order
 
-FREQUENCIES_Hz = (120.0, 6000.0)
+MAIN_MODES_Hz = (120.0, 6000.0)
+SIDE_MODES_Hz = (150.0, 600.0)
 
 
 def install(size_m: float, bench: Bench, rng: np.random.Generator) -> Fault:
-    """Draw the damping and search the frequency."""
+    """Draw the damping and the kind of mode; search its frequency or its share."""
     damping = float(rng.uniform(0.01, 0.06))
+    frequency_Hz = float(np.exp(rng.uniform(*np.log(SIDE_MODES_Hz))))
+    unit = [_swing(trace, 1.0 / frequency_Hz, damping) for trace in bench.traces]
+    share = proportional(size_m, EFFECT.measure, unit, why="the stage does not move")
+    if share > 1.0 or rng.random() < 0.5:
+        share = 1.0
+        frequency_Hz = 1.0 / bisected(
+            size_m,
+            EFFECT.measure,
+            bench.traces,
+            lambda trace, softness_s: _swing(trace, softness_s, damping),
+            (1.0 / MAIN_MODES_Hz[1], 1.0 / MAIN_MODES_Hz[0]),
+        )
 
-    def change(trace: Trace, softness_s: float) -> Array:
-        still = trace.displacement_m
-        return second_order(still, 1.0 / softness_s, damping, trace.scene.rate_Hz) - still
+    def ring(stage_m: Array, scene: Scene, _: np.random.Generator) -> Array:
+        mode_m = second_order(stage_m, frequency_Hz, damping, scene.rate_Hz)
+        return stage_m + share * (mode_m - stage_m)
 
-    softest, stiffest = FREQUENCIES_Hz
-    frequency_Hz = 1.0 / bisected(
-        size_m, EFFECT.measure, bench.traces, change, (1.0 / stiffest, 1.0 / softest)
-    )
     return Fault(
-        acts=(
-            Act(
-                name=EFFECT.name,
-                place=Place.MECHANICS,
-                change=lambda stage_m, scene, _: second_order(
-                    stage_m, frequency_Hz, damping, scene.rate_Hz
-                ),
-            ),
-        ),
-        numbers={"frequency_Hz": frequency_Hz, "damping": damping},
+        acts=(Act(name=EFFECT.name, place=Place.MECHANICS, change=ring),),
+        numbers={"frequency_Hz": frequency_Hz, "damping": damping, "share": share},
     )
+
+
+def _swing(trace: Trace, softness_s: float, damping: float) -> Array:
+    """Return what a mode of a frequency of ``1 / softness_s`` adds to the quiet displacement."""
+    quiet_m = trace.displacement_m
+    return second_order(quiet_m, 1.0 / softness_s, damping, trace.scene.rate_Hz) - quiet_m
 
 
 EFFECT = Effect(

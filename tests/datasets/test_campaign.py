@@ -1,0 +1,94 @@
+"""A campaign is its seed: the same bytes again, the same stage whatever is hidden in it."""
+
+import numpy as np
+import pytest
+
+from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
+from piezoid_datasets.virtual_lab.effects import EFFECTS
+from piezoid_datasets.virtual_lab.plans import PLANS
+from piezoid_datasets.virtual_lab.truths import TRUTHS
+from piezoid_datasets.virtual_lab.write import campaign_files
+
+
+def names(campaign: Campaign) -> list[str]:
+    return [rows.run.name for rows in campaign.recordings]
+
+
+def test_the_same_seed_makes_the_same_bytes() -> None:
+    hidden = {"outliers": None, "mains_interference": 0.2, "initial_state": None}
+    files = [campaign_files(draw_campaign(11, effects=hidden)) for _ in range(2)]
+    assert files[0] == files[1]
+
+
+def test_another_seed_makes_another_stage() -> None:
+    first, second = draw_campaign(1), draw_campaign(2)
+    assert first.rig.stroke_m != second.rig.stroke_m
+    assert {draw_campaign(seed).answer.truth for seed in range(8)} == {t.name for t in TRUTHS}
+
+
+def test_the_stage_of_a_seed_does_not_depend_on_what_is_hidden_in_it() -> None:
+    plans = ("sweep", "staircase")
+    sound = draw_campaign(5, plans=plans)
+    faulty = draw_campaign(5, plans=plans, effects={"creep": 1e-9})
+    for one, other in zip(sound.recordings, faulty.recordings, strict=True):
+        assert np.array_equal(one.voltage_V, other.voltage_V)
+        assert np.allclose(one.noise_free_m, other.noise_free_m, atol=1e-12)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_three_to_six_recordings_one_of_which_shows_the_effect(effect: object) -> None:
+    name = effect.name  # type: ignore[attr-defined]
+    shown_by = effect.shown_by  # type: ignore[attr-defined]
+    for seed in range(2):
+        played = names(draw_campaign(seed, effects={name: 1e-6}))
+        assert 3 <= len(played) <= 6
+        assert set(played) & set(shown_by)
+
+
+def test_sizes_are_drawn_between_one_and_four_times_what_is_visible() -> None:
+    visible = {effect.name: effect.visible_percent for effect in EFFECTS}
+    times = []
+    for seed in range(12):
+        hidden = draw_campaign(seed, effects=["quantisation", "outliers"], plans=("check",))
+        times += [e.asked_percent / visible[e.name] for e in hidden.answer.effects]
+    assert min(times) >= 1.0
+    assert max(times) <= 4.0
+    assert max(times) / min(times) > 2.0
+
+
+def test_several_effects_are_each_measured_with_the_others_in_place() -> None:
+    hidden = {"creep": 0.8, "lag": 0.4, "gain_change": 1.0}
+    answer = draw_campaign(6, effects=hidden).answer
+    assert [e.name for e in answer.effects] == ["creep", "gain_change", "lag"]  # upstream first
+    for effect in answer.effects:
+        assert abs(effect.measured_percent / hidden[effect.name] - 1.0) < 0.2
+
+
+def test_a_careless_lab_starts_from_another_memory() -> None:
+    careful, careless = (draw_campaign(3, careless=c, plans=("sweep",)) for c in (False, True))
+    change = careful.recordings[0].noise_free_m - careless.recordings[0].noise_free_m
+    assert np.max(np.abs(change)) > 1e-4 * careful.rig.stroke_m
+    assert careless.answer.careless
+
+
+def test_readings_fit_the_converter_and_drives_the_range() -> None:
+    for seed in range(4):
+        campaign = draw_campaign(seed, plans=[plan.name for plan in PLANS])
+        reach_m = campaign.rig.converter_range_V[1] / campaign.rig.sensor_gain_V_per_m
+        for rows in campaign.recordings:
+            assert np.max(np.abs(rows.displacement_m)) < reach_m
+            assert rows.voltage_V.min() >= campaign.rig.drive_min_V
+            assert rows.voltage_V.max() <= campaign.rig.drive_max_V
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"effects": ["crep"]}, {"truth": "play"}, {"plans": ["sweeep"]}]
+)
+def test_an_unknown_name_is_refused_with_the_known_ones(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"known are .*(creep|preisach|sweep)"):
+        draw_campaign(1, **wrong)  # type: ignore[arg-type]
+
+
+def test_a_negative_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="must not be negative"):
+        draw_campaign(1, effects={"creep": -0.1})

@@ -1,0 +1,97 @@
+"""`piezoid simulate` writes what a lab would hand over, and the truth somewhere else."""
+
+import json
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid.records.ingest import ingest_all
+from piezoid.records.lab import read_lab
+from piezoid_cli.simulate import simulate
+
+app = typer.Typer()
+app.command()(simulate)
+
+
+def run(*arguments: str) -> tuple[int, str]:
+    result = CliRunner().invoke(app, list(arguments), env={"COLUMNS": "300"})
+    return result.exit_code, result.output
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    out = tmp_path / "virtual"
+    code, _ = run("--out", str(out), "--seed", "7", "--effect", "cross_coupling=0.6")
+    assert code == 0
+    return out
+
+
+def test_the_recordings_can_be_read_and_say_nothing_of_the_truth(written: Path) -> None:
+    folder = written / "recordings"
+    lab = read_lab(folder / "lab.toml")
+    recordings = ingest_all(sorted(folder.glob("*.csv")), lab)
+    assert len(recordings) >= 3
+    assert all(recording.axis == "x" and not recording.breaks for recording in recordings)
+    words = "".join(path.name for path in folder.iterdir()) + (folder / "lab.toml").read_text()
+    assert "coupling" not in words
+    assert "truth" not in words
+
+
+def test_the_truth_names_the_effect_and_its_size(written: Path) -> None:
+    truth = json.loads((written / "truth" / "truth.json").read_text())
+    assert truth["schema"] == "piezoid.truth/1"
+    (effect,) = truth["effects"]
+    assert effect["effect"] == "cross_coupling"
+    assert effect["asked_percent"] == 0.6
+    assert abs(effect["measured_percent"] - 0.6) < 0.1
+    assert set(truth["recordings"]) == {p.stem for p in (written / "recordings").glob("*.csv")}
+
+
+def test_the_lab_file_declares_the_healthy_rig(written: Path) -> None:
+    lab = tomllib.loads((written / "recordings" / "lab.toml").read_text())
+    assert lab["amplifier"]["bandwidth_Hz"] == 4000.0
+    assert lab["acquisition"]["input_range_V"] == [-10.0, 10.0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (("--effect", "crep"), "known are amplifier_saturation"),
+        (("--effect", "creep=big"), "'big' is not a number"),
+        (("--truth", "play"), "known are bouc_wen"),
+        (("--recording", "sweeep"), "known are check"),
+        (("--effect", "cross_coupling", "--recording", "sweep"), "no other axis is driven"),
+    ],
+)
+def test_a_wrong_word_is_a_usage_error_that_lists_the_right_ones(
+    arguments: tuple[str, ...], told: str, tmp_path: Path
+) -> None:
+    code, output = run("--out", str(tmp_path / "out"), *arguments)
+    assert code == 2
+    assert told in " ".join(output.replace("│", " ").split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_holds_something_is_not_replaced_unasked(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    arguments = ("--out", str(tmp_path), "--recording", "check")
+    assert run(*arguments)[0] == 2
+    assert (tmp_path / "mine.txt").exists()
+    assert run(*arguments, "--force")[0] == 0
+
+
+def test_the_laboratory_imports_nothing_of_the_model() -> None:
+    script = (
+        "import sys, piezoid_datasets.virtual_lab.write, piezoid_datasets.virtual_lab.bundled\n"
+        "print([m for m in sys.modules if m.split('.')[0] in "
+        "('piezoid', 'piezoid_cli', 'piezoid_reports')])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
