@@ -1,0 +1,117 @@
+"""Polynomials in q^-1, and the Bezout equation on random plants with fixed parts."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.polynomial import (
+    delayed,
+    from_roots,
+    product,
+    roots_of,
+    solve_bezout,
+    spectral_radius,
+    sylvester,
+    total,
+    trimmed,
+    value_at,
+)
+
+RESIDUAL = 1e-10  # what the design floor accepts
+ROUNDING = 1e-12
+APART = 0.03  # closer roots make S so large that rounding it alone costs more than RESIDUAL
+
+
+def random_polynomial(rng: np.random.Generator, order: int, radius: float) -> Array:
+    """Draw a monic polynomial with real roots and conjugate pairs inside a radius."""
+    roots: list[complex] = []
+    while len(roots) < order:
+        size = radius * np.sqrt(rng.uniform(0.01, 1.0))
+        if order - len(roots) >= 2 and rng.uniform() < 0.5:
+            root = size * np.exp(1j * rng.uniform(0.1, 3.0))
+            roots += [root, root.conjugate()]
+        else:
+            roots.append(size * rng.choice([-1.0, 1.0]))
+    return from_roots(roots)
+
+
+def test_a_product_has_the_roots_of_its_factors(rng):
+    a, b = random_polynomial(rng, 3, 0.9), random_polynomial(rng, 2, 0.9)
+    found = np.sort_complex(roots_of(product(a, b)))
+    wanted = np.sort_complex(np.concatenate([roots_of(a), roots_of(b)]))
+    np.testing.assert_allclose(found, wanted, atol=1e-9)  # close roots lose half the digits
+
+
+def test_the_value_at_one_is_the_sum_and_a_delay_divides_by_z(rng):
+    p = random_polynomial(rng, 4, 0.9)
+    z = 0.3 + 0.8j
+    assert value_at(p, 1.0).real == pytest.approx(p.sum(), rel=ROUNDING)
+    np.testing.assert_allclose(value_at(delayed(p, 2), z), value_at(p, z) / z**2, rtol=1e-12)
+
+
+def test_a_sum_takes_any_degrees_and_zeros_at_the_end_are_no_degree():
+    np.testing.assert_array_equal(total([1.0, 2.0], [0.0, 0.0, 3.0]), [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(trimmed([1.0, 2.0, 0.0]), [1.0, 2.0])
+    np.testing.assert_array_equal(trimmed([0.0, 0.0]), [0.0])
+
+
+def test_leading_zeros_are_a_delay_and_no_roots():
+    assert roots_of([0.0, 0.0, 1.0, -0.5]) == pytest.approx([0.5])
+    assert spectral_radius([3.0]) == 0.0
+
+
+def random_problem(rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Draw A H_S, B H_R and P; poles and zeros are APART from each other, or no float64 helps."""
+    while True:
+        gain = 10.0 ** rng.uniform(-7, 3)
+        a = random_polynomial(rng, int(rng.integers(1, 6)), 0.98)
+        zeros = random_polynomial(rng, int(rng.integers(0, 4)), 1.3)
+        w_hum = 2.0 * np.pi * rng.uniform(50.0, 1000.0) / 20e3
+        hum = [1.0, -2.0 * np.cos(w_hum), 1.0] if rng.uniform() < 0.3 else [1.0]
+        fixed_a = product(a, [1.0, -1.0], hum)
+        fixed_b = product(zeros, [1.0, 1.0] if rng.uniform() < 0.7 else [1.0])
+        poles, others = roots_of(fixed_a), roots_of(fixed_b)
+        if others.size == 0 or np.abs(poles[:, None] - others).min() > APART:
+            break
+    fixed_b = gain * delayed(fixed_b, int(rng.integers(1, 4)))
+    order = int(rng.integers(1, len(fixed_a) + len(fixed_b) - 2))
+    return fixed_a, fixed_b, random_polynomial(rng, order, 0.9)
+
+
+def test_bezout_places_200_random_plants_with_fixed_parts(rng):
+    worst = 0.0
+    for _ in range(200):
+        a, b, p = random_problem(rng)
+        solution = solve_bezout(a, b, p)
+        left = total(np.convolve(a, solution.S), np.convolve(b, solution.R), -p)
+        worst = max(worst, float(np.abs(left).max() / np.abs(p).max()))
+        assert len(solution.R) == len(a) - 1
+    assert worst <= RESIDUAL
+
+
+def test_a_target_of_high_degree_makes_s_longer_and_not_r():
+    a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
+    p = from_roots(np.full(7, 0.3))
+    solution = solve_bezout(a, b, p)
+    assert (len(solution.S), len(solution.R)) == (6, 2)
+    assert solution.residual <= ROUNDING
+
+
+def test_the_sylvester_matrix_multiplies_like_the_polynomials(rng):
+    a, b = rng.normal(size=4), rng.normal(size=3)
+    s, r = rng.normal(size=3), rng.normal(size=3)
+    left = sylvester(a, b, 2) @ np.concatenate([s, r])
+    np.testing.assert_allclose(left, total(np.convolve(a, s), np.convolve(b, r)), atol=ROUNDING)
+
+
+def test_a_common_root_is_refused_by_its_value():
+    a, b = from_roots([0.5, 0.25]), np.convolve([0.0, 1.0], [1.0, -0.5])
+    with pytest.raises(DesignError, match=r"pole z = 0\.5.*zero z = 0\.5") as refusal:
+        solve_bezout(a, b, [1.0])
+    assert refusal.value.numbers["pole"] == pytest.approx(0.5)
+
+
+def test_a_plant_without_numerator_is_a_programmers_error():
+    with pytest.raises(ValueError, match="non-zero B"):
+        solve_bezout([1.0, -0.5], [0.0], [1.0])
