@@ -86,6 +86,12 @@ def spectra_of_all(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
     return _lines(spectra, inside)
 
 
+def lines_of(length: int, sampling_rate_Hz: float) -> Array:
+    """Return the frequencies of a real Fourier transform, (length // 2 + 1,) Hz."""
+    half = length // 2
+    return np.linspace(0.0, half * sampling_rate_Hz / length, half + 1)
+
+
 def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
     """Which lines a harmonic of the mains falls on, to half a line."""
     hit = np.zeros(len(frequency_Hz), dtype=bool)
@@ -101,11 +107,11 @@ def _block_length(record: LoopRecord) -> int:
 
 
 def _refuse_few_periods(record: LoopRecord, length: int) -> None:
-    if record.samples // length < FEWEST_BLOCKS:
+    if (record.samples - 1) // length < FEWEST_BLOCKS:
         raise ExcitationError(
-            f"{record.label}: {record.samples} samples hold {record.samples // length} periods "
-            f"of {length}",
-            needed=f"at least {FEWEST_BLOCKS} periods, to tell the dither from the noise",
+            f"{record.label}: {record.samples} samples hold {(record.samples - 1) // length} "
+            f"whole periods of {length}, the first sample lost to the difference",
+            needed=f"at least {FEWEST_BLOCKS} whole periods, to tell the dither from the noise",
             remedy="Record longer, or shorten the dither's period.",
         )
 
@@ -114,11 +120,10 @@ def _cut(record: LoopRecord, length: int, advance: int, window: Array) -> LoopSp
     signals = (record.reference, record.drive_V, record.log_current)
     transformed = []
     for signal in signals:
-        steps = np.diff(signal, prepend=signal[:1])
-        blocks = np.lib.stride_tricks.sliding_window_view(steps, length)[::advance]
+        blocks = np.lib.stride_tricks.sliding_window_view(np.diff(signal), length)[::advance]
         transformed.append(np.fft.rfft(blocks * window, axis=1))
     return LoopSpectra(
-        frequency_Hz=np.fft.rfftfreq(length, 1.0 / record.sampling_rate_Hz),
+        frequency_Hz=lines_of(length, record.sampling_rate_Hz),
         reference=transformed[0],
         drive=transformed[1],
         output=transformed[2],

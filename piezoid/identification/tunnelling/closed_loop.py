@@ -1,0 +1,193 @@
+"""The junction's plant and barrier from records under a controller, the naive estimate beside.
+
+Open loop cannot be recorded: the tip crashes or is lost. In closed loop the drive answers to the
+very noise it is to be told apart from. With u = C (r - y), y = G u + n and gamma^2 the share of
+the drive's power that comes from the dither r,
+
+    S_yu / S_uu = gamma^2 G - (1 - gamma^2) / C             [Soderstrom & Stoica 1989, ch. 10]
+
+whatever the length of the record; the controller's own inverse is mixed into the plain estimate.
+The dither as instrument is free of it: S_yr / S_ur = G.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.identification.tunnelling.confidence import Confidence, Reason
+from piezoid.identification.tunnelling.instrument_fit import (
+    InstrumentFit,
+    LEAST_POLE_Hz,
+    fit_with_instrument,
+)
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_spectra import (
+    LoopSpectra,
+    spectra_of_all,
+    spectra_of_dither,
+)
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.operators.tunnelling import barrier_of_decay
+
+_HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
+_WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the gain's interval
+_MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClosedLoopFit:
+    """The plant between drive and log current, found while the loop was closed.
+
+    plant                  gain, sensor pole, delay
+    logs                   (3,)  ln gain, ln sensor pole, delay over the sampling period
+    covariance             (3, 3)  of logs
+    gain_interval          95 %, nepers per volt
+    sensor_pole_interval_Hz  95 %
+    delay_interval_s       95 %
+    decay_per_m            gain over the drive's extension per volt
+    barrier_eV             (k / 10.246 nm^-1)^2
+    barrier_interval_eV    95 %, the uncertainty of the extension per volt included
+    naive_gain             nepers per volt, from S_yu / S_uu
+    naive_reason           why it is what it is
+    dither_share           gamma^2 over all lines: how much of the drive's power is dither
+    confidence, reasons    how far to trust it
+    """
+
+    label: str
+    plant: JunctionPlant
+    logs: Array
+    covariance: Array
+    gain_interval: tuple[float, float]
+    sensor_pole_interval_Hz: tuple[float, float]
+    delay_interval_s: tuple[float, float]
+    decay_per_m: float
+    barrier_eV: float
+    barrier_interval_eV: tuple[float, float]
+    naive_gain: float
+    naive_reason: str
+    dither_share: float
+    confidence: Confidence
+    reasons: tuple[Reason, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "logs", frozen(self.logs, "logs"))
+        object.__setattr__(self, "covariance", frozen(self.covariance, "covariance", ndim=2))
+
+    @property
+    def naive_error(self) -> float:
+        """The naive gain over the consistent one, minus one."""
+        return self.naive_gain / self.plant.gain_nepers_per_V - 1.0
+
+
+def identify_closed_loop(
+    record: LoopRecord,
+    *,
+    amplifier_pole_Hz: float,
+    drive_gain_m_per_V: float,
+    drive_gain_relative_uncertainty: float = 0.0,
+) -> ClosedLoopFit:
+    """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
+
+        K = k g_z,   phi = (k / 10.246 nm^-1)^2 eV
+
+    record              with an external dither as reference
+    amplifier_pole_Hz   declared; the sensor's pole is told apart from it
+    drive_gain_m_per_V  g_z, extension of the tip per volt at the converter
+    drive_gain_relative_uncertainty  standard uncertainty of g_z, it enters the barrier doubled;
+                        default 0: the interval then speaks of the extension as declared
+
+    Intervals rest on the scatter over periods or blocks with Student's t. The naive estimate
+    is what a plain transfer function gives on the same record; it is there to be compared.
+    """
+    spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz)
+    fit = fit_with_instrument(
+        spectra,
+        spectra.reference,
+        amplifier_pole_Hz=amplifier_pole_Hz,
+        sampling_rate_Hz=record.sampling_rate_Hz,
+    )
+    naive_gain, share = _naive(record, amplifier_pole_Hz)
+    low, high = _intervals(fit, spectra.blocks)
+    decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
+    half = math.hypot(high[0] - fit.logs[0], 1.96 * drive_gain_relative_uncertainty)
+    period_s = 1.0 / record.sampling_rate_Hz
+    confidence, reasons = _judge(fit, high[0] - fit.logs[0], record)
+    return ClosedLoopFit(
+        label=record.label,
+        plant=fit.plant,
+        logs=fit.logs,
+        covariance=fit.covariance,
+        gain_interval=(math.exp(low[0]), math.exp(high[0])),
+        sensor_pole_interval_Hz=_pole_interval(low[1], high[1]),
+        delay_interval_s=(max(float(low[2]), 0.0) * period_s, float(high[2]) * period_s),
+        decay_per_m=decay,
+        barrier_eV=barrier_of_decay(decay),
+        barrier_interval_eV=(
+            barrier_of_decay(decay * math.exp(-half)),
+            barrier_of_decay(decay * math.exp(half)),
+        ),
+        naive_gain=naive_gain,
+        naive_reason=_naive_reason(naive_gain / fit.plant.gain_nepers_per_V - 1.0, share),
+        dither_share=share,
+        confidence=confidence,
+        reasons=reasons,
+    )
+
+
+def _naive(record: LoopRecord, amplifier_pole_Hz: float) -> tuple[float, float]:
+    """The gain of a plain transfer function, and the dither's share of the drive's power."""
+    spectra: LoopSpectra = spectra_of_all(
+        record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz
+    )
+    fit = fit_with_instrument(
+        spectra,
+        spectra.drive,
+        amplifier_pole_Hz=amplifier_pole_Hz,
+        sampling_rate_Hz=record.sampling_rate_Hz,
+    )
+    return fit.plant.gain_nepers_per_V, spectra.dither_share
+
+
+def _naive_reason(error: float, share: float) -> str:
+    return (
+        f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter steps "
+        "and the controller's answer to noise, which mixes minus the controller's inverse into "
+        f"the plain output-over-drive estimate: here its gain is off by {100.0 * error:+.0f} %"
+    )
+
+
+def _intervals(fit: InstrumentFit, blocks: int) -> tuple[Array, Array]:
+    from scipy.stats import t as student
+
+    half = float(student.ppf(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
+    return fit.logs - half, fit.logs + half
+
+
+def _pole_interval(low: float, high: float) -> tuple[float, float]:
+    """A pole far beyond what the record can see is bounded from below only."""
+    return math.exp(max(low, math.log(LEAST_POLE_Hz))), math.exp(high) if high < 50.0 else math.inf
+
+
+def _judge(
+    fit: InstrumentFit, half: float, record: LoopRecord
+) -> tuple[Confidence, tuple[Reason, ...]]:
+    reasons = []
+    width = 2.0 * half
+    if width > _WIDE:
+        grade = Confidence.LOW if width > _VERY_WIDE else Confidence.MEDIUM
+        text = f"the gain's 95 % interval is {100.0 * width:.2g} % wide: more dither, or longer"
+        reasons.append(Reason(grade=grade, text=text))
+    if fit.misfit > _MISFIT:
+        text = (
+            f"the plant of two poles and a delay leaves {fit.misfit:.2g} times the noise power: "
+            "is the amplifier's pole right, does the current saturate?"
+        )
+        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+    pole_Hz = fit.plant.sensor_pole_Hz
+    if not 1.01 * LEAST_POLE_Hz < pole_Hz < record.sampling_rate_Hz:
+        text = f"a sensor pole of {pole_Hz:.3g} Hz cannot be told from none on this record"
+        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+    reasons.sort(key=lambda reason: reason.grade is not Confidence.LOW)
+    return (reasons[0].grade if reasons else Confidence.HIGH), tuple(reasons)

@@ -1,0 +1,128 @@
+"""PlantFamily: the junctions a controller has to hold, from the spread the data show.
+
+Two spreads add: what each record leaves uncertain, and what truly differs from record to record
+(tip, spot, temperature). The second is the scatter of the estimates less the first [DerSimonian
+& Laird 1986, in three dimensions]. With fewer than three records it cannot be seen, and is said
+to be missing rather than taken as zero.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.numerics.arrays import Array
+from piezoid.operators.tunnelling import barrier_of_decay
+
+_FEWEST_RECORDS = 3
+_NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """A quantity over the family: lowest, nominal, highest; 95 % of junctions lie between."""
+
+    low: float
+    nominal: float
+    high: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantFamily:
+    """The nominal junction and the extreme ones.
+
+    members          nominal first, then the lowest and highest gain, sensor pole and delay, each
+                     with the others where the data put them in that case
+    gain             nepers per volt
+    sensor_pole_Hz   of the current sensor
+    delay_s          of the loop
+    barrier_eV       apparent
+    records          how many the family rests on
+    between_records  whether the spread from record to record could be seen
+    """
+
+    members: tuple[JunctionPlant, ...]
+    gain: Spread
+    sensor_pole_Hz: Spread
+    delay_s: Spread
+    barrier_eV: Spread
+    records: int
+    between_records: bool
+
+
+def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -> PlantFamily:
+    """Return the family of plants that a controller for these junctions has to hold.
+
+        Sigma = within + between,   members theta +- q Sigma e_j / sqrt(Sigma_jj)
+
+    fits                of one rig; several spots, tips or days make the family honest
+    drive_gain_m_per_V  extension per volt, for the barrier
+
+    ``q`` is Student's for one further junction. A member is where an ellipsoid touches its
+    bounding box: there gain, pole or delay is extreme and the others follow their correlation.
+    """
+    logs = np.array([fit.logs for fit in fits])
+    covariance, seen = _covariance_of_next(fits, logs)
+    center = logs.mean(axis=0)
+    reach = _quantile(len(fits)) if seen else _NORMAL_95
+    nominal = _plant(center, fits[0].plant)
+    members = [nominal]
+    spreads = []
+    for place in range(3):
+        arm = reach * covariance[:, place] / max(math.sqrt(covariance[place, place]), 1e-300)
+        ends = [_plant(center + sign * arm, nominal) for sign in (-1.0, 1.0)]
+        members += ends
+        spreads.append(ends)
+    (gain_low, gain_high), (pole_low, pole_high), (delay_low, delay_high) = spreads
+    gain = Spread(
+        low=gain_low.gain_nepers_per_V,
+        nominal=nominal.gain_nepers_per_V,
+        high=gain_high.gain_nepers_per_V,
+    )
+    return PlantFamily(
+        members=tuple(members),
+        gain=gain,
+        sensor_pole_Hz=Spread(
+            low=pole_low.sensor_pole_Hz,
+            nominal=nominal.sensor_pole_Hz,
+            high=pole_high.sensor_pole_Hz,
+        ),
+        delay_s=Spread(low=delay_low.delay_s, nominal=nominal.delay_s, high=delay_high.delay_s),
+        barrier_eV=Spread(
+            low=barrier_of_decay(gain.low / drive_gain_m_per_V),
+            nominal=barrier_of_decay(gain.nominal / drive_gain_m_per_V),
+            high=barrier_of_decay(gain.high / drive_gain_m_per_V),
+        ),
+        records=len(fits),
+        between_records=seen,
+    )
+
+
+def _covariance_of_next(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, bool]:
+    """Covariance of one further junction about the mean, and whether spread could be seen."""
+    within = np.mean([fit.covariance for fit in fits], axis=0)
+    if len(fits) < _FEWEST_RECORDS:
+        return within, False
+    scatter = np.cov(logs, rowvar=False)
+    values, vectors = np.linalg.eigh(scatter - within)
+    between = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return between + (between + within) / len(fits), True
+
+
+def _quantile(records: int) -> float:
+    from scipy.stats import t as student
+
+    return float(student.ppf(0.975, records - 1))
+
+
+def _plant(logs: Array, like: JunctionPlant) -> JunctionPlant:
+    return JunctionPlant(
+        gain_nepers_per_V=math.exp(float(logs[0])),
+        sensor_pole_Hz=math.exp(float(logs[1])),
+        delay_s=max(float(logs[2]), 0.0) / like.sampling_rate_Hz,
+        amplifier_pole_Hz=like.amplifier_pole_Hz,
+        sampling_rate_Hz=like.sampling_rate_Hz,
+    )
