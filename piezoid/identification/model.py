@@ -62,6 +62,23 @@ class PieceStart:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Order:
+    """One shape that was tried.
+
+    plays, dead_zones  moving plays; dead zones besides the one at 0
+    bends              kinks of the envelope, 0 for Kuhnen's model
+    lag                kind
+    held_out_rms_m     on rows the fit did not see
+    """
+
+    plays: int
+    dead_zones: int
+    bends: int
+    lag: str
+    held_out_rms_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class FitQuality:
     """How good the fit is, on what it saw and on what it did not.
 
@@ -74,7 +91,7 @@ class FitQuality:
     kkt_gap              of the convex start
     gradient             largest scaled derivative no bound holds, at the end of the search
     converged            whether the last step changed the cost by less than one part in 1e5
-    orders               (plays, dead zones, lag, held_out_rms_m) of every shape tried
+    orders               every shape tried, with its held-out error
     """
 
     rms_m: float
@@ -86,7 +103,7 @@ class FitQuality:
     kkt_gap: float
     gradient: float
     converged: bool
-    orders: tuple[tuple[int, int, str, float], ...]
+    orders: tuple[Order, ...]
 
     @property
     def held_out_rms_percent(self) -> float:

@@ -1,5 +1,6 @@
 """ActuatorModel to model.json and back, exactly: every number returns with its last bit."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +15,7 @@ from piezoid.identification.model import (
     Certificate,
     FitQuality,
     Lag,
+    Order,
     PieceStart,
     Uncertainty,
     Verdict,
@@ -23,7 +25,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.provenance import seal, unseal
 
-GAUGE = "dead_zone_weight at threshold 0 is 1"
+GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"
 
 
 def write_model(model: ActuatorModel) -> bytes:
@@ -122,7 +124,7 @@ def _quality_to_json(quality: FitQuality) -> dict[str, Any]:
         "kkt_gap": quality.kkt_gap,
         "gradient": quality.gradient,
         "converged": quality.converged,
-        "orders": [list(order) for order in quality.orders],
+        "orders": [dataclasses.asdict(order) for order in quality.orders],
     }
 
 
@@ -179,7 +181,7 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
 def _quality_from_json(record: Mapping[str, Any]) -> FitQuality:
     # The percentage is a property of the record, written for readers of the file.
     kept = {name: value for name, value in record.items() if name != "held_out_rms_percent"}
-    orders = tuple((p, z, lag, rms) for p, z, lag, rms in record["orders"])
+    orders = tuple(Order(**order) for order in record["orders"])
     return FitQuality(**{**kept, "orders": orders})
 
 

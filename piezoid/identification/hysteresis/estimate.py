@@ -17,7 +17,7 @@ from piezoid.identification.hysteresis.order import (
     choose_shape,
     held_out_residual,
 )
-from piezoid.identification.hysteresis.physical import physical
+from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
@@ -28,6 +28,7 @@ from piezoid.identification.model import (
     AxisModel,
     FitQuality,
     Lag,
+    Order,
     PieceStart,
     Verdict,
 )
@@ -166,12 +167,13 @@ def _starts(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
     coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
     starts = []
     for index, piece in enumerate(fitted.task.pieces):
-        memory = starting_memory(theta, coordinates, index, piece)
+        first = fitted.operator.envelope.run(piece.drive[:1])
+        memory = np.concatenate([first, starting_memory(theta, coordinates, index, piece)])
         zero = theta[coordinates.offset_slice(index)]
         starts.append(
             PieceStart(
                 recording=piece.name,
-                memory_V=np.concatenate([piece.drive[:1], memory]) * scales.voltage_V,
+                memory_V=memory * (envelope_stretch(fitted.operator) * scales.voltage_V),
                 zero_m=piece.centre_m + scales.displacement_m * zero,
                 first=piece.first,
                 last=piece.last,
@@ -201,7 +203,13 @@ def _quality(
         gradient=minimum.gradient,
         converged=minimum.converged,
         orders=tuple(
-            (t.shape.plays, t.shape.below + t.shape.above, t.shape.lag, t.held_out_rms * stroke_m)
+            Order(
+                plays=t.shape.plays,
+                dead_zones=t.shape.below + t.shape.above,
+                bends=2 * t.shape.bends,
+                lag=t.shape.lag,
+                held_out_rms_m=t.held_out_rms * stroke_m,
+            )
             for t in choice.trials
         ),
     )

@@ -11,20 +11,30 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 
 def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> ModifiedPrandtlIshlinskii:
-    """Return the operator in SI units, rising with the drive whatever the sensor's polarity."""
+    """Return the operator in SI units, rising with the drive whatever the sensor's polarity.
+
+    The envelope is gauged to keep the range of the drive: gamma(R) - gamma(-R) = 2 R.
+    """
     stroke_m = abs(scales.displacement_m)
+    stretch = envelope_stretch(operator)
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
-            threshold=np.concatenate([[0.0], operator.threshold]) * scales.voltage_V,
-            weight=operator.weight * (stroke_m / scales.voltage_V),
+            threshold=np.concatenate([[0.0], operator.threshold]) * (stretch * scales.voltage_V),
+            weight=operator.weight * (stroke_m / (stretch * scales.voltage_V)),
         ),
         dead_zones=from_slopes(operator.knot * stroke_m, operator.slope),
         voltage_offset_V=scales.voltage_offset_V,
         displacement_offset_m=offset_m,
         envelope=from_slopes(
-            operator.envelope.threshold * scales.voltage_V, operator.envelope.slope
+            operator.envelope.threshold * scales.voltage_V, operator.envelope.slope * stretch
         ),
     )
+
+
+def envelope_stretch(operator: Scaled) -> float:
+    """Return the factor that makes the envelope keep the range of the drive."""
+    low, high = operator.envelope.run(np.array([-1.0, 1.0]))
+    return float(2.0 / (high - low))
 
 
 def parameter_names(operator: Scaled) -> tuple[str, ...]:

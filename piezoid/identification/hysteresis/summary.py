@@ -5,6 +5,7 @@ import numpy as np
 from piezoid.identification.hysteresis.coordinates import Coordinates, operator_of
 from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.physical import (
+    envelope_stretch,
     parameter_names,
     parameter_values,
     physical,
@@ -18,7 +19,7 @@ POINTS = 41
 
 def summarise(found: Jackknife, coordinates: Coordinates, scales: Scales) -> Uncertainty:
     """Return intervals of everything the report and the design ask for."""
-    reach_V = np.linspace(0.0, _reach_V(found.theta, coordinates, scales), POINTS)
+    reach_V = np.linspace(0.0, scales.voltage_V, POINTS)
 
     def parameters(theta: Array) -> Array:
         return parameter_values(theta, coordinates, scales)
@@ -49,22 +50,17 @@ def loop_width_m(theta: Array, coordinates: Coordinates, scales: Scales) -> floa
     """
     model = physical(operator_of(theta, coordinates), scales)
     plays = model.plays
-    reach_V = _reach_V(theta, coordinates, scales)
-    half = float((plays.weight * np.clip(reach_V - plays.threshold, 0.0, plays.threshold)).sum())
+    half = float(
+        (plays.weight * np.clip(scales.voltage_V - plays.threshold, 0.0, plays.threshold)).sum()
+    )
     low_m, high_m = model.dead_zones.run(np.array([-half, half]))
     return float(high_m - low_m)
 
 
-def _reach_V(theta: Array, coordinates: Coordinates, scales: Scales) -> float:
-    """Return half the range of the drive behind the envelope."""
-    model = physical(operator_of(theta, coordinates), scales)
-    low, high = model.envelope.run(np.array([-scales.voltage_V, scales.voltage_V]))
-    return float(high - low) / 2
-
-
 def _upper_limits(found: Jackknife, coordinates: Coordinates, scales: Scales) -> dict[str, float]:
     """Return one-sided limits of the play weights that lie on zero, m/V."""
-    unit = abs(scales.displacement_m) / scales.voltage_V
+    stretch = envelope_stretch(operator_of(found.theta, coordinates))
+    unit = abs(scales.displacement_m) / (stretch * scales.voltage_V)
     first = coordinates.slices["weight"].start
     return {
         f"play_weight_m_per_V[{i}]": found.upper_limit(first + i) * unit
