@@ -1,0 +1,73 @@
+"""The page: records in, one self-contained HTML text out. No clock, no chance, no network."""
+
+import base64
+import hashlib
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from piezoid.identification.model import ActuatorModel
+from piezoid.identification.store import write_model
+from piezoid.records.recording import Recording
+from piezoid_reports.page import Page
+from piezoid_reports.plain_text import printable
+from piezoid_reports.sections import SECTIONS
+from piezoid_reports.traces import all_traces
+
+
+def render(model: ActuatorModel, recordings: Sequence[Recording]) -> str:
+    """Return report.html.
+
+    model       what was found
+    recordings  what it was fitted on; more are listed, but not drawn
+    """
+    page = Page(
+        model=model,
+        recordings=tuple(recordings),
+        traces=all_traces(model, recordings),
+        model_digest=json.loads(write_model(model))["digest"],
+    )
+    sections = [section for make in SECTIONS if (section := make(page)) is not None]
+    style, script = _text("style.css"), _text("figures.js")
+    return (
+        _environment()
+        .get_template("page.html.j2")
+        .render(
+            stage=model.stage,
+            applies=model.applies,
+            sections=sections,
+            style=Markup(style),
+            script=Markup(script),
+            policy=policy_for(style, script),
+        )
+    )
+
+
+def policy_for(style: str, script: str) -> str:
+    """Return a policy that runs our two texts and nothing else, and never asks a network."""
+    return (
+        f"default-src 'none'; style-src '{_hash(style)}'; script-src '{_hash(script)}'; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def _hash(text: str) -> str:
+    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+
+
+def _text(name: str) -> str:
+    return (files("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _environment() -> Environment:
+    return Environment(
+        loader=FunctionLoader(_text),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=printable,
+    )

@@ -1,0 +1,36 @@
+"""One number for an axis: how much of what a straight line leaves the model takes away."""
+
+from piezoid.identification.model import AxisModel
+from piezoid_reports.traces import Trace, rms
+
+GOOD, MIDDLING = 90, 50
+WORDS = {"good": "good", "middling": "usable with care", "bad": "poor"}
+
+
+def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
+    """Return the score, 0 to 100; None where the class does not apply or nothing can be scored.
+
+        100 (line - held out) / (line - noise),   all rms
+
+    100: only the sensor's noise is left; 0: no better than a straight line.
+    """
+    if not axis.verdict.applies or not traces:
+        return None
+    line_m, noise_m = line_rms_m(traces), axis.quality.noise_rms_m
+    if line_m <= noise_m:
+        return None
+    share = (line_m - axis.quality.held_out_rms_m) / (line_m - noise_m)
+    return round(100 * min(max(share, 0.0), 1.0))
+
+
+def line_rms_m(traces: tuple[Trace, ...]) -> float:
+    """Return what the best straight line leaves on all recordings of an axis, m rms."""
+    squares = sum(rms(t.line_residual_m) ** 2 * len(t.time_s) for t in traces)
+    return float((squares / sum(len(t.time_s) for t in traces)) ** 0.5)
+
+
+def tone_of(score: int | None) -> str:
+    """Return ``good``, ``middling`` or ``bad``."""
+    if score is None or score < MIDDLING:
+        return "bad"
+    return "good" if score >= GOOD else "middling"

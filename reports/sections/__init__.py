@@ -1,0 +1,32 @@
+"""The chapters, in the order of the page. A new one is a file here and a line below."""
+
+from collections.abc import Callable
+
+from piezoid_reports.page import Page, Section
+from piezoid_reports.sections import (
+    certificate,
+    limits,
+    loading_curve,
+    loops,
+    orders,
+    parameters,
+    provenance,
+    residual_over_drive,
+    residual_over_time,
+    verdict,
+)
+
+Render = Callable[[Page], Section | None]
+
+SECTIONS: tuple[Render, ...] = (
+    verdict.render,
+    loops.render,
+    residual_over_time.render,
+    residual_over_drive.render,
+    loading_curve.render,
+    parameters.render,
+    orders.render,
+    certificate.render,
+    limits.render,
+    provenance.render,
+)

@@ -1,0 +1,53 @@
+"""Every shape that was tried, and why this one was kept."""
+
+from piezoid.identification.model import AxisModel
+from piezoid_reports.page import Page, Section, Table
+from piezoid_reports.quantities import percent, told
+
+
+def render(page: Page) -> Section:
+    """Return a table of orders for each axis."""
+    return Section(
+        anchor="orders",
+        title="Orders tried",
+        lead="More plays and dead zones always fit better; the held-out error decides. Good: it "
+        "falls and levels off. Bad: it still falls at the last order, or rises at the second.",
+        parts=tuple(_table(axis) for axis in page.axes),
+    )
+
+
+def _table(axis: AxisModel) -> Table:
+    quality = axis.quality
+    least_m = min((order.held_out_rms_m for order in quality.orders), default=0.0)
+    kind = (
+        "recordings left out in turn"
+        if quality.held_out_kind == "other recordings"
+        else ("the second half of the only recording")
+    )
+    return Table(
+        caption=(
+            f"Axis {axis.axis}: free-run error on {kind}. After the choice the final fit uses "
+            "every row, and drops plays and dead zones it does not need."
+        ),
+        columns=(
+            "plays",
+            "dead zones",
+            "envelope bends",
+            "lag",
+            "held-out rms",
+            "of the range",
+            "",
+        ),
+        rows=tuple(
+            (
+                str(order.plays),
+                str(order.dead_zones),
+                str(order.bends),
+                order.lag.replace("_", "-"),
+                told(order.held_out_rms_m, "m"),
+                percent(order.held_out_rms_m / quality.range_m),
+                "least" if order.held_out_rms_m == least_m else "",
+            )
+            for order in quality.orders
+        ),
+    )

@@ -1,0 +1,157 @@
+"""The parameters with their intervals, limits and bounds."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy.stats import t as student
+
+from piezoid.identification.model import AxisModel, Uncertainty
+from piezoid_reports.page import Heading, Page, Part, Section, Table
+from piezoid_reports.quantities import MINUS, told, told_between
+
+Known = Mapping[str, tuple[float, float]]
+
+
+def render(page: Page) -> Section:
+    """Return tables of plays, dead zones and the rest for every axis."""
+    parts: list[Part] = []
+    for axis in page.axes:
+        known = known_of(axis.uncertainty)
+        parts += [
+            Heading(text=f"Axis {axis.axis}"),
+            _plays(axis, known),
+            _dead_zones(axis, known),
+            *_envelope(axis, known),
+            _rest(axis, known),
+        ]
+    return Section(
+        anchor="parameters",
+        title="Parameters",
+        lead="Intervals are 95 %, from refits that leave out one block of cycles each, with "
+        "Student's quantile. Neighbouring plays share their weight: single weights are known less "
+        "well than the loading curve they add up to.",
+        parts=tuple(parts),
+    )
+
+
+def known_of(found: Uncertainty) -> Known:
+    """Return value and half interval of every parameter by name."""
+    quantile = float(student.ppf(0.975, max(found.blocks - 1, 1)))
+    half = quantile * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+    return {
+        name: (float(value), float(spread))
+        for name, value, spread in zip(found.names, found.values, half, strict=True)
+    }
+
+
+def _plays(axis: AxisModel, known: Known) -> Table:
+    plays, limits = axis.hysteresis.plays, axis.uncertainty.upper_limit
+    return Table(
+        caption=f"Axis {axis.axis}: play operators. Play 0 is the elastic part, without memory.",
+        columns=("play", "threshold", "weight", "remark"),
+        rows=tuple(
+            (
+                str(i),
+                _shown(f"play_threshold_V[{i}]", float(plays.threshold[i]), known, "V"),
+                _shown(f"play_weight_m_per_V[{i}]", float(plays.weight[i]), known, "m/V"),
+                _on_weight(f"play_weight_m_per_V[{i}]", known, limits),
+            )
+            for i in range(len(plays.weight))
+        ),
+    )
+
+
+def _dead_zones(axis: AxisModel, known: Known) -> Table:
+    zones = axis.hysteresis.dead_zones
+    return Table(
+        caption=f"Axis {axis.axis}: dead zones, in the gauge where the one at 0 has weight 1.",
+        columns=("dead zone", "threshold", "weight", "remark"),
+        rows=tuple(
+            (
+                str(j),
+                _shown(f"dead_zone_threshold_m[{j}]", float(zones.threshold[j]), known, "m"),
+                _shown(f"dead_zone_weight[{j}]", float(zones.weight[j]), known, ""),
+                "fixed by the gauge"
+                if j == zones.zero
+                else _sign_of(f"dead_zone_weight[{j}]", known),
+            )
+            for j in range(len(zones.weight))
+        ),
+    )
+
+
+def _envelope(axis: AxisModel, known: Known) -> tuple[Table, ...]:
+    envelope = axis.hysteresis.envelope
+    if len(envelope.threshold) == 1:
+        return ()
+    return (
+        Table(
+            caption=f"Axis {axis.axis}: envelope of the drive in front of the plays, piecewise "
+            "linear; it keeps the range of the drive.",
+            columns=("bend", "kink, from the voltage offset", "weight"),
+            rows=tuple(
+                (
+                    str(j),
+                    told(float(envelope.threshold[j]), "V", 4),
+                    _shown(f"envelope_weight[{j}]", float(envelope.weight[j]), known, ""),
+                )
+                for j in range(len(envelope.threshold))
+            ),
+        ),
+    )
+
+
+def _rest(axis: AxisModel, known: Known) -> Table:
+    width_m, half_m = axis.uncertainty.loop_width_m
+    low_V, high_V = axis.voltage_V
+    rows = [
+        ("width of the full loop", told_between(width_m, half_m, "m"), ""),
+        ("lag", _shown("lag_s", axis.lag.time_s, known, "s"), _on_lag(axis)),
+        ("voltage offset", told(axis.hysteresis.voltage_offset_V, "V", 4), "middle of the drive"),
+        (
+            "displacement offset",
+            told(axis.hysteresis.displacement_offset_m, "m", 4),
+            "mean zero of the recordings",
+        ),
+        ("valid drive", f"{told(low_V, 'V')} to {told(high_V, 'V')}", "outside it extrapolates"),
+        (
+            "polarity",
+            "+1" if axis.polarity > 0 else f"{MINUS}1",
+            "rises with the drive" if axis.polarity > 0 else "falls as the drive rises",
+        ),
+    ]
+    rig = (
+        ("amplifier bandwidth", axis.rig.amplifier_bandwidth_Hz),
+        ("sensor bandwidth", axis.rig.sensor_bandwidth_Hz),
+    )
+    rows += [(name, told(value, "Hz"), "declared") for name, value in rig if value is not None]
+    return Table(
+        caption=f"Axis {axis.axis}: everything else.",
+        columns=("quantity", "value", "remark"),
+        rows=tuple(rows),
+    )
+
+
+def _shown(name: str, value: float, known: Known, unit: str) -> str:
+    if name not in known:
+        return told(value, unit, 4)
+    return told_between(value, known[name][1], unit)
+
+
+def _on_weight(name: str, known: Known, limits: Mapping[str, float]) -> str:
+    if name in limits:
+        return f"on its bound 0; below {told(limits[name], 'm/V')} (95 %)"
+    return _sign_of(name, known)
+
+
+def _sign_of(name: str, known: Known) -> str:
+    value, half = known.get(name, (0.0, 0.0))
+    return "interval holds 0" if 0.0 < abs(value) <= half else ""
+
+
+def _on_lag(axis: AxisModel) -> str:
+    if axis.lag.kind == "none":
+        return "none fitted"
+    if axis.lag.time_s <= 0.0:
+        return "on its bound 0"
+    return axis.lag.kind.replace("_", "-")

@@ -1,0 +1,97 @@
+"""The verdict in three sentences, and a card for each axis."""
+
+from piezoid.identification.model import AxisModel
+from piezoid_reports.page import Card, Cards, Page, Prose, Section
+from piezoid_reports.quantities import percent, told
+from piezoid_reports.score import WORDS, line_rms_m, score_of, tone_of
+from piezoid_reports.weaknesses import Weakness, weaknesses_of
+
+
+def render(page: Page) -> Section:
+    """Return what a reader must know if nothing else is read."""
+    tones = [tone_of(score_of(axis, page.traces[axis.axis])) for axis in page.axes]
+    worst = "bad" if "bad" in tones else "middling" if "middling" in tones else "good"
+    return Section(
+        anchor="verdict",
+        title="Verdict",
+        lead="",
+        parts=(
+            Prose(text=" ".join(sentences(page)), tone=worst),
+            Cards(cards=tuple(_card(page, axis) for axis in page.axes)),
+        ),
+    )
+
+
+def sentences(page: Page) -> tuple[str, str, str]:
+    """Return three sentences: does the class apply, how well, what next."""
+    good = [axis for axis in page.axes if axis.verdict.applies]
+    wrong = [axis for axis in page.axes if not axis.verdict.applies]
+    return _applies(good, wrong), _how_well(good, wrong), _what_next([*wrong, *good])
+
+
+def _applies(good: list[AxisModel], wrong: list[AxisModel]) -> str:
+    if not wrong:
+        return f"The hysteresis model applies to {_axes(good)}."
+    reasons = "; ".join(f"axis {axis.axis}: {axis.verdict.reason}" for axis in wrong)
+    also = f", though it does to {_axes(good)}" if good else ""
+    return f"The hysteresis model does not apply to {_axes(wrong)}{also} ({reasons})."
+
+
+def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
+    if not good:
+        share = max(axis.quality.held_out_rms_percent for axis in wrong)
+        return (
+            f"Do not build a controller on it: the numbers below, such as a held-out error of "
+            f"{told(share, '%')} of the range, only show where it fails."
+        )
+    worst = max(good, key=lambda axis: axis.quality.held_out_rms_percent)
+    quality = worst.quality
+    whose = f"On axis {worst.axis}, the least well known" if len(good) > 1 else "On data"
+    tested = " that applies," if len(good) > 1 else " it was not fitted to,"
+    return (
+        f"{whose}{tested} it misses the measured displacement by "
+        f"{told(quality.held_out_rms_m, 'm')} rms, {told(quality.held_out_rms_percent, '%')} of "
+        f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
+        f"{told(quality.noise_rms_m, 'm')} rms."
+    )
+
+
+def _what_next(axes: list[AxisModel]) -> str:
+    for axis in axes:
+        found = weaknesses_of(axis)
+        if found:
+            where = f"On axis {axis.axis}, next" if len(axes) > 1 else "Next"
+            return f"{where}: {_lowered(found[0].remedy)}"
+    return "Nothing in this data speaks against using it within its range."
+
+
+def _card(page: Page, axis: AxisModel) -> Card:
+    traces = page.traces[axis.axis]
+    score = score_of(axis, traces)
+    tone = tone_of(score)
+    found = weaknesses_of(axis)
+    first = found[0] if found else Weakness(why="No weakness was found.", remedy="Use it.")
+    against = f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, " if traces else ""
+    held = axis.quality
+    return Card(
+        title=f"Axis {axis.axis}",
+        score=score,
+        tone=tone,
+        word=WORDS[tone] if axis.verdict.applies else "does not apply",
+        why=(
+            f"{against}the model {told(held.held_out_rms_m, 'm')} on held-out data, "
+            f"{percent(held.held_out_rms_m / held.range_m)} of the range. {first.why}"
+        ),
+        remedy=first.remedy,
+    )
+
+
+def _axes(axes: list[AxisModel]) -> str:
+    names = [axis.axis for axis in axes]
+    if len(names) == 1:
+        return f"axis {names[0]}"
+    return f"axes {', '.join(names[:-1])} and {names[-1]}"
+
+
+def _lowered(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:]

@@ -1,0 +1,205 @@
+"use strict";
+// Figures that can be magnified, read and flickered. Without this script all curves are shown.
+(() => {
+  const SVG = "http://www.w3.org/2000/svg";
+  const REACH = 30; // pixels of the figure: a pointer farther from a curve reads nothing
+  const DEEPEST = 60; // times the full view
+
+  function roundStep(size) {
+    const power = 10 ** Math.floor(Math.log10(size));
+    for (const digit of [1, 2, 5]) if (size <= digit * power * 1.0000001) return digit * power;
+    return 10 * power;
+  }
+
+  function written(value, step) {
+    const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    return (value + 0).toFixed(Math.min(decimals, 12)).replace("-", "\u2212");
+  }
+
+  function element(name, attributes, text) {
+    const made = document.createElementNS(SVG, name);
+    for (const key in attributes) made.setAttribute(key, attributes[key]);
+    if (text !== undefined) made.textContent = text;
+    return made;
+  }
+
+  // A path of ours: M x,y l dx,dy ... ; returns one array of x, y for each M.
+  function strokes(path) {
+    return path.split("M").slice(1).map((part) => {
+      const numbers = (part.match(/-?\d+/g) || []).map(Number);
+      for (let k = 2; k < numbers.length; k++) numbers[k] += numbers[k - 2];
+      return numbers;
+    });
+  }
+
+  function activate(figure) {
+    const view = figure.querySelector(".view");
+    const frame = figure.querySelector(".frame");
+    const plot = figure.querySelector(".plot");
+    const here = figure.querySelector(".here");
+    const readout = figure.querySelector(".readout");
+    const layers = [...figure.querySelectorAll(".layer")];
+    const keys = [...figure.querySelectorAll(".key")];
+    const data = frame.dataset;
+    const [left, top, width, height, fine] =
+      [data.left, data.top, data.width, data.height, data.fine].map(Number);
+    const ends = { x: data.x.split(" ").map(Number), y: data.y.split(" ").map(Number) };
+    const full = { x: 0, y: 0, w: width * fine, h: height * fine };
+    let seen = { ...full };
+    let drawn = null;
+
+    const valueX = (x) => ends.x[0] + (ends.x[1] - ends.x[0]) * x / full.w;
+    const valueY = (y) => ends.y[1] - (ends.y[1] - ends.y[0]) * y / full.h;
+    const pageX = (x) => left + (x - seen.x) / seen.w * width;
+    const pageY = (y) => top + (y - seen.y) / seen.h * height;
+
+    function ticks(group, low, high, place) {
+      group.replaceChildren();
+      const step = roundStep((high - low) / 5);
+      for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) {
+        place(group, k * step, written(k * step, step));
+      }
+    }
+
+    function show(next) {
+      const w = Math.min(full.w, Math.max(full.w / DEEPEST, next.w));
+      const h = full.h * w / full.w;
+      seen = {
+        x: Math.min(full.w - w, Math.max(0, next.x)),
+        y: Math.min(full.h - h, Math.max(0, next.y)), w, h,
+      };
+      plot.setAttribute("viewBox", `${seen.x} ${seen.y} ${seen.w} ${seen.h}`);
+      view.classList.toggle("near", seen.w < full.w);
+      ticks(figure.querySelector(".ticks-x"), valueX(seen.x), valueX(seen.x + seen.w),
+        (group, value, label) => {
+          const at = pageX((value - ends.x[0]) / (ends.x[1] - ends.x[0]) * full.w).toFixed(1);
+          group.append(element("path", { class: "grid", d: `M${at},${top}v${height}` }),
+            element("text", { class: "tick", x: at, y: top + height + 18, "text-anchor": "middle" }, label));
+        });
+      ticks(figure.querySelector(".ticks-y"), valueY(seen.y + seen.h), valueY(seen.y),
+        (group, value, label) => {
+          const at = pageY((ends.y[1] - value) / (ends.y[1] - ends.y[0]) * full.h);
+          group.append(element("path", { class: "grid", d: `M${left},${at.toFixed(1)}h${width}` }),
+            element("text", { class: "tick", x: left - 7, y: (at + 4).toFixed(1), "text-anchor": "end" }, label));
+        });
+      here.setAttribute("visibility", "hidden");
+    }
+
+    function zoom(factor, x, y) {
+      show({ x: x - (x - seen.x) * factor, y: y - (y - seen.y) * factor, w: seen.w * factor });
+    }
+
+    // Where the pointer is, in fine steps of the plot.
+    function pointed(event) {
+      const box = frame.getBoundingClientRect();
+      const pixels = frame.viewBox.baseVal.width / box.width;
+      return {
+        x: seen.x + ((event.clientX - box.left) * pixels - left) / width * seen.w,
+        y: seen.y + ((event.clientY - box.top) * pixels - top) / height * seen.h,
+      };
+    }
+
+    function nearest(x, y) {
+      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
+      const scale = width / seen.w;
+      let best = { distance: REACH };
+      layers.forEach((layer, index) => {
+        if (layer.classList.contains("off") || /noise|band|zero/.test(layer.dataset.role)) return;
+        for (const points of drawn[index]) {
+          for (let k = 2; k + 1 < points.length; k += 2) {
+            const ax = points[k - 2], ay = points[k - 1];
+            const dx = points[k] - ax, dy = points[k + 1] - ay;
+            const length = dx * dx + dy * dy;
+            const t = length ? Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / length)) : 0;
+            const px = ax + t * dx, py = ay + t * dy;
+            const distance = Math.hypot(px - x, py - y) * scale;
+            if (distance < best.distance) best = { distance, x: px, y: py, name: layer.dataset.name };
+          }
+        }
+      });
+      return best;
+    }
+
+    function read(event) {
+      const at = pointed(event);
+      const best = nearest(at.x, at.y);
+      here.setAttribute("visibility", best.name ? "visible" : "hidden");
+      if (!best.name) { readout.textContent = ""; return; }
+      here.setAttribute("cx", pageX(best.x).toFixed(1));
+      here.setAttribute("cy", pageY(best.y).toFixed(1));
+      const x = written(valueX(best.x), roundStep((valueX(seen.x + seen.w) - valueX(seen.x)) / 1000));
+      const y = written(valueY(best.y), roundStep((valueY(seen.y) - valueY(seen.y + seen.h)) / 1000));
+      readout.textContent =
+        `${best.name}: ${data.xName} ${x} ${data.xUnit}, ${data.yName} ${y} ${data.yUnit}`;
+    }
+
+    let grip = null;
+    view.addEventListener("pointerdown", (event) => {
+      if (seen.w < full.w) { grip = pointed(event); view.setPointerCapture(event.pointerId); }
+    });
+    view.addEventListener("pointermove", (event) => {
+      if (!grip) { read(event); return; }
+      const at = pointed(event);
+      show({ x: seen.x + grip.x - at.x, y: seen.y + grip.y - at.y, w: seen.w });
+    });
+    for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => { grip = null; });
+    view.addEventListener("pointerleave", () => {
+      here.setAttribute("visibility", "hidden");
+      readout.textContent = "";
+    });
+    // The wheel belongs to the page until the figure was clicked.
+    view.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && document.activeElement !== view) return;
+      event.preventDefault();
+      const at = pointed(event);
+      zoom(event.deltaY > 0 ? 1.25 : 0.8, at.x, at.y);
+    }, { passive: false });
+    view.addEventListener("dblclick", () => show(full));
+    const middle = (factor) => zoom(factor, seen.x + seen.w / 2, seen.y + seen.h / 2);
+    const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+    view.addEventListener("keydown", (event) => {
+      if (event.key === "+" || event.key === "=") middle(0.8);
+      else if (event.key === "-") middle(1.25);
+      else if (event.key === "0") show(full);
+      else if (event.key in moves && seen.w < full.w) {
+        const [dx, dy] = moves[event.key];
+        show({ x: seen.x + dx * seen.w / 10, y: seen.y + dy * seen.h / 10, w: seen.w });
+      } else return;
+      event.preventDefault();
+    });
+    figure.querySelector(".closer").addEventListener("click", () => middle(0.6));
+    figure.querySelector(".farther").addEventListener("click", () => middle(1 / 0.6));
+    figure.querySelector(".reset").addEventListener("click", () => show(full));
+
+    function setShown(index, on) {
+      layers[index].classList.toggle("off", !on);
+      keys[index].setAttribute("aria-pressed", String(on));
+    }
+    keys.forEach((key, index) => key.addEventListener("click", () => {
+      setShown(index, key.getAttribute("aria-pressed") !== "true");
+    }));
+
+    const flicker = figure.querySelector(".flicker");
+    if (!flicker) return;
+    const still = matchMedia("(prefers-reduced-motion: reduce)");
+    const roles = flicker.dataset.roles.split(" ");
+    let clock = 0, turn = 0;
+    function next() {
+      turn += 1;
+      layers.forEach((layer, index) => {
+        if (roles.includes(layer.dataset.role)) setShown(index, roles[turn % roles.length] === layer.dataset.role);
+      });
+    }
+    flicker.addEventListener("click", () => {
+      if (still.matches) { next(); return; }
+      const on = !clock;
+      flicker.setAttribute("aria-pressed", String(on));
+      if (on) { next(); clock = setInterval(next, 800); return; }
+      clearInterval(clock);
+      clock = 0;
+      layers.forEach((layer, index) => { if (roles.includes(layer.dataset.role)) setShown(index, true); });
+    });
+  }
+
+  document.querySelectorAll("figure.chart").forEach(activate);
+})();

@@ -1,0 +1,97 @@
+"""What every chapter looks at: drive, measurement and model of each recording, side by side."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.simulation import simulate_recording, starts_of
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trace:
+    """One recording of one axis beside the model's simulation of it.
+
+    recording   as it was ingested
+    time_s      (samples,)  s, from its first sample
+    voltage_V   (samples,)  V
+    measured_m  (samples,)  m
+    modelled_m  (samples,)  m; NaN where the model says nothing or the fit left the rows out
+    line_m      (samples,)  m; the best straight line of all recordings of the axis, each with its
+                own zero: what one would have without a hysteresis model
+    """
+
+    recording: Recording
+    time_s: Array
+    voltage_V: Array
+    measured_m: Array
+    modelled_m: Array
+    line_m: Array
+
+    @property
+    def residual_m(self) -> Array:
+        """Measured minus modelled, (samples,)."""
+        return np.asarray(self.measured_m - self.modelled_m)
+
+    @property
+    def line_residual_m(self) -> Array:
+        """Measured minus the straight line, (samples,)."""
+        return np.asarray(self.measured_m - self.line_m)
+
+
+def rms(values: Array) -> float:
+    """Return the root of the mean square of the values that are there."""
+    return float(np.sqrt(np.nanmean(np.square(values))))
+
+
+def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[Trace, ...]:
+    """Return a trace for every recording the axis was fitted on, worst fitted first."""
+    fitted = [r for r in recordings if starts_of(axis_model, r)]
+    modelled = [_counted(axis_model, recording) for recording in fitted]
+    axis = axis_model.axis
+    slope = _common_slope([(r.voltage_V(axis), r.displacement_m(axis)) for r in fitted])
+    found = [
+        _trace(recording, axis, model_m, slope)
+        for recording, model_m in zip(fitted, modelled, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda trace: -rms(trace.residual_m)))
+
+
+def all_traces(
+    model: ActuatorModel, recordings: Sequence[Recording]
+) -> dict[str, tuple[Trace, ...]]:
+    """Return the traces of every axis by its name."""
+    return {name: traces_of(axis, recordings) for name, axis in model.axes.items()}
+
+
+def _counted(axis_model: AxisModel, recording: Recording) -> Array:
+    """Return the simulation with the rows the fit left out as NaN."""
+    modelled_m = simulate_recording(axis_model, recording)
+    counts = np.zeros(recording.samples, dtype=bool)
+    parts = [p for p in recording.pieces if np.isfinite(modelled_m[p]).all()]
+    for part, start in zip(parts, starts_of(axis_model, recording), strict=True):
+        counts[part.start + start.first : part.start + start.last] = True
+    modelled_m[~counts] = np.nan
+    return modelled_m
+
+
+def _common_slope(pairs: Sequence[tuple[Array, Array]]) -> float:
+    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in pairs)
+    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in pairs)
+    return covariance / variance if variance > 0.0 else 0.0
+
+
+def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:
+    voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    line_m = measured_m.mean() + slope_m_per_V * (voltage_V - voltage_V.mean())
+    return Trace(
+        recording=recording,
+        time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,
+        voltage_V=voltage_V,
+        measured_m=measured_m,
+        modelled_m=modelled_m,
+        line_m=np.asarray(line_m),
+    )
