@@ -49,7 +49,7 @@ def test_first_order_poles_are_the_exponentials(frequency_Hz, pole):
         (0.10, (1, -1.92290707, 0.96118915), (0, 0.01926748, 0.01901460)),
     ],
 )
-def test_a_630_Hz_mode_has_the_printed_coefficients(damping, denominator, numerator):
+def test_a_mode_at_630_hertz_has_the_printed_coefficients(damping, denominator, numerator):
     B, A = fraction(sample(*oscillator(630.0, damping), PERIOD_s))
     np.testing.assert_allclose(A, denominator, atol=6e-9)
     np.testing.assert_allclose(B, numerator, atol=6e-9)

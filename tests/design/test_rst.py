@@ -1,0 +1,168 @@
+"""Pole placement: the worked example to its printed digits, and random plants."""
+
+import numpy as np
+import pytest
+
+from piezoid.design.band_stop import BandStop, band_stop_polynomials
+from piezoid.design.chain import Section, plant_from_chain
+from piezoid.design.plant import Plant
+from piezoid.design.rst import (
+    OPEN_AT_NYQUIST,
+    RstController,
+    closed_loop_target,
+    place,
+    tracking_polynomial,
+)
+from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.errors import DesignError, UnstableLoopError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.polynomial import product
+from tests.design.rig import RATE_Hz, random_chain, vertical_chain
+
+PRINTED = 5.1e-11  # half of the tenth decimal
+
+
+def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> RstController:
+    target = closed_loop_target(
+        Section(frequency_Hz=1e3, damping=0.9), RATE_Hz, auxiliary_root=0.2, auxiliary_count=2
+    )
+    one = np.ones(1)
+    return place(
+        plant_from_chain(vertical_chain()),
+        product(target, one if p_extra is None else p_extra),
+        H_R=OPEN_AT_NYQUIST,
+        H_S=product([1.0, -1.0], one if s_extra is None else s_extra),
+    )
+
+
+def run(plant: Plant, c: RstController, reference: Array, disturbance: Array) -> Array:
+    """Simulate S u = T r - R y and A y = B u sample by sample."""
+    n = len(reference)
+    u, y = np.zeros(n), np.zeros(n)
+    for k in range(n):
+        past = range(1, min(k, len(plant.B) - 1) + 1)
+        y[k] = sum(plant.B[j] * u[k - j] for j in past)
+        y[k] -= sum(
+            plant.A[j] * (y - disturbance)[k - j] for j in range(1, min(k, len(plant.A) - 1) + 1)
+        )
+        y[k] += disturbance[k]
+        u[k] = sum(c.T[j] * reference[k - j] for j in range(min(k + 1, len(c.T))))
+        u[k] -= sum(c.R[j] * y[k - j] for j in range(min(k + 1, len(c.R))))
+        u[k] -= sum(c.S[j] * u[k - j] for j in range(1, min(k, len(c.S) - 1) + 1))
+    return y
+
+
+def test_the_worked_example_has_its_printed_coefficients():
+    plant, c = plant_from_chain(vertical_chain()), example()
+    np.testing.assert_allclose(plant.A, (1, -0.3278234616, 0.0122990935), atol=PRINTED)
+    np.testing.assert_allclose(plant.B, (0, 0, 102.2579562477, 23.9785156002), atol=PRINTED)
+    np.testing.assert_allclose(
+        c.P, (1, -1.8933146795, 1.2054094777, -0.2869660295, 0.0227233442), atol=PRINTED
+    )
+    np.testing.assert_allclose(
+        c.S, (1, -1.5654912179, 0.6523716392, -0.0792887741, -0.0075916473), atol=PRINTED
+    )
+    np.testing.assert_allclose(
+        c.R, (2.692602e-4, 1.856397e-4, -7.97265e-5, 3.8939e-6), atol=5.1e-11
+    )
+    assert c.T[0] == pytest.approx(3.790672551e-4, abs=5.1e-14)
+    assert c.residual <= 1e-15
+
+
+def test_the_worked_example_has_its_printed_margins():
+    plant, c = plant_from_chain(vertical_chain()), example()
+    reached = margins(plant, c.R, c.S)
+    assert reached.modulus_peak_dB == pytest.approx(2.80, abs=0.005)
+    assert reached.modulus_margin == pytest.approx(0.724, abs=0.0005)
+    # Printed as 9.11, from a grid; the crossing itself is at 416.47 Hz.
+    assert reached.delay_margin_s * RATE_Hz == pytest.approx(9.11, abs=0.05)
+    at_315 = abs(sensitivities(plant, c.R, c.S, np.array([315.0])).Syp[0])
+    assert 20 * np.log10(at_315) == pytest.approx(-3.0, abs=0.05)
+
+
+def test_the_printed_band_stop_attenuates_as_printed():
+    stop = BandStop(part="S", frequency_Hz=300.0, numerator_damping=0.2, denominator_damping=0.8)
+    numerator, denominator = band_stop_polynomials(stop, RATE_Hz)
+    np.testing.assert_allclose(numerator, (1, -1.954340001, 0.9630520957), atol=5.1e-10)
+    np.testing.assert_allclose(denominator, (1, -1.8517145433, 0.8599691522), atol=PRINTED)
+    plant = plant_from_chain(vertical_chain())
+    c = example(p_extra=denominator, s_extra=numerator)
+    before, after = (
+        abs(sensitivities(plant, x.R, x.S, np.array([300.0])).Syp[0]) for x in (example(), c)
+    )
+    assert before == pytest.approx(0.677, abs=0.001)
+    assert after == pytest.approx(0.221, abs=0.001)
+    reached = margins(plant, c.R, c.S)
+    assert reached.modulus_peak_dB == pytest.approx(3.98, abs=0.01)
+    assert reached.delay_margin_s * RATE_Hz == pytest.approx(4.3, abs=0.05)
+
+
+def test_200_random_plants_are_placed_to_1e_10_with_fixed_parts(rng):
+    worst = 0.0
+    for _ in range(200):
+        plant = plant_from_chain(random_chain(rng))
+        w = 2.0 * np.pi * rng.uniform(40.0, 400.0) / RATE_Hz
+        hum = [1.0, -2.0 * np.cos(w), 1.0] if rng.uniform() < 0.4 else [1.0]
+        h_s = product([1.0, -1.0], hum)
+        h_r = OPEN_AT_NYQUIST if rng.uniform() < 0.7 else np.ones(1)
+        dominant = Section(
+            frequency_Hz=float(rng.uniform(200, 2e3)), damping=float(rng.uniform(0.5, 1.2))
+        )
+        target = closed_loop_target(
+            dominant, RATE_Hz, auxiliary_root=float(rng.uniform(0.05, 0.5)), auxiliary_count=2
+        )
+        c = place(plant, target, H_R=h_r, H_S=h_s)
+        left = np.convolve(plant.A, c.S)
+        right = np.convolve(plant.B, c.R)
+        closed = np.zeros(max(len(left), len(right)))
+        closed[: len(left)] += left
+        closed[: len(right)] += right
+        closed[: len(target)] -= target
+        worst = max(worst, float(np.abs(closed).max() / np.abs(target).max()))
+    assert worst <= 1e-10
+
+
+def test_fixed_parts_are_contained_in_r_and_s():
+    c = example()
+    assert abs(c.S.sum()) <= 1e-14  # 1 - q^-1 divides S
+    assert abs(c.R @ (-1.0) ** np.arange(len(c.R))) <= 1e-17  # 1 + q^-1 divides R
+
+
+def test_a_constant_disturbance_leaves_no_error_and_the_reference_is_reached():
+    plant, c = plant_from_chain(vertical_chain()), example()
+    y = run(plant, c, np.ones(400), np.where(np.arange(400) > 200, 0.3, 0.0))
+    assert y[199] == pytest.approx(1.0, abs=1e-9)
+    assert y[-1] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_the_tracking_polynomial_leaves_only_zeros_delay_and_the_reference_model():
+    plant, c = plant_from_chain(vertical_chain()), example()
+    T, model = tracking_polynomial(plant, c.P, Section(frequency_Hz=500.0, damping=1.0))
+    full = RstController(R=c.R, S=c.S, T=T, H_R=c.H_R, H_S=c.H_S, P=c.P, residual=c.residual)
+    filtered = np.zeros(200)
+    for k in range(200):
+        past = range(1, min(k, 2) + 1)
+        filtered[k] = 1.0 - sum(model[j] * filtered[k - j] for j in past)
+    y = run(plant, full, filtered, np.zeros(200))
+    # y must be B/B(1) times the model's step response, A_m(1)/A_m.
+    expected = np.convolve(filtered * model.sum(), plant.B / plant.B.sum())[:200]
+    np.testing.assert_allclose(y, expected, atol=1e-12)
+
+
+def test_an_unstable_target_is_refused():
+    with pytest.raises(UnstableLoopError, match=r"magnitude 1\.01"):
+        place(plant_from_chain(vertical_chain()), [1.0, -1.01])
+
+
+def test_a_zero_that_cancels_the_integrator_is_refused():
+    with pytest.raises(DesignError, match="no common root"):
+        place(plant_from_chain(vertical_chain()), [1.0, -0.5], H_R=[1.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("part", "low", "high", "message"),
+    [("T", 0.2, 0.8, "expected 'S' or 'R'"), ("S", 0.8, 0.2, "numerator < denominator")],
+)
+def test_a_band_stop_that_stops_nothing_is_refused(part, low, high, message):
+    with pytest.raises(ValueError, match=message):
+        BandStop(part=part, frequency_Hz=1.0, numerator_damping=low, denominator_damping=high)
