@@ -17,7 +17,6 @@ HYSTERESIS = {
     "play_threshold_V": np.arange(PLAYS) * 0.3,
     "play_weight_m_per_V": np.r_[2e-6, np.full(PLAYS - 1, 1e-7)],
     "knot_count": 9,
-    "knot_zero": 4,
     "knot_m": np.linspace(-8e-6, 8e-6, 9),
     "knot_weight": np.r_[np.full(4, 0.01), 1.0, np.full(4, 0.01)],
 }

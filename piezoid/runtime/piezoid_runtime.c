@@ -74,28 +74,51 @@ static pz_real play_inverse(const pz_parameters *p, const pz_real *z, pz_real wa
     return sign * (u + (way - done) / slope);
 }
 
-/* Psi or its inverse: through the kinks on the side of x, away from 0. */
-static pz_real dead_zones(const pz_parameters *p, pz_real x, int inverse) {
-    if (p->knot_count == 0) {
+/* Psi, gamma, or the inverse of either: through the kinks on the side of x, away from 0. */
+static pz_real dead_zones(int32_t count, const pz_real *knot, const pz_real *weight, pz_real x,
+                          int inverse) {
+    int32_t i = 0;
+    if (count == 0) {
         return x;
+    }
+    while (knot[i] < ZERO) {
+        ++i;
     }
     const int32_t step = x < ZERO ? -1 : 1;
     const pz_real sign = x < ZERO ? -ONE : ONE;
     const pz_real way = sign * x;
-    pz_real slope = p->knot_weight[p->knot_zero];
-    pz_real at = ZERO;  /* distance of the last kink from 0, before Psi */
-    pz_real out = ZERO; /* the same after Psi */
-    for (int32_t i = p->knot_zero + step; i >= 0 && i < p->knot_count; i += step) {
-        const pz_real next = sign * p->knot_m[i];
+    pz_real slope = weight[i];
+    pz_real at = ZERO;  /* distance of the last kink from 0, before the map */
+    pz_real out = ZERO; /* the same after it */
+    for (i += step; i >= 0 && i < count; i += step) {
+        const pz_real next = sign * knot[i];
         const pz_real next_out = out + slope * (next - at);
         if ((inverse ? next_out : next) >= way) {
             break;
         }
         at = next;
         out = next_out;
-        slope += p->knot_weight[i];
+        slope += weight[i];
     }
     return sign * (inverse ? at + (way - out) / slope : out + slope * (way - at));
+}
+
+static pz_real psi(const pz_parameters *p, pz_real x, int inverse) {
+    return dead_zones(p->knot_count, p->knot_m, p->knot_weight, x, inverse);
+}
+
+static pz_real envelope(const pz_parameters *p, pz_real x, int inverse) {
+    return dead_zones(p->envelope_count, p->envelope_knot_V, p->envelope_weight, x, inverse);
+}
+
+/* The memory follows the voltage put out. */
+static void remember(const pz_parameters *p, pz_state *s) {
+    play_follow(p, s->play_V, envelope(p, s->voltage_V - p->voltage_offset_V, 0));
+}
+
+/* A displacement as the model sees it: rising with the drive, 0 at the centre. */
+static pz_real centred(const pz_parameters *p, pz_real displacement_m) {
+    return (pz_real)p->polarity * (displacement_m - p->displacement_offset_m);
 }
 
 static int has_plays(const pz_parameters *p) {
@@ -109,13 +132,13 @@ static int has_observer(const pz_parameters *p) {
 /* The static model: displacement of the voltage the memory has just followed. */
 static pz_real static_displacement(const pz_parameters *p, const pz_state *s) {
     const pz_real u = s->voltage_V - p->voltage_offset_V;
-    return has_plays(p) ? dead_zones(p, play_sum(p, s->play_V), 0) : p->gain_m_per_V * u;
+    return has_plays(p) ? psi(p, play_sum(p, s->play_V), 0) : p->gain_m_per_V * u;
 }
 
 /* Its inverse: the voltage for a displacement, not yet clipped. */
 static pz_real static_voltage(const pz_parameters *p, const pz_state *s, pz_real y) {
-    const pz_real u =
-        has_plays(p) ? play_inverse(p, s->play_V, dead_zones(p, y, 1)) : y / p->gain_m_per_V;
+    const pz_real u = has_plays(p) ? envelope(p, play_inverse(p, s->play_V, psi(p, y, 1)), 1)
+                                   : y / p->gain_m_per_V;
     return u + p->voltage_offset_V;
 }
 
@@ -219,13 +242,15 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_SIZE_BYTES] = COUNT(size_bytes, sizeof(pz_parameters), sizeof(pz_parameters)),
     [PZ_CHECKSUM] = COUNT(checksum, 0, 4294967295.0),
     [PZ_METHOD] = COUNT(method, 0, 4),
+    [PZ_POLARITY] = COUNT(polarity, -1, 1),
     [PZ_PLAY_COUNT] = COUNT(play_count, 0, PZ_MAX_PLAYS),
     [PZ_KNOT_COUNT] = COUNT(knot_count, 0, PZ_MAX_KNOTS),
-    [PZ_KNOT_ZERO] = COUNT(knot_zero, 0, PZ_MAX_KNOTS - 1),
+    [PZ_ENVELOPE_COUNT] = COUNT(envelope_count, 0, PZ_MAX_KNOTS),
     [PZ_RELAXATION_COUNT] = COUNT(relaxation_count, 0, PZ_MAX_RELAXATIONS),
     [PZ_REFERENCE_SECTION_COUNT] = COUNT(reference_section_count, 0, PZ_MAX_SECTIONS),
     [PZ_COMMAND_SECTION_COUNT] = COUNT(command_section_count, 0, PZ_MAX_SECTIONS),
     [PZ_OBSERVER_ORDER] = COUNT(observer_order, 0, PZ_MAX_ORDER),
+    [PZ_PREVIEW_SAMPLES] = COUNT(preview_samples, 0, 1e6),
     [PZ_STUCK_SAMPLES] = COUNT(stuck_samples, 0, 1e6),
     [PZ_BAD_SAMPLES] = COUNT(bad_samples, 0, 1e6),
     [PZ_RETRACT_SAMPLES] = COUNT(retract_samples, 0, 1e6),
@@ -252,6 +277,8 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_PLAY_MEMORY] = REAL(play_memory_V, -1e4, 1e4),
     [PZ_KNOT] = REAL(knot_m, -1e3, 1e3),
     [PZ_KNOT_WEIGHT] = REAL(knot_weight, -1e6, 1e6),
+    [PZ_ENVELOPE_KNOT] = REAL(envelope_knot_V, -1e4, 1e4),
+    [PZ_ENVELOPE_WEIGHT] = REAL(envelope_weight, -1e6, 1e6),
     [PZ_RELAXATION_RATE] = REAL(relaxation_rate, 0, 1),
     [PZ_RELAXATION_SHARE] = REAL(relaxation_share, -1, 1),
     [PZ_REFERENCE_SECTION] = REAL(reference_section, -1e9, 1e9),
@@ -355,34 +382,27 @@ static int32_t check_plays(const pz_parameters *p) {
     return PZ_OK;
 }
 
-static int32_t check_knots(const pz_parameters *p) {
-    const int32_t zero = p->knot_zero;
-    pz_real slope = ZERO;
-    if (p->knot_count == 0) {
-        return PZ_OK;
-    }
-    if (zero >= p->knot_count) {
-        return PZ_KNOT_ZERO;
-    }
-    if (p->knot_m[zero] < ZERO || p->knot_m[zero] > ZERO) {
-        return PZ_KNOT;
-    }
-    for (int32_t i = 1; i < p->knot_count; ++i) {
-        if (!(p->knot_m[i] > p->knot_m[i - 1])) {
-            return PZ_KNOT;
+/* Kinks increase and one is at 0; all slopes are positive. `place` is the index of the kinks in
+ * the schema; their weights follow. */
+static int32_t check_map(int32_t count, const pz_real *knot, const pz_real *weight,
+                         int32_t place) {
+    int32_t zero = 0;
+    for (int32_t i = 1; i < count; ++i) {
+        if (!(knot[i] > knot[i - 1])) {
+            return place;
         }
+        zero = knot[i] > ZERO ? zero : i;
     }
-    for (int32_t i = zero; i < p->knot_count; ++i) {
-        slope += p->knot_weight[i];
-        if (!(slope > ZERO)) {
-            return PZ_KNOT_WEIGHT;
-        }
+    if (count > 0 && (knot[zero] < ZERO || knot[zero] > ZERO)) {
+        return place;
     }
-    slope = ZERO;
-    for (int32_t i = zero; i >= 0; --i) {
-        slope += p->knot_weight[i];
-        if (!(slope > ZERO)) {
-            return PZ_KNOT_WEIGHT;
+    for (int32_t step = -1; step <= 1; step += 2) {
+        pz_real slope = ZERO;
+        for (int32_t i = zero; i >= 0 && i < count; i += step) {
+            slope += weight[i];
+            if (!(slope > ZERO)) {
+                return place + 1;
+            }
         }
     }
     return PZ_OK;
@@ -435,13 +455,25 @@ static int32_t check_observer(const pz_parameters *p) {
     return PZ_OK;
 }
 
-static int32_t check_lateral(const pz_parameters *p) {
-    int32_t answer = has_plays(p) ? check_plays(p) : PZ_OK;
-    if (answer == PZ_OK && has_plays(p)) {
-        answer = check_knots(p);
-    }
+static int32_t check_model(const pz_parameters *p) {
+    const int32_t answer = check_plays(p);
     if (answer != PZ_OK) {
         return answer;
+    }
+    const int32_t zones = check_map(p->knot_count, p->knot_m, p->knot_weight, PZ_KNOT);
+    if (zones != PZ_OK) {
+        return zones;
+    }
+    return check_map(p->envelope_count, p->envelope_knot_V, p->envelope_weight, PZ_ENVELOPE_KNOT);
+}
+
+static int32_t check_lateral(const pz_parameters *p) {
+    const int32_t answer = has_plays(p) ? check_model(p) : PZ_OK;
+    if (answer != PZ_OK) {
+        return answer;
+    }
+    if (p->polarity == 0) {
+        return PZ_POLARITY;
     }
     if (!(p->gain_m_per_V > ZERO)) {
         return PZ_GAIN;
@@ -602,13 +634,14 @@ static void start_lateral(pz_state *s, const pz_parameters *p, pz_real measured)
     for (int32_t i = 0; i < p->play_count; ++i) {
         s->play_V[i] = p->play_memory_V[i];
     }
-    play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
-    const pz_real model = static_displacement(p, s) + p->displacement_offset_m;
+    remember(p, s);
+    const pz_real model =
+        (pz_real)p->polarity * static_displacement(p, s) + p->displacement_offset_m;
     s->measured = is_finite(measured)
                       ? clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m)
                       : model;
     s->reference_m = clamp(s->measured, p->reference_minimum_m, p->reference_maximum_m);
-    rest_lateral(s, p, s->measured - p->displacement_offset_m);
+    rest_lateral(s, p, centred(p, s->measured));
 }
 
 int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,
@@ -663,7 +696,7 @@ static pz_real take_reference(pz_state *s, const pz_parameters *p, pz_real refer
     }
     s->reference_m = kept;
     return filter(p->reference_section, p->reference_section_count, s->reference_filter,
-                  kept - p->displacement_offset_m);
+                  centred(p, kept));
 }
 
 /* Whether the sensor has shown the same number for too long although the voltage moved. It stays
@@ -703,7 +736,7 @@ static pz_real take_innovation(pz_state *s, const pz_parameters *p, pz_real meas
     if (kept < measured || kept > measured) {
         s->status |= PZ_STATUS_MEASUREMENT_LIMITED;
     }
-    return kept - p->displacement_offset_m - dot(p->observer_C, s->observer, p->observer_order);
+    return centred(p, kept) - dot(p->observer_C, s->observer, p->observer_order);
 }
 
 static void correct(pz_state *s, const pz_parameters *p, pz_real innovation) {
@@ -729,8 +762,8 @@ static void predict(pz_state *s, const pz_parameters *p, pz_real applied_V) {
 /* A number overflowed, now or in the last prediction: the voltage and the memory of the plays
  * stay, everything else starts anew. */
 static void restart_lateral(pz_state *s, const pz_parameters *p) {
-    const pz_real y = clamp(s->measured, p->displacement_minimum_m, p->displacement_maximum_m) -
-                      p->displacement_offset_m;
+    const pz_real y =
+        centred(p, clamp(s->measured, p->displacement_minimum_m, p->displacement_maximum_m));
     s->status |= PZ_STATUS_RESTARTED;
     rest_lateral(s, p, y);
 }
@@ -753,7 +786,7 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
     }
     convert(s, p, volts);
     if (has_plays(p)) {
-        play_follow(p, s->play_V, s->voltage_V - p->voltage_offset_V);
+        remember(p, s);
     }
     const pz_real moved = static_displacement(p, s);
     relax(p, s, moved);

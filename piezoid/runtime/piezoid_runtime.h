@@ -1,6 +1,7 @@
 /* piezoid runtime: the controller of one axis of a piezo stage. Two files; nothing to configure.
  *
- * The loop, once per sample (X and Y; all quantities relative to their offsets):
+ * The loop, once per sample (X and Y; quantities relative to their offsets, displacements times
+ * the polarity):
  *
  *     nu = y - C x,   x = x + L nu,   d = d + L_d nu                 correct      (observer)
  *     v  = N r - K x - d                                             feedback     [V, linearised]
@@ -9,10 +10,11 @@
  *     v_a = (Gamma[u_a] + creep) / a  or  u_a + creep / a            really applied, linearised
  *     x = A x + B (v_a + d)                                          predict      (observer)
  *
- * Gamma = Psi o H is the Modified Prandtl-Ishlinskii model (Kuhnen 2003): weighted plays, then
- * one-sided dead zones. Its inverse is solved from the forward memory, which follows the voltage
- * really applied; there is no second memory that rounding or clipping could lead astray.
- * creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
+ * Gamma = Psi o H o gamma is the Modified Prandtl-Ishlinskii model (Kuhnen 2003): weighted plays
+ * H, then one-sided dead zones Psi; an envelope gamma in front of the plays where the model has
+ * one (Al Janaideh, Rakheja & Su 2011). Its inverse is solved from the forward memory, which
+ * follows the voltage really applied; there is no second memory that rounding or clipping could
+ * lead astray. creep = sum_i c_i x_i,  x_i = x_i + rate_i (Gamma[u_a] - x_i).
  *
  * Z, on the logarithm of the tunnelling current (Landau's letters: R acts on the measurement, S
  * on the output; Longchamp exchanges them; polynomials in q^-1, S and A_0 monic):
@@ -54,7 +56,7 @@ typedef double pz_real;
 #define PZ_MAX_KNOTS 32
 #define PZ_MAX_RELAXATIONS 8
 #define PZ_MAX_SECTIONS 4
-#define PZ_MAX_ORDER 12
+#define PZ_MAX_ORDER 16
 #define PZ_MAX_TAPS 32
 
 /* What pz_step does. */
@@ -72,13 +74,15 @@ typedef struct {
     int32_t size_bytes;              /* sizeof(pz_parameters) */
     uint32_t checksum;               /* pz_checksum of everything below */
     int32_t method;                  /* PZ_METHOD_... */
+    int32_t polarity;                /* 1, or -1 where the displacement falls as the drive rises */
     int32_t play_count;              /* plays in use */
     int32_t knot_count;              /* dead zones in use; 0: Psi is the identity */
-    int32_t knot_zero;               /* index of the dead zone at 0 */
+    int32_t envelope_count;          /* kinks of gamma in use; 0: gamma is the identity */
     int32_t relaxation_count;        /* creep elements in use; 0: no creep block */
     int32_t reference_section_count; /* biquads on the reference; 0: none */
     int32_t command_section_count;   /* biquads on the linearised command; 0: none */
     int32_t observer_order;          /* states of x, the disturbance not counted */
+    int32_t preview_samples;         /* the reference given is that of so many samples ahead */
     int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
     int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
     int32_t retract_samples;         /* Z: samples to stay retracted */
@@ -90,7 +94,7 @@ typedef struct {
     pz_real sampling_rate_Hz;       /* how often pz_step is called */
     pz_real gain_m_per_V;           /* a: static gain of the affine model */
     pz_real voltage_offset_V;       /* centre of the model: u = voltage - offset */
-    pz_real displacement_offset_m;  /* centre of the model: y = displacement - offset */
+    pz_real displacement_offset_m;  /* centre: y = polarity (displacement - offset) */
     pz_real voltage_minimum_V;      /* converter, lower end */
     pz_real voltage_maximum_V;      /* converter, upper end */
     pz_real voltage_step_V;         /* largest change in a sample; 0: any */
@@ -107,6 +111,8 @@ typedef struct {
     pz_real play_memory_V[PZ_MAX_PLAYS];          /* z_i before the start, nested */
     pz_real knot_m[PZ_MAX_KNOTS];                 /* dead-zone thresholds, increasing, one is 0 */
     pz_real knot_weight[PZ_MAX_KNOTS];            /* dead-zone weights, all slopes > 0 */
+    pz_real envelope_knot_V[PZ_MAX_KNOTS];        /* kinks of gamma, increasing, one is 0 */
+    pz_real envelope_weight[PZ_MAX_KNOTS];        /* changes of its slope, all slopes > 0 */
     pz_real relaxation_rate[PZ_MAX_RELAXATIONS];  /* 1 - exp(-T_s / tau_i) */
     pz_real relaxation_share[PZ_MAX_RELAXATIONS]; /* c_i, creep per displacement */
 
@@ -140,13 +146,15 @@ enum {
     PZ_SIZE_BYTES,
     PZ_CHECKSUM,
     PZ_METHOD,
+    PZ_POLARITY,
     PZ_PLAY_COUNT,
     PZ_KNOT_COUNT,
-    PZ_KNOT_ZERO,
+    PZ_ENVELOPE_COUNT,
     PZ_RELAXATION_COUNT,
     PZ_REFERENCE_SECTION_COUNT,
     PZ_COMMAND_SECTION_COUNT,
     PZ_OBSERVER_ORDER,
+    PZ_PREVIEW_SAMPLES,
     PZ_STUCK_SAMPLES,
     PZ_BAD_SAMPLES,
     PZ_RETRACT_SAMPLES,
@@ -173,6 +181,8 @@ enum {
     PZ_PLAY_MEMORY,
     PZ_KNOT,
     PZ_KNOT_WEIGHT,
+    PZ_ENVELOPE_KNOT,
+    PZ_ENVELOPE_WEIGHT,
     PZ_RELAXATION_RATE,
     PZ_RELAXATION_SHARE,
     PZ_REFERENCE_SECTION,
@@ -231,7 +241,7 @@ typedef struct {
     pz_real gain_ratio;    /* Z: set by pz_schedule */
     pz_real disturbance_V; /* d */
 
-    pz_real play_V[PZ_MAX_PLAYS];             /* z_i, forward memory */
+    pz_real play_V[PZ_MAX_PLAYS];             /* z_i, forward memory, of gamma(u) */
     pz_real relaxation_m[PZ_MAX_RELAXATIONS]; /* x_i of the creep block */
     pz_real reference_filter[PZ_MAX_SECTIONS][2];
     pz_real command_filter[PZ_MAX_SECTIONS][2];
@@ -243,9 +253,9 @@ typedef struct {
 } pz_state;
 
 /* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
-#define PZ_INTEGERS 18
+#define PZ_INTEGERS 20
 #define PZ_REALS                                                                                  \
-    (14 + 3 * PZ_MAX_PLAYS + 2 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
+    (14 + 3 * PZ_MAX_PLAYS + 4 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
      PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 5 + 4 * PZ_MAX_TAPS)
 typedef char pz_parameters_have_no_holes
     [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];

@@ -15,7 +15,7 @@ MAX_PLAYS = 32
 MAX_KNOTS = 32
 MAX_RELAXATIONS = 8
 MAX_SECTIONS = 4
-MAX_ORDER = 12
+MAX_ORDER = 16
 MAX_TAPS = 32
 
 METHODS = ("none", "mpi", "dob", "mpi_dob", "rst")
@@ -98,13 +98,23 @@ _HEADER = (
 
 _COUNTS = (
     _integer("method", len(METHODS) - 1, "what the controller does: " + ", ".join(METHODS)),
+    Parameter(
+        name="polarity",
+        kind="integer",
+        unit="1",
+        meaning="1, or -1 where the displacement falls as the drive rises",
+        lower=-1,
+        upper=1,
+        default=1,
+    ),
     _integer("play_count", MAX_PLAYS, "plays in use"),
     _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: the identity"),
-    _integer("knot_zero", MAX_KNOTS - 1, "index of the dead zone at 0"),
+    _integer("envelope_count", MAX_KNOTS, "kinks of the envelope in use; 0: the identity"),
     _integer("relaxation_count", MAX_RELAXATIONS, "creep elements in use"),
     _integer("reference_section_count", MAX_SECTIONS, "biquads on the reference"),
     _integer("command_section_count", MAX_SECTIONS, "biquads on the linearised command"),
     _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
+    _integer("preview_samples", 1e6, "the reference given is that of so many samples ahead"),
     _integer("stuck_samples", 1e6, "equal measurements that mean a stuck sensor; 0: off"),
     _integer("bad_samples", 1e6, "Z: unusable currents in a row that mean retract"),
     _integer("retract_samples", 1e6, "Z: samples to stay retracted"),
@@ -144,6 +154,22 @@ _MODEL = (
     ),
     _real("knot_m", "m", -NO_BOUND_m, NO_BOUND_m, "dead-zone thresholds", shape=(MAX_KNOTS,)),
     _real("knot_weight", "1", -1e6, 1e6, "dead-zone weights", shape=(MAX_KNOTS,)),
+    _real(
+        "envelope_knot_V",
+        "V",
+        -NO_BOUND_V,
+        NO_BOUND_V,
+        "kinks of the envelope in front of the plays",
+        shape=(MAX_KNOTS,),
+    ),
+    _real(
+        "envelope_weight",
+        "1",
+        -1e6,
+        1e6,
+        "changes of the envelope's slope",
+        shape=(MAX_KNOTS,),
+    ),
     _real(
         "relaxation_rate",
         "1",

@@ -25,7 +25,6 @@ def lateral(method):
         "play_threshold_V": np.arange(PLAYS) * (10 / 7),
         "play_weight_m_per_V": weight * (1 + 1e-13),
         "knot_count": 3,
-        "knot_zero": 1,
         "knot_m": [-1e-5, 0.0, 1e-5 / 3],
         "knot_weight": [-0.02, 1.0, 0.0123456789012345678],
         "relaxation_count": 2,

@@ -32,7 +32,6 @@ def hysteresis(model, **others):
         "play_weight_m_per_V": model["w"],
         "play_memory_V": model["z"],
         "knot_count": len(model["knot"]),
-        "knot_zero": int(np.flatnonzero(model["knot"] == 0)[0]),
         "knot_m": model["knot"],
         "knot_weight": model["weight"],
         **others,
