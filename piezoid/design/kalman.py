@@ -46,6 +46,11 @@ def kalman_gain(
 
     q_d is E[(D d)^2], for example of the hysteresis model's remainder along the planned scan.
     """
+    if not (drift_variance > 0.0 and sensor_variance > 0.0 and input_variance >= 0.0):
+        raise ValueError(
+            f"variances are {input_variance}, {drift_variance}, {sensor_variance}; the drift and "
+            "the sensor need > 0: an exact constant needs no observer, an exact sensor no filter"
+        )
     A_e, C_e = extended(plant, disturbance)
     order, states = len(plant.state_matrix), len(disturbance.output)
     drive = np.concatenate([plant.input_taps.sum(axis=1), np.zeros(states)])

@@ -1,0 +1,301 @@
+"""The disturbance observer: its worked example, separation, delays, resonant modes, noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.chain import Section, plant_from_chain
+from piezoid.design.kalman import kalman_gain
+from piezoid.design.observer import (
+    DisturbanceObserver,
+    disturbance_model,
+    extended,
+    observer_with_gain,
+    place_observer,
+)
+from piezoid.design.observer_loop import (
+    error_poles,
+    linear_controller,
+    with_oscillators_as_states,
+)
+from piezoid.design.plant import Plant, plant_from_fraction
+from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
+from piezoid.design.state_feedback import placed_gain
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.polynomial import from_roots, roots_of
+from tests.design.rig import RATE_Hz, lateral_chain, poles, printed_observer_poles
+
+PRINTED = 5.1e-11
+PRINTED_CLOSED_LOOP = np.array(
+    [
+        "1",
+        "-4.5750108263",
+        "8.9001057978",
+        "-9.5574086345",
+        "6.1517173975",
+        "-2.4126438412",
+        "0.5616117386",
+        "-0.0724327942",
+        "0.004516861",
+        "-0.0001052682",
+    ],
+    dtype=np.float64,
+)
+DELAYS_s = (0.0, 20e-6, 50e-6, 120e-6)
+
+
+def example(gain: float = 1.0, delay_s: float = 0.0) -> tuple[Plant, DisturbanceObserver]:
+    plant = plant_from_chain(lateral_chain(gain, delay_s))
+    feedback, observer = printed_observer_poles()
+    return plant, place_observer(plant, feedback_poles=feedback, observer_poles=observer)
+
+
+def run(
+    plant: Plant, o: DisturbanceObserver, reference: Array, d_V: Array, noise: Array
+) -> tuple[Array, Array]:
+    """Step plant and observer as the runtime does; return outputs and innovations."""
+    A, B, C = plant.realised()
+    c = o.disturbance.output
+    x, x_, w_ = np.zeros(len(A)), np.zeros(len(o.A)), np.zeros(len(c))
+    y, nu = np.empty(len(reference)), np.empty(len(reference))
+    for k, r in enumerate(reference):
+        y[k] = C @ x
+        nu[k] = y[k] + noise[k] - o.C @ x_
+        xh, wh = x_ + o.state_gain * nu[k], w_ + o.disturbance_gain * nu[k]
+        v = o.reference_gain * r - o.feedback_gain @ xh - c @ wh
+        x = A @ x + B * (v + d_V[k])
+        x_, w_ = o.A @ xh + o.B * (v + c @ wh), o.disturbance.transition @ wh
+    return y, nu
+
+
+def run_rst(plant: Plant, R: Array, S: Array, T: Array, reference: Array, d_V: Array) -> Array:
+    n = len(reference)
+    u, y = np.zeros(n), np.zeros(n)
+    for k in range(n):
+        y[k] = sum(
+            plant.B[j] * (u + d_V)[k - j] for j in range(1, min(k, len(plant.B) - 1) + 1)
+        ) - sum(plant.A[j] * y[k - j] for j in range(1, min(k, len(plant.A) - 1) + 1))
+        for p, s, sign in ((T, reference, 1), (R, y, -1)):
+            u[k] += sign * sum(p[j] * s[k - j] for j in range(min(k + 1, len(p))))
+        u[k] -= sum(S[j] * u[k - j] for j in range(1, min(k, len(S) - 1) + 1))
+    return y
+
+
+def test_the_worked_example_has_its_printed_coefficients():
+    plant, observer = example()
+    c = linear_controller(observer)
+    np.testing.assert_allclose(
+        -c.R,
+        (-1.6493438444, 3.8931363194, -2.8841710805, 0.6598793035, -0.0331133718, 0),
+        atol=PRINTED,
+    )
+    np.testing.assert_allclose(
+        c.S,
+        (1, -2.2838911271, 1.9549855646, -0.7903742073, 0.1247293518, -0.005449582),
+        atol=PRINTED,
+    )
+    assert observer.reference_gain == pytest.approx(0.8496259921, abs=PRINTED)
+    np.testing.assert_allclose(
+        closed_loop_polynomial(plant, c.R, c.S),
+        PRINTED_CLOSED_LOOP,
+        atol=PRINTED,
+    )
+
+
+def test_a_plant_gain_scales_the_controller_and_nothing_else():
+    _, one = example()
+    _, scaled = example(gain=3.5e-6)
+    a, b = linear_controller(one), linear_controller(scaled)
+    np.testing.assert_allclose(b.R * 3.5e-6, a.R, atol=1e-11)
+    np.testing.assert_allclose(b.S, a.S, atol=1e-11)
+    assert scaled.reference_gain * 3.5e-6 == pytest.approx(one.reference_gain, rel=1e-11)
+
+
+@pytest.mark.parametrize("delay_s", DELAYS_s)
+def test_closed_loop_poles_are_feedback_and_observer_poles_and_zeros(delay_s):
+    plant, observer = example(delay_s=delay_s)
+    c = linear_controller(observer)
+    wanted = from_roots(np.concatenate(printed_observer_poles()))
+    closed = closed_loop_polynomial(plant, c.R, c.S)
+    np.testing.assert_allclose(closed[: len(wanted)], wanted, atol=1e-9)
+    assert np.abs(closed[len(wanted) :]).max(initial=0.0) <= 1e-9
+    moved = np.sort(np.abs(error_poles(observer)))[-5:]
+    np.testing.assert_allclose(moved, np.sort(np.abs(printed_observer_poles()[1])), atol=1e-9)
+
+
+@pytest.mark.parametrize("delay_s", DELAYS_s)
+def test_the_controller_contains_an_integrator(delay_s):
+    _, observer = example(delay_s=delay_s)
+    assert abs(linear_controller(observer).S.sum()) <= 1e-12
+
+
+@pytest.mark.parametrize("delay_s", DELAYS_s)
+def test_observer_and_polynomials_are_the_same_controller(delay_s, rng):
+    plant, observer = example(delay_s=delay_s)
+    reference, d_V = rng.normal(size=150), rng.normal(size=150)
+    y, _ = run(plant, observer, reference, d_V, np.zeros(150))
+    c = linear_controller(observer)
+    np.testing.assert_allclose(
+        run_rst(plant, c.R, c.S, c.T, reference, d_V), y, atol=1e-8 * np.abs(y).max()
+    )
+
+
+def test_a_constant_disturbance_leaves_nothing_and_the_reference_is_reached():
+    plant, observer = example()
+    y, _ = run(plant, observer, np.ones(600), np.full(600, 0.4), np.zeros(600))
+    assert y[-1] == pytest.approx(1.0, abs=1e-10)
+
+
+def test_an_oscillator_removes_a_sine_at_its_frequency():
+    plant = plant_from_chain(lateral_chain())
+    feedback, observer = printed_observer_poles()
+    model = disturbance_model(RATE_Hz, (100.0,))
+    resonant = place_observer(
+        plant,
+        feedback_poles=feedback,
+        observer_poles=np.concatenate([observer, poles((100.0, 0.7))]),
+        disturbance=model,
+    )
+    c = linear_controller(resonant)
+    at = np.array([1.0, 100.0])
+    assert abs(sensitivities(plant, c.R, c.S, at).Syp[1]) <= 1e-8
+    plain = linear_controller(example()[1])
+    assert abs(sensitivities(plant, plain.R, plain.S, at).Syp[1]) > 0.5
+    sine = np.sin(2 * np.pi * 100.0 / RATE_Hz * np.arange(4000))
+    y, _ = run(plant, resonant, np.zeros(4000), sine, np.zeros(4000))
+    assert np.abs(y[-400:]).max() <= 1e-6
+
+
+def test_oscillators_may_stand_among_the_states():
+    plant = plant_from_chain(lateral_chain())
+    feedback, observer = printed_observer_poles()
+    resonant = place_observer(
+        plant,
+        feedback_poles=feedback,
+        observer_poles=np.concatenate([observer, poles((60.0, 0.7))]),
+        disturbance=disturbance_model(RATE_Hz, (60.0,)),
+    )
+    merged = with_oscillators_as_states(resonant)
+    assert len(merged.disturbance_gain) == 1
+    a, b = linear_controller(resonant), linear_controller(merged)
+    np.testing.assert_allclose(b.R, a.R, atol=1e-10)
+    np.testing.assert_allclose(b.S, a.S, atol=1e-10)
+    assert with_oscillators_as_states(merged) is merged
+
+
+def test_an_unknown_form_is_refused():
+    plant = plant_from_chain(lateral_chain())
+    feedback, observer = printed_observer_poles()
+    with pytest.raises(ValueError, match="expected one of"):
+        place_observer(plant, feedback_poles=feedback, observer_poles=observer, form="mpi")
+
+
+def test_state_feedback_places_random_and_repeated_poles(rng):
+    for _ in range(30):
+        order = int(rng.integers(1, 7))
+        A, B = rng.normal(size=(order, order)), rng.normal(size=order)
+        repeated = np.full(order, 0.5)
+        distinct = rng.uniform(-0.8, 0.8, order)
+        for wanted in (repeated, distinct):
+            K = placed_gain(A, B, wanted)
+            placed = np.poly(A - np.outer(B, K)).real
+            np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
+
+
+def test_a_state_that_the_input_cannot_reach_is_refused():
+    with pytest.raises(DesignError, match="cannot be moved"):
+        placed_gain(np.diag([0.5, 0.3]), np.array([1.0, 0.0]), [0.1, 0.2])
+
+
+def test_the_kalman_gain_solves_its_riccati_equation():
+    plant = plant_from_chain(lateral_chain())
+    model = disturbance_model(RATE_Hz)
+    found = kalman_gain(
+        plant, model, input_variance=1e-4, drift_variance=1e-3, sensor_variance=1e-2
+    )
+    # Second route: iterate the covariance from nothing.
+    A_e, C_e = extended(plant, model)
+    drive = np.concatenate([plant.input_taps.sum(axis=1), [0.0]])
+    Q = 1e-4 * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
+    P = np.eye(5)
+    for _ in range(4000):
+        variance = C_e @ P @ C_e + 1e-2
+        L = P @ C_e / variance
+        P = A_e @ (P - np.outer(L, C_e @ P)) @ A_e.T + Q
+    np.testing.assert_allclose(found.gain, L, rtol=1e-7)
+    assert found.innovation_variance == pytest.approx(variance, rel=1e-7)
+
+
+def test_innovations_of_a_kalman_observer_are_white_with_the_promised_variance(rng):
+    plant, model = plant_from_chain(lateral_chain()), disturbance_model(RATE_Hz)
+    found = kalman_gain(
+        plant, model, input_variance=1e-12, drift_variance=1e-3, sensor_variance=1e-2
+    )
+    observer = observer_with_gain(
+        plant,
+        found.gain,
+        feedback_poles=printed_observer_poles()[0],
+        form="affine",
+        disturbance=model,
+    )
+    n = 40_000
+    d_V = np.cumsum(np.sqrt(1e-3) * rng.normal(size=n))
+    _, nu = run(plant, observer, np.zeros(n), d_V, 0.1 * rng.normal(size=n))
+    nu = nu[1000:]
+    spread = 4.0 * np.sqrt(2.0 / len(nu))  # four standard deviations of a variance
+    assert nu.var() == pytest.approx(found.innovation_variance, rel=spread)
+    lagged = np.array([(nu[k:] * nu[:-k]).mean() for k in (1, 2, 5)]) / nu.var()
+    assert np.abs(lagged).max() <= 4.0 / np.sqrt(len(nu))
+
+
+def test_a_disturbance_the_output_does_not_show_has_no_observer():
+    blind = plant_from_fraction(
+        "blind", [0.0, 1.0, -1.0], [1.0, -0.5, 0.1], sampling_rate_Hz=RATE_Hz, output_unit="m"
+    )
+    with pytest.raises(DesignError, match="no stabilising solution"):
+        kalman_gain(
+            blind,
+            disturbance_model(RATE_Hz),
+            input_variance=1.0,
+            drift_variance=1.0,
+            sensor_variance=1.0,
+        )
+
+
+def test_a_drift_that_never_happens_is_refused():
+    plant = plant_from_chain(lateral_chain())
+    with pytest.raises(ValueError, match="an exact constant needs no observer"):
+        kalman_gain(
+            plant,
+            disturbance_model(RATE_Hz),
+            input_variance=0.0,
+            drift_variance=0.0,
+            sensor_variance=1.0,
+        )
+
+
+def test_the_four_published_tunings_have_their_published_margins():
+    """Truth with a Butterworth filter that the model has not; modulus margins and |S(10 Hz)|."""
+    chain = lateral_chain()
+    truth = plant_from_chain(
+        replace(chain, sections=(*chain.sections, Section(frequency_Hz=20e3, damping=0.5**0.5)))
+    )
+    table = (
+        ((630.0, 0.9), (600.0, 0.8), 400.0, 7.7, 0.159),
+        ((630.0, 0.9), (1200.0, 0.8), 800.0, 4.4, 0.063),
+        ((630.0, 0.9), (2000.0, 0.8), 1500.0, 6.2, 0.033),
+        ((1000.0, 0.9), (2000.0, 0.8), 1500.0, 8.3, 0.018),
+    )
+    for feedback, observer, disturbance_Hz, peak_dB, at_10 in table:
+        o = place_observer(
+            plant_from_chain(chain),
+            feedback_poles=poles(feedback, (4e3, None), (8.5e3, None)),
+            observer_poles=poles(observer, (disturbance_Hz, None), (4200.0, None), (8600.0, None)),
+        )
+        c = linear_controller(o)
+        assert roots_of(c.S)[np.argmin(abs(roots_of(c.S) - 1.0))] == pytest.approx(1.0, abs=1e-9)
+        assert margins(truth, c.R, c.S).modulus_peak_dB == pytest.approx(peak_dB, abs=0.06)
+        left = abs(sensitivities(truth, c.R, c.S, np.array([10.0])).Syp[0])
+        assert left == pytest.approx(at_10, abs=0.0006)

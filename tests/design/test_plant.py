@@ -1,0 +1,94 @@
+"""Plants from physical numbers and from fractions, and families."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.chain import Chain, Section, plant_from_chain, varied
+from piezoid.design.plant import PlantFamily, plant_from_fraction
+from piezoid.numerics.frequency import response, state_space_response
+from tests.design.rig import (
+    LATERAL_m_per_V,
+    RATE_Hz,
+    lateral_chain,
+    random_chain,
+    vertical_chain,
+)
+
+PRINTED = 5.1e-11
+
+
+def test_the_lateral_plant_has_its_printed_coefficients():
+    plant = plant_from_chain(lateral_chain())
+    np.testing.assert_allclose(
+        plant.A, (1, -2.2955789143, 1.6871659856, -0.3851608527, 0.0193167468), atol=PRINTED
+    )
+    np.testing.assert_allclose(
+        plant.B,
+        (0, 0.002703629761, 0.015538017175, 0.007243715667, 0.000257602780),
+        atol=5.1e-13,
+    )
+
+
+def test_the_gain_at_rest_is_the_chains(rng):
+    for _ in range(20):
+        chain = random_chain(rng)
+        plant = plant_from_chain(chain)
+        assert plant.gain == pytest.approx(chain.gain, rel=1e-9)
+        assert plant.is_stable
+
+
+def test_a_pole_that_float64_cannot_see_leaves_no_state():
+    assert len(plant_from_chain(vertical_chain()).A) == 3  # 120 kHz at 20 kHz: exp(-37.7)
+    slower = Chain(
+        label="s",
+        sampling_rate_Hz=RATE_Hz,
+        gain=1.0,
+        output_unit="m",
+        sections=(Section(frequency_Hz=110e3),),
+    )
+    assert len(plant_from_chain(slower).A) == 2
+    with pytest.raises(ValueError, match="no section is slow enough"):
+        plant_from_chain(replace(slower, sections=(Section(frequency_Hz=120e3),)))
+
+
+def test_a_fraction_comes_back_as_the_same_plant(rng):
+    f = np.geomspace(1.0, 9.9e3, 50)
+    for _ in range(20):
+        plant = plant_from_chain(random_chain(rng))
+        again = plant_from_fraction(
+            "again", plant.B, plant.A, sampling_rate_Hz=RATE_Hz, output_unit="m"
+        )
+        np.testing.assert_allclose(
+            state_space_response(*again.realised(), f, RATE_Hz),
+            response(plant.B, plant.A, f, RATE_Hz),
+            rtol=1e-8,  # poles near one lose digits in polynomial form
+        )
+
+
+def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
+    changed = varied(lateral_chain(), gain_factor=1.15, mode_factor=0.9, delay_s=1e-5)
+    assert changed.label == "gain x1.15, mode x0.9, delay +10 us"
+    assert changed.sections[1].frequency_Hz == pytest.approx(567.0)
+    assert changed.sections[0].frequency_Hz == 4e3
+    assert changed.gain == pytest.approx(1.15)
+
+
+def test_a_numerator_without_its_delay_is_refused():
+    with pytest.raises(ValueError, match="answers one sample late"):
+        plant_from_fraction("p", [1.0], [1.0, -0.5], sampling_rate_Hz=RATE_Hz, output_unit="m")
+
+
+def test_a_family_shares_rate_and_unit():
+    metres = plant_from_chain(lateral_chain(LATERAL_m_per_V))
+    with pytest.raises(ValueError, match="differ in rate"):
+        PlantFamily(members=(metres, plant_from_chain(vertical_chain())))
+    with pytest.raises(ValueError, match="at least its nominal"):
+        PlantFamily(members=())
+
+
+@pytest.mark.parametrize(("frequency_Hz", "damping"), [(0.0, None), (100.0, 0.0)])
+def test_a_section_without_frequency_or_damping_is_refused(frequency_Hz, damping):
+    with pytest.raises(ValueError, match="positive frequency and damping"):
+        Section(frequency_Hz=frequency_Hz, damping=damping)

@@ -1,0 +1,211 @@
+"""Margins by second routes: delayed loops, brute-force Nyquist distance, Bode's integral."""
+
+import numpy as np
+import pytest
+
+from piezoid.design.chain import Section, plant_from_chain
+from piezoid.design.family_grid import family_grid, judge, worst_place
+from piezoid.design.plant import PlantFamily, plant_from_fraction
+from piezoid.design.requirements import noise_rms, unmet
+from piezoid.design.rst import closed_loop_target, place
+from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
+from piezoid.design.templates import Template, attenuation, delay_limit, violations
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+from tests.design.rig import (
+    RATE_Hz,
+    lateral_specification,
+    vertical_chain,
+    vertical_family,
+    vertical_specification,
+)
+
+LOOPS = ((300.0, 0.9), (1e3, 0.9), (2e3, 0.7), (3e3, 0.6))
+
+
+def loop(frequency_Hz: float, damping: float) -> tuple[Array, Array]:
+    dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
+    target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=2)
+    c = place(plant_from_chain(vertical_chain()), target, H_R=[1.0, 1.0])
+    return c.R, c.S
+
+
+@pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
+def test_whole_samples_below_the_delay_margin_are_stable_and_above_unstable(frequency_Hz, damping):
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(frequency_Hz, damping)
+    samples = margins(plant, R, S).delay_margin_s * RATE_Hz
+
+    def radius(late: int) -> float:
+        return spectral_radius(total(product(plant.A, S), delayed(product(plant.B, R), late)))
+
+    assert radius(int(np.floor(samples))) < 1.0
+    assert radius(int(np.ceil(samples))) > 1.0
+
+
+@pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
+def test_the_modulus_margin_is_the_distance_of_the_nyquist_curve_from_minus_one(
+    frequency_Hz, damping
+):
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(frequency_Hz, damping)
+    z = np.exp(1j * np.linspace(1e-4, np.pi, 200_001))
+    curve = np.polyval(np.convolve(plant.B, R)[::-1], 1 / z)
+    curve = curve / np.polyval(np.convolve(plant.A, S)[::-1], 1 / z)
+    distance = np.abs(1.0 + curve).min()
+    assert margins(plant, R, S).modulus_margin == pytest.approx(distance, rel=1e-7)
+
+
+@pytest.mark.parametrize(("frequency_Hz", "damping"), LOOPS)
+def test_bodes_integral_vanishes_for_a_stable_loop(frequency_Hz, damping):
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(frequency_Hz, damping)
+    # Midpoints: the integrator's logarithm at zero is integrable, its value there is not.
+    n = 200_000
+    f = (np.arange(n) + 0.5) / n * 0.5 * RATE_Hz
+    mean = np.log(np.abs(sensitivities(plant, R, S, f).Syp)).mean()
+    assert abs(mean) <= 1e-5
+
+
+def test_the_four_functions_belong_together():
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(1e3, 0.9)
+    f = np.geomspace(1.0, 9e3, 40)
+    found = sensitivities(plant, R, S, f)
+    np.testing.assert_allclose(found.Syp - found.Syb, 1.0, atol=1e-12)
+    q = np.exp(-2j * np.pi * f / RATE_Hz)
+    g = np.polyval(plant.B[::-1], q) / np.polyval(plant.A[::-1], q)
+    np.testing.assert_allclose(found.Syb, g * found.Sup, rtol=1e-11)
+    np.testing.assert_allclose(found.Syv, g * found.Syp, rtol=1e-11)
+
+
+def test_an_unstable_loop_has_no_margins():
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(3e3, 0.6)
+    reached = margins(plant, 5.0 * R, S)
+    assert not reached.is_stable
+    assert (reached.modulus_margin, reached.delay_margin_s) == (0.0, 0.0)
+
+
+def test_a_loop_without_gain_has_no_delay_margin_to_lose():
+    plant = plant_from_fraction(
+        "p", [0.0, 1.0], [1.0, -0.5], sampling_rate_Hz=RATE_Hz, output_unit="m"
+    )
+    reached = margins(plant, [0.1], [1.0])
+    assert reached.delay_margin_s is None
+    assert reached.is_stable
+
+
+@pytest.mark.parametrize("late", [0.5, 1.0, 1.7, 3.0])
+def test_below_the_delay_limit_the_delay_margin_is_kept(late):
+    """Sufficient, for delays beyond one sample too."""
+    plant = plant_from_chain(vertical_chain())
+    f = np.linspace(1.0, 0.5 * RATE_Hz, 4000)
+    kept = 0
+    for frequency_Hz in np.geomspace(300.0, 5e3, 25):
+        R, S = loop(frequency_Hz, 0.7)
+        below = np.abs(sensitivities(plant, R, S, f).Syb) <= delay_limit(f, late / RATE_Hz)
+        if below.all():
+            kept += 1
+            assert margins(plant, R, S).delay_margin_s >= late / RATE_Hz
+    assert kept > 0
+
+
+def test_the_delay_limit_is_one_half_where_a_smaller_delay_turns_further():
+    f = np.array([0.5 * RATE_Hz])
+    assert delay_limit(f, 2.0 / RATE_Hz)[0] == pytest.approx(0.5)
+    assert delay_limit(f, 0.5 / RATE_Hz)[0] == pytest.approx(1 / abs(1 - np.exp(-0.5j * np.pi)))
+
+
+def test_a_template_is_linear_in_decibels_over_log_frequency_and_ends_at_its_knots():
+    template = attenuation("a", 100.0, -3.0)
+    np.testing.assert_allclose(template.limit_dB([100.0, 10.0, 1.0]), [-3.0, -23.0, -43.0])
+    assert template.limit_dB([100.1])[0] == np.inf
+
+
+@pytest.mark.parametrize(
+    ("function", "frequency_Hz", "message"),
+    [
+        ("Sxx", (1.0, 2.0), "not one of"),
+        ("Syp", (2.0, 1.0), "does not increase"),
+        ("Syp", (0.0, 1.0), "must be > 0"),
+        ("Syp", (1.0,), "upper_dB has 2 values"),
+    ],
+)
+def test_a_template_that_cannot_be_read_is_refused(function, frequency_Hz, message):
+    with pytest.raises(ValueError, match=message):
+        Template(
+            name="t",
+            function=function,
+            frequency_Hz=np.array(frequency_Hz),
+            upper_dB=np.zeros(2),
+        )
+
+
+def test_a_violation_names_template_member_frequency_and_amount():
+    family = vertical_family()
+    R, S = loop(1e3, 0.9)
+    limit = Template(
+        name="ceiling",
+        function="Syp",
+        frequency_Hz=np.array([200.0, 400.0]),
+        upper_dB=np.array([-10.0, -10.0]),
+    )
+    found = violations(
+        family.members, R, S, templates=[limit], modulus_margin=0.6, delay_margin_s=1e-9
+    )
+    worst = found[0]
+    assert (worst.template, worst.member) == ("ceiling", "0.25 eV")
+    level = 20 * np.log10(
+        abs(sensitivities(family.members[1], R, S, np.array([worst.frequency_Hz])).Syp[0])
+    )
+    assert worst.found == pytest.approx(level)
+    assert worst.excess_dB == pytest.approx(level + 10.0)
+    assert "ceiling of the member '0.25 eV'" in worst.sentence
+    margin = next(v for v in found if v.template == "modulus margin")
+    assert (margin.member, margin.limit) == ("4 eV", 0.6)
+
+
+def test_the_searchs_grid_agrees_with_the_fine_check():
+    family, asked = vertical_family(), vertical_specification(100.0)
+    grid = family_grid(family, asked, count=2000)
+    for frequency_Hz, damping in LOOPS:
+        R, S = loop(frequency_Hz, damping)
+        seen = worst_place(grid, R, S)
+        assert seen.excess_dB == judge(grid, R, S).excess_dB
+        reached = [margins(m, R, S) for m in family.members]
+        if seen.excess_dB <= -0.01:
+            assert not unmet(family.members, R, S, asked)
+        if not all(m.is_stable for m in reached):
+            assert seen.excess_dB > 20.0
+
+
+def test_the_grid_counts_unstable_members():
+    family = vertical_family()
+    grid = family_grid(family, vertical_specification(100.0))
+    R, S = loop(1e3, 0.9)
+    counts = []
+    for factor in (1.0, 8.0):
+        counts.append(worst_place(grid, factor * R, S).excess_dB > 50.0)
+        unstable = [
+            spectral_radius(closed_loop_polynomial(m, factor * R, S)) > 1.0 for m in family.members
+        ]
+        assert counts[-1] == any(unstable)
+    assert counts == [False, True]
+
+
+def test_predicted_noise_is_the_simulated_noise(rng):
+    plant = plant_from_chain(vertical_chain())
+    R, S = loop(1e3, 0.9)
+    asked = lateral_specification()
+    grid = family_grid(PlantFamily(members=(plant,)), asked, count=1000)
+    n = 60_000
+    noise = asked.sensor_noise_rms * rng.normal(size=n)
+    P = closed_loop_polynomial(plant, R, S)
+    through, y = np.convolve(plant.B, R), np.zeros(n)
+    for k in range(20, n):
+        recent = noise[k - len(through) + 1 : k + 1][::-1]
+        y[k] = -through @ recent - P[1:] @ y[k - len(P) + 1 : k][::-1]
+    measured = y[1000:].std()
+    assert noise_rms(plant, R, S, asked) == pytest.approx(measured, rel=0.05)
+    assert judge(grid, R, S).noise_rms == pytest.approx(noise_rms(plant, R, S, asked), rel=0.02)
