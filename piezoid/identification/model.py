@@ -196,6 +196,11 @@ class AxisModel:
     uncertainty: Uncertainty
     certificate: Certificate
 
+    @property
+    def virgin_memory_V(self) -> Array:
+        """The de-poled state."""
+        return self.hysteresis.virgin_memory()
+
     def simulate(self, voltage_V: Array, sampling_rate_Hz: float, memory_V: Array) -> Array:
         """Return the displacement this axis makes of a drive.
 

@@ -74,7 +74,7 @@ def constrained_least_squares(
         polishing=True,
         verbose=False,
     )
-    result = solver.solve()
+    result = solver.solve(raise_error=False)
     if result.info.status not in {"solved", "solved inaccurate"}:
         raise InfeasibleFitError(
             f"the quadratic program of the fit ended as {result.info.status!r}",

@@ -38,15 +38,15 @@ def estimate_response_by_coherence(
     drive, moved = _columns(voltage_V), _columns(displacement_m)
     U, Y = _windowed(drive, segment_samples), _windowed(moved, segment_samples)
     averages = _effective_averages(U)
-    Suu, Syu = _cross(U, U), _cross(Y, U)
-    inverse, is_driven = _safe_inverse(Suu)
-    G = Syu @ inverse
-    Syy = np.einsum("kii->ki", _cross(Y, Y)).real
-    explained = np.einsum("kij,kij->ki", G, np.conj(Syu)).real
-    coherence = np.where(is_driven[:, None], explained / np.maximum(Syy, _TINY), 0.0)
+    drive_power, cross = _cross(U, U), _cross(Y, U)
+    inverse, is_driven = _safe_inverse(drive_power)
+    G = cross @ inverse
+    moved_power = np.einsum("kii->ki", _cross(Y, Y)).real
+    explained = np.einsum("kij,kij->ki", G, np.conj(cross)).real
+    coherence = np.where(is_driven[:, None], explained / np.maximum(moved_power, _TINY), 0.0)
     coherence = np.clip(coherence, 0.0, 1.0)
     freedom = _spare_averages(averages, drive.shape[1])
-    residual = np.maximum(Syy - explained, 0.0)
+    residual = np.maximum(moved_power - explained, 0.0)
     per_input = np.einsum("kjj->kj", inverse).real[:, None, :]
     lines = np.arange(MAIN_LOBE_LINES, segment_samples // 2)
     variance = (residual / freedom[:, None])[:, :, None] * per_input
@@ -109,10 +109,10 @@ def _spare_averages(averages: Array, inputs: int) -> Array:
     return np.asarray(np.maximum(averages - inputs, 0.5))
 
 
-def _safe_inverse(Suu: ComplexArray) -> tuple[ComplexArray, NDArray[np.bool_]]:
+def _safe_inverse(power: ComplexArray) -> tuple[ComplexArray, NDArray[np.bool_]]:
     """Invert where every input has power of its own; elsewhere zero, and say so."""
-    eigenvalues = np.linalg.eigvalsh(Suu)
+    eigenvalues = np.linalg.eigvalsh(power)
     is_driven = eigenvalues[:, 0] > 1e-10 * eigenvalues.max()
-    inverse = np.zeros_like(Suu)
-    inverse[is_driven] = np.linalg.inv(Suu[is_driven])
+    inverse = np.zeros_like(power)
+    inverse[is_driven] = np.linalg.inv(power[is_driven])
     return inverse, is_driven

@@ -135,7 +135,7 @@ def _shape_of_poles(poles_Hz: ComplexArray, structure: Structure) -> Array:
     modes = sorted(modes)[: structure.modes]
     frequency_Hz = np.array([f for f, _ in modes])
     damping = np.clip([z for _, z in modes], 1e-4, 10.0)
-    return np.log(np.concatenate([frequency_Hz, damping, lags]))
+    return np.asarray(np.log(np.concatenate([frequency_Hz, damping, lags])), dtype=np.float64)
 
 
 def _record(
@@ -144,7 +144,7 @@ def _record(
     n, lags = structure.modes, structure.lags
     order = np.argsort(fit.shape[:n])
     lag_order = np.argsort(fit.shape[2 * n : 2 * n + lags])
-    by_shape = np.concatenate([order, n + order, 2 * n + lag_order, [2 * n + lags]])
+    by_shape = np.concatenate([order, n + order, 2 * n + lag_order, [structure.shapes - 1]])
     shape = fit.shape[by_shape]
     by_column = np.moveaxis(fit.gains, 2, 0)
     rate = np.zeros((n, *by_column.shape[1:]))

@@ -112,8 +112,9 @@ def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
     n, lags = structure.modes, structure.lags
     lowest, highest = lines.frequency_Hz[[0, -1]]
     log_f = np.log([lowest / OUT_OF_BAND, highest * OUT_OF_BAND])
-    low = np.repeat([log_f[0], np.log(LEAST_DAMPING), log_f[0], 0.0], [n, n, lags, 1])
-    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1.0 / lowest], [n, n, lags, 1])
+    counts = [n, n, lags, 1]
+    low = np.repeat([log_f[0], np.log(LEAST_DAMPING), log_f[0], 0.0], counts)
+    high = np.repeat([log_f[1], np.log(OUT_OF_BAND), log_f[1], 1 / lowest], counts)
     return low, high
 
 
@@ -183,7 +184,7 @@ def _slopes(lines: Lines, structure: Structure, shape: Array) -> list[_Slope]:
         p: _difference(lines, (term,), shape, p, STEP) for term in terms for p in term.parameters
     }
     late = _difference(lines, terms, shape, len(shape) - 1, STEP / lines.sampling_rate_Hz)
-    return [found[p] for p in range(len(shape) - 1)] + [late]
+    return [*(found[p] for p in range(len(found))), late]
 
 
 def _difference(

@@ -141,7 +141,7 @@ class LinearDynamics:
         return np.asarray(chain[:, :, None] * inner)
 
     def response_as_measured(self, frequency_Hz: ArrayLike) -> ComplexArray:
-        """Return the response between samples as the data saw it, behind its hold."""
+        """Return the response as the data saw it: behind its hold."""
         if self.hold == "band_limited":
             return self.response(frequency_Hz)
         return self.sampled(self.sampling_rate_Hz).response(frequency_Hz)

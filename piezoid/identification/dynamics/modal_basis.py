@@ -134,7 +134,7 @@ def terms_of(structure: Structure) -> tuple[Term, ...]:
 def term_columns(lines: Lines, term: Term, shape: Array) -> ComplexArray:
     """Return the values of one term's columns, (lines, columns of the term).
 
-    shape  (2 modes + lags + 1,)  log frequency of modes, log damping, log frequency of lags, delay
+    shape  (shapes,)  log frequency of modes, log damping, log frequency of lags, delay
 
     A mode's columns are those of its gain g and of h w.
     """

@@ -114,7 +114,7 @@ def cut_periods(
 
 
 def _by_period(channels: list[Array], period_samples: int) -> Array:
-    """(realisations, channels, periods * samples) -> (samples, channels, realisations, periods)."""
+    """(realisations, channels, all samples) -> (samples, channels, realisations, periods)."""
     whole = np.stack(channels)
     cut = whole.reshape(*whole.shape[:2], -1, period_samples)
     return np.ascontiguousarray(cut.transpose(3, 1, 0, 2))

@@ -35,7 +35,7 @@ def estimate_response(
     least_coherence  below, an output's line is rejected; so are single lines whose residual
                      stands out of their neighbourhood, where something else interferes
 
-    Orthogonal multisines (see ``piezoid.records.excitation``) keep U U^H well conditioned. With
+    Orthogonal multisines (see ``piezoid.records.multisine``) keep U U^H well conditioned. With
     as many realisations as inputs distortion cannot be seen; with one period, noise cannot be
     told from it and all variance is called distortion.
     """
@@ -89,6 +89,8 @@ def _output_variances(
 ) -> tuple[Array, Array, float, NDArray[np.bool_]]:
     """Variances of an output's mean over periods: in all, and from noise alone, (lines, outputs).
 
+    Noise is smoothed over neighbouring lines as it is, distortion as a share of the output's
+    power: born before the dynamics, it peaks where they do, more sharply than the smoothing.
     Then the number of complex degrees of freedom behind the first, and where single lines stand
     out of their neighbourhood; those do not raise the variance of the lines around them.
     """
@@ -104,13 +106,12 @@ def _output_variances(
     if freedom:
         total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
     level, is_interference = _standing_out(total, freedom or noise_freedom)
-    total = smoothed(np.where(is_interference, level, total), width)
-    return (
-        total,
-        smoothed(noise, width),
-        float(width * (freedom or noise_freedom)),
-        is_interference,
-    )
+    total = np.where(is_interference, level, total)
+    power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
+    distortion = smoothed(total - noise, width) / smoothed(power, width) * power
+    noise = smoothed(noise, width)
+    whole = noise + np.maximum(distortion, 0.0)
+    return whole, noise, float(width * (freedom or noise_freedom)), is_interference
 
 
 def _standing_out(variance: Array, freedom: int) -> tuple[Array, NDArray[np.bool_]]:

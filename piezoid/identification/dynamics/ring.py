@@ -26,7 +26,7 @@ class Ring:
     damping_interval       (modes, 2)   95 %
     amplitude_m            (modes,)     a, at the first sample
     residual_rms_m         scalar       what the modes and the trend leave
-    residual_correlation   scalar       between neighbouring residuals; near zero if nothing is left
+    residual_correlation   scalar       of neighbouring residuals; near zero if nothing is left
     samples                how many were used
     """
 
@@ -92,7 +92,8 @@ def identify_ring(
             remedy="Record longer after the step, or ask for fewer modes.",
         )
     time_s = np.arange(len(y)) / sampling_rate_Hz
-    trend = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(y)), trend_degree)
+    across = np.linspace(-1, 1, len(y))
+    trend = np.polynomial.legendre.legvander(across, trend_degree).astype(np.float64)
     shape = _subspace_start(y, trend, sampling_rate_Hz, modes)
     shape = _least_squares(y, time_s, trend, shape)
     return _ring(y, time_s, trend, shape)
@@ -145,7 +146,7 @@ def _subspace_start(y: Array, trend: Array, rate_Hz: float, modes: int) -> Array
     damping = np.clip(-upper.real / w, 1e-4, 0.9)
     strength = _amplitudes(flat, np.arange(len(y)) / rate_Hz, trend, np.log([w, damping]))
     kept = np.argsort(-strength)[:modes]
-    return np.log(np.concatenate([w[kept], damping[kept]]))
+    return np.asarray(np.log(np.concatenate([w[kept], damping[kept]])), dtype=np.float64)
 
 
 def _columns(time_s: Array, trend: Array, shape: Array) -> Array:
@@ -159,7 +160,7 @@ def _columns(time_s: Array, trend: Array, shape: Array) -> Array:
 def _amplitudes(y: Array, time_s: Array, trend: Array, shape: Array) -> Array:
     gains = np.linalg.lstsq(_columns(time_s, trend, shape), y, rcond=None)[0]
     cosine, sine = gains[trend.shape[1] :].reshape(2, -1)
-    return np.hypot(cosine, sine)
+    return np.asarray(np.hypot(cosine, sine), dtype=np.float64)
 
 
 def _projected(y: Array, time_s: Array, trend: Array, shape: Array) -> tuple[Array, Array]:
@@ -218,9 +219,10 @@ def _ring(y: Array, time_s: Array, trend: Array, shape: Array) -> Ring:
 
 
 def _check_known(spread: Array, modes: int) -> None:
-    if not (spread < np.log(UNKNOWN_FACTOR)).all():
+    worst = float(np.exp(min(float(spread.max()), 99.0)))
+    if not worst < UNKNOWN_FACTOR:
         raise IdentificationError(
-            f"with {modes} modes, one of them is known to a factor {np.exp(min(float(spread.max()), 99.0)):.2g} only",
+            f"with {modes} modes, one of them is known to a factor {worst:.2g} only",
             needed=f"each frequency and damping known to a factor of {UNKNOWN_FACTOR:g}",
             remedy="Ask for fewer modes, or start closer to the step.",
         )

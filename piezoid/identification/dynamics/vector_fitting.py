@@ -81,7 +81,7 @@ def _relocate(
         sigma = -g[:, None] * np.concatenate([fractions, one], axis=1)
         whole = stacked(np.concatenate([numerator, sigma], axis=1) * w[:, None])
         known = numerator.shape[1]
-        triangles.append(np.linalg.qr(whole, mode="r")[known:, known:])
+        triangles.append(np.asarray(np.linalg.qr(whole, mode="r"))[known:, known:])
     c, d = _sigma(triangles, fractions, float(np.linalg.norm(weight * np.abs(response))))
     return _zeros_of_sigma(poles, c, d)
 

@@ -15,6 +15,7 @@ from piezoid.identification.hysteresis.loops import Loop, loops_of
 from piezoid.identification.hysteresis.order import Choice, folds_of, held_out_error
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
@@ -24,18 +25,14 @@ UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody sh
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
 
 
-def reason_against(
+def reason_in_fit(
     pieces: Sequence[Piece],
     choice: Choice,
     settings: Settings,
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Return why the class does not apply, or an empty text."""
-    return (
-        _crossing_or_turning(pieces)
-        or _only_lag(pieces, choice, settings, progress)
-        or _unexplained(pieces, choice)
-    )
+    """Return why the best fit is not to be believed, or an empty text."""
+    return _only_lag(pieces, choice, settings, progress) or _unexplained(pieces, choice)
 
 
 def _loops(piece: Piece) -> tuple[Loop, ...]:
@@ -44,30 +41,47 @@ def _loops(piece: Piece) -> tuple[Loop, ...]:
     return loops_of(drive, piece.response[rows], max(6 * white_noise_rms(drive), 0.02))
 
 
-def _crossing_or_turning(pieces: Sequence[Piece]) -> str:
+def reason_in_loops(pieces: Sequence[Piece]) -> str:
+    """Return what in the loops themselves, before any fit, rules the class out."""
     for piece in pieces:
         loops = [loop for loop in _loops(piece) if loop.span > 0.4]
-        if not loops:
-            continue
-        noise = white_noise_rms(piece.response)
-        height = float(np.ptp(piece.response[piece.first : piece.last]))
-        opening = np.median([loop.opening for loop in loops], axis=0)
-        rise = np.median([loop.rise for loop in loops], axis=0)
-        drop = float((np.maximum.accumulate(rise) - rise).max())
-        if drop > TURNING * height + 6 * noise:
-            return (
-                f"{piece.name}: the displacement turns back by {100 * drop / height:.1f} % of its "
-                "range while the drive goes on rising; no branch of this operator does that"
-            )
-        wrong, widest = float(-opening.min()), float(np.abs(opening).max())
-        if wrong > max(CROSSING * widest, 8 * noise) and widest > WIDE * height / 2:
-            share = 100 * wrong / height
-            return (
-                f"{piece.name}: the loop opens the wrong way by {share:.2f} % of the range "
-                f"(widest opening {100 * widest / height:.2f} %): the displacement leads the "
-                "drive over part of the loop, as no sum of plays can"
-            )
+        if loops:
+            height = float(np.ptp(piece.response[piece.first : piece.last]))
+            noise = white_noise_rms(piece.response)
+            against = _turning(loops, height, noise) or _crossing(loops, height, noise)
+            if against:
+                return f"{piece.name}: {against}"
     return ""
+
+
+def _turning(loops: Sequence[Loop], height: float, noise: float) -> str:
+    rise, doubt = _typical([loop.rise - loop.rise.mean() for loop in loops])
+    drop = float((np.maximum.accumulate(rise) - rise).max())
+    if drop <= TURNING * height + 6 * noise + 3 * doubt:
+        return ""
+    return (
+        f"the displacement turns back by {100 * drop / height:.1f} % of its range while the drive "
+        "goes on rising; no branch of this operator does that"
+    )
+
+
+def _crossing(loops: Sequence[Loop], height: float, noise: float) -> str:
+    opening, doubt = _typical([loop.opening for loop in loops])
+    wrong, widest = float(-opening.min()), float(np.abs(opening).max())
+    if wrong <= max(CROSSING * widest, 8 * noise, 3 * doubt) or widest <= WIDE * height / 2:
+        return ""
+    return (
+        f"the loop opens the wrong way by {100 * wrong / height:.2f} % of the range (widest "
+        f"opening {100 * widest / height:.2f} %): the displacement leads the drive over part of "
+        "the loop, as no sum of plays can"
+    )
+
+
+def _typical(curves: Sequence[Array]) -> tuple[Array, float]:
+    """Return the median curve and how far the curves scatter about it, as a standard error."""
+    median = np.median(curves, axis=0)
+    scatter = float(np.sqrt(np.mean((np.array(curves) - median) ** 2)))
+    return np.asarray(median), scatter / float(np.sqrt(len(curves)))
 
 
 def _only_lag(

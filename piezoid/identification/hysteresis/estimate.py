@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.applicability import reason_against
+from piezoid.identification.hysteresis.applicability import reason_in_fit, reason_in_loops
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
@@ -74,8 +74,11 @@ def estimate_axis(
     """
     ready = _prepare(recordings, axis, rig, progress)
     choosing = replace(ready.settings, rows=CHOOSING_ROWS, iterations=15)
-    choice = choose_shape(ready.pieces, choosing, orders=orders, progress=progress)
-    against = reason_against(ready.pieces, choice, choosing, progress)
+    against = reason_in_loops(ready.pieces)
+    # Where the loops rule the class out, one small fit is enough to show how wrong it is.
+    tried = orders[:1] if against else orders
+    choice = choose_shape(ready.pieces, choosing, orders=tried, progress=progress)
+    against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
     progress("held-out error of the chosen shape")
     residual = held_out_residual(ready.pieces, choice.shape, ready.settings)
     progress("final fit")

@@ -170,9 +170,8 @@ def _recentred(
     real = psi.threshold[psi.threshold != 0.0] - constant
     slope = np.delete(psi.slope, psi.zero)
     inside = int(np.searchsorted(real, 0.0))
-    # A kink that falls on the new origin would break the ladder of gaps: nudge it outwards.
-    real[:inside] = np.minimum(real[:inside], -0.01)
-    real[inside:] = np.maximum(real[inside:], 0.01)
+    real[:inside] = -_spread(-real[:inside][::-1])[::-1]
+    real[inside:] = _spread(real[inside:])
     knot = np.concatenate([real[:inside], [0.0], real[inside:]])
     slope = np.concatenate([slope[: inside + 1], slope[inside:]])
     centre = slope[inside]
@@ -187,6 +186,12 @@ def _recentred(
     )
     offset = float(psi.run(np.array([constant]))[0])
     return operator, offset
+
+
+def _spread(outward: Array) -> Array:
+    """Return kinks at least a hundredth apart from the origin and from each other."""
+    ladder = 0.01 * np.arange(1, len(outward) + 1)
+    return np.asarray(np.maximum.accumulate(np.maximum(outward - ladder, 0.0)) + ladder)
 
 
 def linear_start(pieces: Sequence[Piece], lag_s: float) -> Start:

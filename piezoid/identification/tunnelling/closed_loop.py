@@ -23,15 +23,12 @@ from piezoid.identification.tunnelling.instrument_fit import (
 )
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
-from piezoid.identification.tunnelling.loop_spectra import (
-    LoopSpectra,
-    spectra_of_all,
-    spectra_of_dither,
-)
+from piezoid.identification.tunnelling.loop_spectra import spectra_of_all, spectra_of_dither
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
+_FLAT_SHARE = 0.02  # of the sampling rate: the plant's poles of kilohertz leave it flat below
 _WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the gain's interval
 _MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
 
@@ -49,7 +46,7 @@ class ClosedLoopFit:
     decay_per_m            gain over the drive's extension per volt
     barrier_eV             (k / 10.246 nm^-1)^2
     barrier_interval_eV    95 %, the uncertainty of the extension per volt included
-    naive_gain             nepers per volt, from S_yu / S_uu
+    naive_gain             nepers per volt, median of |S_yu / S_uu| below a fiftieth of the rate
     naive_reason           why it is what it is
     dither_share           gamma^2 over all lines: how much of the drive's power is dither
     confidence, reasons    how far to trust it
@@ -108,7 +105,7 @@ def identify_closed_loop(
         amplifier_pole_Hz=amplifier_pole_Hz,
         sampling_rate_Hz=record.sampling_rate_Hz,
     )
-    naive_gain, share = _naive(record, amplifier_pole_Hz)
+    naive_gain, share = _naive(record)
     low, high = _intervals(fit, spectra.blocks)
     decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
     half = math.hypot(high[0] - fit.logs[0], 1.96 * drive_gain_relative_uncertainty)
@@ -136,25 +133,21 @@ def identify_closed_loop(
     )
 
 
-def _naive(record: LoopRecord, amplifier_pole_Hz: float) -> tuple[float, float]:
-    """The gain of a plain transfer function, and the dither's share of the drive's power."""
-    spectra: LoopSpectra = spectra_of_all(
-        record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz
-    )
-    fit = fit_with_instrument(
-        spectra,
-        spectra.drive,
-        amplifier_pole_Hz=amplifier_pole_Hz,
-        sampling_rate_Hz=record.sampling_rate_Hz,
-    )
-    return fit.plant.gain_nepers_per_V, spectra.dither_share
+def _naive(record: LoopRecord) -> tuple[float, float]:
+    """The gain a plain transfer function shows where the plant is flat, and the dither's share."""
+    rate_Hz = record.sampling_rate_Hz
+    spectra = spectra_of_all(record, highest_Hz=_HIGHEST_SHARE * rate_Hz)
+    cross = np.sum(spectra.output * spectra.drive.conj(), axis=0)
+    plain = np.abs(cross) / np.maximum(np.sum(np.abs(spectra.drive) ** 2, axis=0), 1e-300)
+    flat = spectra.frequency_Hz <= _FLAT_SHARE * rate_Hz
+    return float(np.median(plain[flat])), spectra.dither_share
 
 
 def _naive_reason(error: float, share: float) -> str:
     return (
         f"{100.0 * share:.0f} % of the drive's movement is dither; the rest is converter steps "
         "and the controller's answer to noise, which mixes minus the controller's inverse into "
-        f"the plain output-over-drive estimate: here its gain is off by {100.0 * error:+.0f} %"
+        f"the plain transfer function: at low frequency its gain is off by {100.0 * error:+.0f} %"
     )
 
 

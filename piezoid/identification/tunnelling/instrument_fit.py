@@ -3,9 +3,9 @@
     m_k(theta) = mean over blocks of  (Y_bk - G_theta(w_k) U_bk) Z_bk*
 
 With Z the external dither the noise in the bracket is uncorrelated with it, loop or no loop, and
-the m_k vanish at the true plant [Soderstrom & Stoica 1983, instrumental variables]. With Z = U,
-the plain transfer function, they do not: U answers to the noise through the controller. For a
-periodic dither the moments are those of the ratio of mean output to mean drive.
+the m_k vanish at the true plant [Soderstrom & Stoica 1983, instrumental variables]. With Z = U
+they would not: U answers to the noise through the controller. For a periodic dither the moments
+are those of the ratio of mean output to mean drive.
 """
 
 import math
@@ -53,7 +53,7 @@ def fit_with_instrument(
     """Return the plant at which the moments with an instrument vanish as well as they can.
 
     spectra     of the loop
-    instrument  (blocks, lines)  the reference for the truth, the drive for the naive estimate
+    instrument  (blocks, lines)  the reference
 
     Moments are weighted by their variance over blocks; gain and pole are kept positive by their
     logarithms; the delay is sought from several starts, because a phase repeats.
@@ -173,11 +173,19 @@ class _Moments:
         return np.column_stack(columns)
 
     def covariance(self, logs: Array, deviation: Array) -> Array:
-        """Sandwich over blocks: each block's pull on the estimate, squared and summed."""
+        """Sandwich over blocks: each block's pull on the estimate, squared and summed.
+
+        Few blocks make it uncertain, so that no variance is taken below the one expected of
+        moments of unit variance, (J' J)^-1.
+        """
         response = self.plant(logs).frequency_response(self.spectra.frequency_Hz)
         moments = self.block_moments(response) / deviation
         moments = moments - moments.mean(axis=0)
         parts = np.concatenate([moments.real, moments.imag], axis=1)
-        pulls = parts @ np.linalg.pinv(self.jacobian(logs, deviation)).T / len(parts)
-        covariance: Array = pulls.T @ pulls * len(parts) / (len(parts) - 1)
+        inverse = np.linalg.pinv(self.jacobian(logs, deviation))
+        pulls = parts @ inverse.T / len(parts)
+        sandwich = pulls.T @ pulls * len(parts) / (len(parts) - 1)
+        expected = inverse @ inverse.T
+        stretch = np.sqrt(np.maximum(np.diag(expected) / np.diag(sandwich), 1.0))
+        covariance: Array = sandwich * np.outer(stretch, stretch)
         return covariance

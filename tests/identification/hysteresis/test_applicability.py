@@ -1,0 +1,64 @@
+"""Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
+
+import numpy as np
+
+from piezoid.identification.fit import fit
+from tests.identification.hysteresis.stages import (
+    RATE_Hz,
+    decaying,
+    first_order_lag,
+    play_sum,
+    recording,
+    wandering,
+)
+
+
+def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
+    return values + np.random.default_rng(seed).normal(0, 3e-9, len(values))
+
+
+def test_a_wide_loop_that_is_only_lag_is_called_lag() -> None:
+    drive = decaying(15, per_unit=20)
+    model = fit([recording(drive, noisy(first_order_lag(1e-6 * drive, 0.016, RATE_Hz)))])["x"]
+    assert not model.verdict.applies
+    assert "phase lag, not hysteresis" in model.verdict.reason
+    assert "16 ms" in model.verdict.reason
+
+
+def test_hysteresis_behind_the_same_lag_is_not_called_lag() -> None:
+    drive = decaying(15, per_unit=20)
+    plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
+    model = fit([recording(drive, noisy(first_order_lag(1e-6 * plays, 0.016, RATE_Hz)))])["x"]
+    assert model.verdict.applies
+
+
+def test_a_butterfly_loop_is_refused() -> None:
+    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
+    model = fit([recording(drive, noisy(1e-7 * plays**2 + 1e-8 * plays))])["x"]
+    assert not model.verdict.applies
+    assert "turns back" in model.verdict.reason
+
+
+def test_a_loop_that_opens_the_wrong_way_is_refused() -> None:
+    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    leading = play_sum(drive, np.array([0.0, 1.0]), np.array([1.3, -0.3]), np.zeros(2))
+    model = fit([recording(drive, noisy(1e-6 * leading))])["x"]
+    assert not model.verdict.applies
+    assert "wrong way" in model.verdict.reason
+
+
+def test_a_response_made_of_something_else_is_refused() -> None:
+    rng = np.random.default_rng(3)
+    drive = wandering(rng, 30)
+    walk = np.cumsum(rng.normal(0, 1, len(drive)))
+    response = 1e-6 * drive + 4e-6 * (walk - walk.mean()) / np.ptp(walk)
+    model = fit([recording(drive, response)])["x"]
+    assert not model.verdict.applies
+    assert "of the displacement range on held-out data" in model.verdict.reason
+
+
+def test_ordinary_hysteresis_passes_every_check() -> None:
+    drive = decaying(20)
+    plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
+    assert fit([recording(drive, noisy(1e-6 * plays))])["x"].verdict.applies

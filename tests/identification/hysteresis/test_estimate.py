@@ -1,0 +1,166 @@
+"""From recordings to a model: known truths come back, and what cannot be known is said."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.fit import fit
+from piezoid.identification.model import AxisModel
+from piezoid.identification.store import read_model, write_model
+from piezoid.numerics.arrays import Array
+from tests.identification.hysteresis.stages import (
+    RATE_Hz,
+    decaying,
+    first_order_lag,
+    play_sum,
+    recording,
+    wandering,
+)
+
+ORDERS = ((4, 0), (8, 2))
+THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6, 3.9])
+WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.2]) * 1e-6
+NOISE_m = 3e-9
+
+
+def psi(h: Array) -> Array:
+    """A kinked curve: 20 % steeper above 3 um, flatter below -4 um."""
+    return np.where(h > 3e-6, h + 0.2 * (h - 3e-6), np.where(h < -4e-6, h - 0.15 * (h + 4e-6), h))
+
+
+def stage(drive: Array, rng: np.random.Generator, lag_s: float = 0.004) -> Array:
+    """Plays with an unknown past, kinks, a lag, an offset, noise."""
+    memory = np.clip(rng.normal(0, 1, 5), drive[0] - THRESHOLD, drive[0] + THRESHOLD)
+    static = psi(play_sum(drive, THRESHOLD, WEIGHT, memory))
+    lagged = first_order_lag(static, lag_s, RATE_Hz)
+    return lagged + rng.normal(0, 1e-6) + rng.normal(0, NOISE_m, len(drive))
+
+
+@cache
+def fitted() -> AxisModel:
+    rng = np.random.default_rng(4)
+    drives = {"decaying.csv": decaying(), "wandering.csv": wandering(rng)}
+    recordings = [recording(u, stage(u, rng), name) for name, u in drives.items()]
+    return fit(recordings)["x"]
+
+
+def test_error_on_another_excitation_is_near_the_noise() -> None:
+    model = fitted()
+    assert model.verdict.applies
+    assert model.quality.held_out_rms_m < 2 * NOISE_m  # 0.02 % of the stroke
+    assert model.quality.noise_rms_m == pytest.approx(NOISE_m, rel=0.15)
+    assert model.quality.held_out_kind == "other recordings"
+
+
+def test_the_lag_is_the_lag_of_the_stage() -> None:
+    assert fitted().lag.time_s == pytest.approx(0.004, abs=2e-4)
+
+
+def test_loading_curve_lies_within_its_interval_of_the_truth() -> None:
+    found = fitted().uncertainty
+    true_m = np.maximum(found.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT
+    # Psi's slope at the origin is 1 in both, so the curves may be compared.
+    inside = np.abs(found.loading_m - true_m) <= found.loading_half_m + 2e-3 * true_m
+    assert inside.mean() > 0.9
+    assert (found.loading_half_m[1:] < 0.1 * found.loading_m[1:]).all()
+
+
+def test_the_fitted_model_has_an_exact_inverse_from_its_own_memory() -> None:
+    model = fitted().hysteresis
+    memory = fitted().starts[1].memory_V
+    u = wandering(np.random.default_rng(8), 15)
+    y, _ = model.run(u, memory)
+    np.testing.assert_allclose(model.inverse_run(y, memory)[0], u, atol=1e-9)
+
+
+def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
+    model = fitted()
+    rng = np.random.default_rng(6)
+    u = np.clip(wandering(rng, 40), -4.9, 4.9)
+    truth = psi(play_sum(u, THRESHOLD, WEIGHT, np.zeros(5)))
+    own, _ = model.hysteresis.run(u, np.zeros(len(model.hysteresis.plays.weight)))
+    error = own - truth
+    assert np.abs(error - np.median(error)).max() < model.certificate.bound_m
+    assert model.certificate.bound_m < 0.1 * model.quality.range_m
+
+
+def test_model_json_comes_back_with_every_bit() -> None:
+    rng = np.random.default_rng(5)
+    u = decaying(15)
+    model = fit([recording(u, stage(u, rng))])
+    content = write_model(model)
+    again = read_model(content)
+    assert write_model(again) == content
+    drive = wandering(rng, 10)
+    memory = model["x"].starts[0].memory_V
+    np.testing.assert_array_equal(
+        again["x"].simulate(drive, RATE_Hz, memory), model["x"].simulate(drive, RATE_Hz, memory)
+    )
+
+
+def test_the_same_recordings_give_the_same_bytes() -> None:
+    rng = np.random.default_rng(5)
+    u = decaying(12)
+    one = recording(u, stage(u, rng))
+    assert write_model(fit([one])) == write_model(fit([one]))
+
+
+def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> None:
+    rng = np.random.default_rng(7)
+    u = decaying(15)
+    y = stage(u, rng)
+    rising, falling = fit([recording(u, y)])["x"], fit([recording(u, -y)])["x"]
+    assert (rising.polarity, falling.polarity) == (1, -1)
+    np.testing.assert_allclose(
+        falling.hysteresis.plays.weight, rising.hysteresis.plays.weight, rtol=1e-6
+    )
+    drive = decaying(8)
+    memory = rising.virgin_memory_V
+    np.testing.assert_allclose(
+        falling.simulate(drive, RATE_Hz, memory),
+        -rising.simulate(drive, RATE_Hz, memory),
+        atol=1e-12,
+    )
+
+
+def test_a_transient_from_before_the_record_is_left_out_and_said() -> None:
+    rng = np.random.default_rng(9)
+    u = np.tile(decaying(2, per_unit=40)[:-1], 12)
+    y = stage(u, rng)
+    y[:30] -= 8e-6 * np.exp(-np.arange(30) / 6)
+    model = fit([recording(u, y)])["x"]
+    assert model.starts[0].first > 0
+    assert any("left out" in remark for remark in model.verdict.remarks)
+    assert model.quality.held_out_rms_m < 2 * NOISE_m
+
+
+def test_slow_motion_of_the_zero_does_not_bend_the_loop() -> None:
+    u = np.tile(decaying(2, per_unit=40)[:-1], 24)
+    drift = 2e-7 * np.linspace(0, 1, len(u)) ** 0.5
+    still, moving = (
+        fit([recording(u, stage(u, np.random.default_rng(1)) + part)])["x"]
+        for part in (0.0 * drift, drift)
+    )
+    assert any("zero moves" in remark for remark in moving.verdict.remarks)
+    width = [model.uncertainty.loop_width_m[0] for model in (still, moving)]
+    assert abs(width[1] - width[0]) < 0.01 * width[0]
+
+
+def test_a_drive_that_never_moves_is_refused() -> None:
+    with pytest.raises(ExcitationError, match="never changes"):
+        fit([recording(np.ones(200), np.linspace(0, 1e-6, 200))])
+
+
+def test_recordings_without_displacement_are_refused_naming_what_they_hold() -> None:
+    one = recording(decaying(6), decaying(6) * 1e-6)
+    lonely = type(one)(
+        name="a.csv",
+        digest="",
+        axis="x",
+        sampling_rate_Hz=RATE_Hz,
+        channels=one.channels[:1],
+    )
+    with pytest.raises(ExcitationError, match="only voltage is recorded"):
+        fit([lonely])

@@ -1,0 +1,90 @@
+"""Every tangent is the derivative it claims to be, whatever filter stands behind it."""
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.rows import rows_of, simulate
+from piezoid.numerics.arrays import Array
+from tests.identification.hysteresis.stages import RATE_Hz, first_order_lag, play_sum, wandering
+
+STEP = 1e-6
+KINKS = 0.02  # share of samples that may sit on a kink of the model within a step
+
+
+def drawn_piece(rng: np.random.Generator) -> Piece:
+    drive = wandering(rng, 30, top=1.0)
+    return Piece(
+        name="a",
+        recording=0,
+        sampling_rate_Hz=RATE_Hz,
+        drive=drive,
+        response=rng.normal(0, 0.1, len(drive)),
+        centre_m=0.0,
+        first=7,
+        last=len(drive) - 5,
+    )
+
+
+def drawn_vector(rng: np.random.Generator, coordinates: Coordinates) -> Array:
+    theta = rng.uniform(0.1, 0.3, coordinates.total)
+    place = coordinates.slices
+    for name in ("below_slope", "above_slope", "below_envelope", "above_envelope"):
+        theta[place[name]] = rng.uniform(0.7, 1.3, place[name].stop - place[name].start)
+    theta[place["lag"]] = 3.3 / RATE_Hz
+    for piece in range(len(coordinates.offsets)):
+        memory = coordinates.memory_slice(piece)
+        theta[memory] = rng.uniform(-0.9, 0.9, memory.stop - memory.start)
+    return theta
+
+
+@pytest.mark.parametrize("lag", ["none", "delay", "first_order"])
+@pytest.mark.parametrize("sensor_Hz", [None, 60.0])
+@pytest.mark.parametrize("stride", [1, 4])
+@pytest.mark.parametrize("bends", [0, 2])
+def test_tangents_are_finite_differences_of_the_simulation(
+    rng: np.random.Generator, lag: str, sensor_Hz: float | None, stride: int, bends: int
+) -> None:
+    coordinates = Coordinates(
+        shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
+    )
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    rows = list(rows_of(theta, coordinates, 0, piece, sensor_pole=sensor_Hz, stride=stride))
+    tangent = np.vstack([part.tangent for part in rows])
+    sample = np.concatenate([part.sample for part in rows])
+    assert set(np.diff(sample)) == {stride}
+    for j in range(coordinates.total):
+        step = STEP * np.eye(coordinates.total)[j]
+        up = simulate(theta + step, coordinates, 0, piece, sensor_Hz)
+        down = simulate(theta - step, coordinates, 0, piece, sensor_Hz)
+        wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
+        assert wrong.mean() < KINKS, f"column {j}"
+
+
+@pytest.mark.parametrize("stride", [1, 5])
+def test_residual_is_simulation_minus_measurement(rng: np.random.Generator, stride: int) -> None:
+    coordinates = Coordinates(shape=Shape(plays=3, below=1, above=1), offsets=(2,))
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    output = simulate(theta, coordinates, 0, piece, None)
+    for part in rows_of(theta, coordinates, 0, piece, sensor_pole=None, stride=stride):
+        late = part.sample >= 5  # the first samples of a thinned delay are not computed
+        expected = output[part.sample] - piece.response[part.sample]
+        np.testing.assert_allclose(part.residual[late], expected[late], atol=1e-13)
+
+
+def test_simulation_equals_plays_by_definition_behind_a_lag(rng: np.random.Generator) -> None:
+    coordinates = Coordinates(
+        shape=Shape(plays=3, below=0, above=0, lag="first_order"), offsets=(1,)
+    )
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    theta[coordinates.slices["lag"]] = 0.02
+    operator = operator_of(theta, coordinates)
+    slopes = theta[coordinates.memory_slice(0)]
+    memory = piece.drive[0] + np.concatenate([[0.0], np.cumsum(operator.gap * slopes)])
+    threshold = np.concatenate([[0.0], operator.threshold])
+    static = play_sum(piece.drive, threshold, operator.weight, memory)
+    lagged = first_order_lag(static, 0.02, RATE_Hz)
+    zero = theta[coordinates.offset_slice(0)][0]
+    output = simulate(theta, coordinates, 0, piece, None)
+    np.testing.assert_allclose(output, lagged + zero, atol=2e-4)

@@ -1,0 +1,55 @@
+"""The convex start finds what is there, and another solver agrees with its program."""
+
+import numpy as np
+
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.start import find_lag, kuhnen_start
+from piezoid.numerics.arrays import Array
+from tests.identification.hysteresis.stages import (
+    RATE_Hz,
+    decaying,
+    first_order_lag,
+    play_sum,
+    recording,
+)
+
+THRESHOLD = 5.0 * np.arange(5) / 5.0
+WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.1]) * 1e-6
+
+
+def made(drive: Array) -> Array:
+    return play_sum(drive, THRESHOLD, WEIGHT, np.full(5, drive[0]))
+
+
+def test_weights_on_the_right_thresholds_are_found_exactly() -> None:
+    drive = decaying()
+    one = recording(drive, made(drive))
+    scales = scales_of([one], "x")
+    pieces = pieces_of([one], "x", scales, Rig())
+    start = kuhnen_start(pieces, Shape(plays=4, below=0, above=0), 0.0)
+    weight = start.operator.weight * abs(scales.displacement_m) / scales.voltage_V
+    np.testing.assert_allclose(weight, WEIGHT, rtol=1e-6)
+    np.testing.assert_allclose(start.operator.threshold * scales.voltage_V, THRESHOLD[1:])
+    assert start.kkt_gap < 1e-9
+
+
+def test_the_lag_of_the_quick_model_is_the_lag_of_the_data() -> None:
+    drive = decaying()
+    for lag_s in (0.0, 0.011):
+        late = first_order_lag(made(drive), max(lag_s, 1e-6), RATE_Hz)
+        one = recording(drive, late)
+        pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
+        found = find_lag(pieces, "first_order", 0.05)
+        assert abs(found - lag_s) < 5e-4
+
+
+def test_a_lag_that_is_not_removed_corrupts_the_weights() -> None:
+    drive = decaying()
+    one = recording(drive, first_order_lag(made(drive), 0.02, RATE_Hz))
+    scales = scales_of([one], "x")
+    pieces = pieces_of([one], "x", scales, Rig())
+    with_lag = kuhnen_start(pieces, Shape(plays=4, below=0, above=0), 0.02).operator.weight
+    without = kuhnen_start(pieces, Shape(plays=4, below=0, above=0), 0.0).operator.weight
+    true = WEIGHT * scales.voltage_V / abs(scales.displacement_m)
+    assert np.abs(with_lag - true).max() < 0.2 * np.abs(without - true).max()

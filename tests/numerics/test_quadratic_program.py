@@ -1,0 +1,80 @@
+"""Small convex programs: two solvers that share no code give the same answer."""
+
+import daqp
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+from piezoid.errors import InfeasibleFitError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import bounded_step, constrained_least_squares
+from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.operators.play import play_columns
+
+
+def play_problem(rng: np.random.Generator, plays: int) -> tuple[Array, Array]:
+    """Regressors whose Gram matrix is nearly singular, as plays' are."""
+    t = np.linspace(0, 1, 20000)
+    drive = (1 - t) * np.sin(40 * np.pi * t)
+    columns, _ = play_columns(drive, np.arange(plays) / plays, np.zeros(plays))
+    weight = np.where(rng.random(plays) < 0.3, 0.0, rng.uniform(0, 1, plays))
+    return columns, columns @ weight + rng.normal(0, 1e-3, len(drive))
+
+
+def reduced(columns: Array, target: Array) -> tuple[Array, Array]:
+    triangle = empty_triangle(columns.shape[1] + 1)
+    for chunk in np.array_split(np.column_stack([columns, target]), 7):
+        triangle = gather(triangle, chunk)
+    return triangle[:, :-1], triangle[:, -1]
+
+
+@pytest.mark.parametrize("plays", [20, 40])
+def test_nonnegative_weights_agree_with_nnls_on_all_rows(
+    rng: np.random.Generator, plays: int
+) -> None:
+    columns, target = play_problem(rng, plays)
+    reference = nnls(columns, target)[0]
+    factor, right = reduced(columns, target)
+    none, zero = np.full(plays, np.inf), np.zeros(plays)
+    program = constrained_least_squares(factor, right, np.eye(plays), zero, none)
+    # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
+    np.testing.assert_allclose(program.x, reference, atol=1e-6)
+    assert program.kkt_gap < 1e-10
+    np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
+
+
+def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint = rng.normal(size=(5, 8))
+    lower, upper = np.full(5, -0.02), np.array([0.02, 0.02, np.inf, 0.01, np.inf])
+    program = constrained_least_squares(factor, right, constraint, lower, upper)
+    other, _, flag, _ = daqp.solve(
+        factor.T @ factor,
+        -factor.T @ right,
+        constraint,
+        np.where(np.isinf(upper), 1e30, upper),
+        lower,
+        np.zeros(5, dtype=np.int32),
+    )
+    assert flag == 1
+    np.testing.assert_allclose(program.x, other, atol=1e-8)
+
+
+def test_contradicting_constraints_are_refused() -> None:
+    constraint = np.array([[1.0], [1.0]])
+    with pytest.raises(InfeasibleFitError, match="infeasible"):
+        constrained_least_squares(
+            np.eye(1), np.ones(1), constraint, np.array([1.0, -np.inf]), np.array([np.inf, 0.0])
+        )
+
+
+def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
+    rng: np.random.Generator,
+) -> None:
+    rows = rng.normal(size=(1000, 6))
+    triangle = empty_triangle(6)
+    for chunk in np.array_split(rows, 13):
+        triangle = gather(triangle, chunk)
+    x = rng.normal(size=6)
+    assert np.linalg.norm(triangle @ x) == pytest.approx(np.linalg.norm(rows @ x), rel=1e-13)
+    assert np.allclose(triangle, np.triu(triangle))
