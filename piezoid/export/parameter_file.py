@@ -7,7 +7,8 @@ sees the numbers that ship and no others.
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,12 +29,14 @@ _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
 class AxisParameters:
     """One axis: its name and every number of the runtime's schema.
 
-    axis    short lower-case name, ``x``
-    values  by name, in the schema's order, full shapes, read-only
+    axis          short lower-case name, ``x``
+    values        by name, in the schema's order, full shapes, read-only; these ship
+    alternatives  the same for further methods, to be compared with; none of them twice
     """
 
     axis: str
     values: Values
+    alternatives: tuple[Values, ...] = ()
 
     def __post_init__(self) -> None:
         if not _AXIS.fullmatch(self.axis):
@@ -43,17 +46,46 @@ class AxisParameters:
                 remedy="Rename the axis in lab.toml.",
             )
         object.__setattr__(self, "values", complete(self.values))
-        for precision in PRECISIONS:
-            library(precision).pack(self.values)
+        object.__setattr__(self, "alternatives", tuple(map(complete, self.alternatives)))
+        every = (self.values, *self.alternatives)
+        for values, precision in product(every, PRECISIONS):
+            library(precision).pack(values)
+        if len({method_of(values) for values in every}) != len(every):
+            raise ParameterFileError(
+                f"axis {self.axis} has two controllers of one method",
+                needed="one for each method",
+                remedy="Leave one of them out.",
+            )
 
     @property
     def method(self) -> str:
         """What the controller of this axis does, one of ``METHODS``."""
-        return METHODS[int(self.values["method"])]
+        return method_of(self.values)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The method that ships, then those to compare it with."""
+        return (self.method, *map(method_of, self.alternatives))
+
+    def for_method(self, method: str) -> "AxisParameters":
+        """Return the axis as it would ship with another of its methods, or refuse."""
+        for values in (self.values, *self.alternatives):
+            if method_of(values) == method:
+                return AxisParameters(axis=self.axis, values=values)
+        raise ParameterFileError(
+            f"axis {self.axis} has no controller of method {method!r}",
+            needed=f"one of {', '.join(self.methods)}",
+            remedy="Design and export that method as well.",
+        )
 
     def with_values(self, changed: Mapping[str, ArrayLike | str]) -> "AxisParameters":
-        """Return the axis with some values replaced, checked again."""
-        return AxisParameters(axis=self.axis, values=complete({**self.values, **changed}))
+        """Return the axis with some of the values that ship replaced, checked again."""
+        return replace(self, values=complete({**self.values, **changed}))
+
+
+def method_of(values: Values) -> str:
+    """Return the name of the method a set of values is for, one of ``METHODS``."""
+    return METHODS[int(values["method"])]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +130,14 @@ def to_json(file: ParameterFile) -> bytes:
             "name": file.name,
             "sources": dict(file.sources),
             "axes": [
-                {"axis": a.axis, "method": a.method, "parameters": _entries(a.values)}
+                {
+                    "axis": a.axis,
+                    "method": a.method,
+                    "parameters": _entries(a.values),
+                    "alternatives": [
+                        {"method": method_of(v), "parameters": _entries(v)} for v in a.alternatives
+                    ],
+                }
                 for a in file.axes
             ],
         },
@@ -121,13 +160,23 @@ def from_json(content: bytes, place: str) -> ParameterFile:
     """
     record = unseal(content, SCHEMA, place)
     try:
-        axes = [(axis["axis"], axis["parameters"]) for axis in record["axes"]]
+        axes = [
+            (a["axis"], a["parameters"], [other["parameters"] for other in a["alternatives"]])
+            for a in record["axes"]
+        ]
         name, sources = str(record["name"]), dict(record["sources"])
     except (KeyError, TypeError) as error:
         raise _incomplete(place, f"no {error}") from error
     return ParameterFile(
         name=name,
-        axes=tuple(AxisParameters(axis=a, values=_values(e, place)) for a, e in axes),
+        axes=tuple(
+            AxisParameters(
+                axis=axis,
+                values=_values(entries, place),
+                alternatives=tuple(_values(other, place) for other in others),
+            )
+            for axis, entries, others in axes
+        ),
         sources=sources,
     )
 

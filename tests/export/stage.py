@@ -38,7 +38,9 @@ def stage(name="stage 42"):
     return ParameterFile(
         name=name,
         axes=(
-            AxisParameters(axis="x", values=lateral("mpi_dob")),
+            AxisParameters(
+                axis="x", values=lateral("mpi_dob"), alternatives=(lateral("mpi"), lateral("none"))
+            ),
             AxisParameters(axis="y", values=lateral("dob")),
             AxisParameters(axis="z", values=tunnelling(lsb_V=20 / 65536)),
         ),

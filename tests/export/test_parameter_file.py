@@ -1,5 +1,6 @@
 """params.json: what comes back is what was written, or nothing does."""
 
+import itertools
 import json
 
 import pytest
@@ -30,10 +31,11 @@ def test_every_number_comes_back_bit_for_bit():
     back = from_json(to_json(original), "params.json")
     assert (back.name, back.sources) == (original.name, original.sources)
     for one, two in zip(original.axes, back.axes, strict=True):
-        assert one.axis == two.axis
-        for parameter in PARAMETERS:
+        assert (one.axis, one.methods) == (two.axis, two.methods)
+        sets = zip((one.values, *one.alternatives), (two.values, *two.alternatives), strict=True)
+        for (first, second), parameter in itertools.product(sets, PARAMETERS):
             name = parameter.name
-            assert one.values[name].tobytes() == two.values[name].tobytes(), name
+            assert first[name].tobytes() == second[name].tobytes(), name
 
 
 def test_the_same_parameters_are_the_same_bytes():
@@ -114,7 +116,20 @@ def test_parameters_the_runtime_cannot_use_do_not_become_a_file():
 
 
 def test_a_method_can_be_exchanged_and_an_axis_asked_for():
-    axis = stage().axis("x").with_values({"method": "none"})
+    axis = stage().axis("y").with_values({"method": "none"})
     assert axis.method == "none"
     with pytest.raises(ParameterFileError, match="x, y, z"):
         stage().axis("w")
+
+
+def test_an_axis_can_be_taken_with_another_of_its_methods():
+    axis = stage().axis("x")
+    assert axis.methods == ("mpi_dob", "mpi", "none")
+    assert axis.for_method("mpi").methods == ("mpi",)
+    with pytest.raises(ParameterFileError, match="mpi_dob, mpi, none"):
+        axis.for_method("dob")
+
+
+def test_two_controllers_of_one_method_are_refused():
+    with pytest.raises(ParameterFileError, match="one method"):
+        AxisParameters(axis="x", values=lateral("dob"), alternatives=(lateral("dob"),))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.runtime.controller import Controller, Status
+from tests.runtime.observer_design import observer_parameters
 from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
 from tests.runtime.runtime_reference import dead_zones, follow
 
@@ -96,8 +97,6 @@ def test_the_reference_is_kept_in_its_range_and_to_its_step():
 @pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
 @pytest.mark.parametrize(("volts", "measured"), [(0.0, 0.0), (2.0, 1.1), (-3.0, 0.4)])
 def test_the_start_does_not_bump(method, volts, measured):
-    from tests.runtime.observer_design import observer_parameters
-
     given = {
         **hysteresis(WORKED, voltage_offset_V=0.5, displacement_offset_m=0.2),
         **{"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES},
@@ -109,3 +108,16 @@ def test_the_start_does_not_bump(method, volts, measured):
     assert started(given, volts, measured).step(measured, measured) == pytest.approx(
         volts, abs=1e-12
     )
+
+
+@pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
+def test_a_stage_that_falls_as_the_drive_rises_is_the_mirrored_one(method, rng):
+    given = {**hysteresis(WORKED), **observer_parameters(), "method": method}
+    reference, measured = rng.normal(0, 1, (2, 200))
+    rising = started({**given, "displacement_offset_m": 0.25}, 0.0, 0.25 + measured[0])
+    falling = started(
+        {**given, "displacement_offset_m": 0.25, "polarity": -1}, 0.0, 0.25 - measured[0]
+    )
+    one = rising.run(0.25 + reference, 0.25 + measured)
+    two = falling.run(0.25 - reference, 0.25 - measured)
+    assert np.abs(one.voltage_V - two.voltage_V).max() < 1e-11

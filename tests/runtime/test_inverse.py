@@ -108,3 +108,33 @@ def test_the_shipped_inverse_and_the_operators_put_out_the_same_codes(rng):
         controller = Controller(hysteresis(model, **limits))
         controller.start(0.0, np.nan)
         assert np.array_equal(controller.run(y, y).voltage_V, expected)
+
+
+def test_an_envelope_in_front_of_the_plays_is_inverted_too(rng):
+    lsb_V = 2.0**-8
+    for _ in range(10):
+        model = random_model(rng, plays=10, knots_each_side=3)
+        front = random_model(rng, plays=2, knots_each_side=4)
+        operator = ModifiedPrandtlIshlinskii(
+            plays=PrandtlIshlinskii(threshold=model["r"], weight=model["w"]),
+            dead_zones=DeadZones(threshold=model["knot"], weight=model["weight"]),
+            envelope=DeadZones(threshold=front["knot"], weight=front["weight"]),
+            voltage_offset_V=0.5,
+        )
+        y = np.cumsum(rng.uniform(-0.3, 0.3, 1000))
+        converter = Converter(minimum_V=-4.0, maximum_V=4.0, lsb_V=lsb_V)
+        memory = follow(0.0, model["r"], model["z"])
+        expected, _ = reference_compensate(operator, y, memory, converter)
+        given = hysteresis(
+            model,
+            envelope_count=9,
+            envelope_knot_V=front["knot"],
+            envelope_weight=front["weight"],
+            voltage_minimum_V=-4.0,
+            voltage_maximum_V=4.0,
+            voltage_offset_V=0.5,
+            lsb_V=lsb_V,
+        )
+        controller = Controller(given)
+        controller.start(0.5, np.nan)
+        assert np.array_equal(controller.run(y, y).voltage_V, expected)

@@ -1,0 +1,205 @@
+"""From a design to the runtime: the same loop, whatever the letters."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezoid.design.feedforward import ReferencePath
+from piezoid.design.observer import disturbance_model, place_observer
+from piezoid.design.plant import Plant
+from piezoid.errors import ParameterFileError
+from piezoid.export.from_design import (
+    TunnellingGuards,
+    lateral_axis,
+    observer_values,
+    rst_values,
+    tunnelling_axis,
+)
+from piezoid.export.parameter_file import ParameterFile, from_json, to_json
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.runtime.controller import Controller
+from tests.runtime.observer_design import RATE_Hz, plant, poles
+from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
+
+GAIN_m_per_V = 3.5e-6
+GUARDS = TunnellingGuards(
+    reference_A=1e-9,
+    floor_A=1e-11,
+    ceiling_A=1e-8,
+    retract_voltage_V=-10.0,
+    retract_samples=100,
+    bad_samples=3,
+)
+
+
+def design_plant(gain=GAIN_m_per_V):
+    """The 630 Hz chain with one sample of delay besides."""
+    A, B, C = plant()
+    denominator = np.poly(A).real
+    impulse = [0.0, 0.0] + [gain * C @ np.linalg.matrix_power(A, k) @ B for k in range(4)]
+    return Plant(
+        label="nominal",
+        sampling_rate_Hz=RATE_Hz,
+        output_unit="m",
+        state_matrix=A,
+        input_taps=np.column_stack([np.zeros(4), B * gain]),
+        output_vector=C,
+        B=np.convolve(impulse, denominator)[:6],
+        A=denominator,
+    )
+
+
+def placed(oscillation_Hz=(), gain=GAIN_m_per_V, form="affine"):
+    model = disturbance_model(RATE_Hz, oscillation_Hz)
+    slow = [poles(f, 0.7) for f in oscillation_Hz]
+    return place_observer(
+        design_plant(gain),
+        feedback_poles=np.r_[poles(630, 0.9), poles([4e3, 8.5e3])],
+        observer_poles=np.concatenate([poles(1200, 0.8), poles([800, 4200, 8600]), *slow]),
+        form=form,
+        disturbance=model,
+    )
+
+
+def as_written(observer, reference, measured):
+    """The loop exactly as the design's docstring writes it, without limits."""
+    x, w = np.zeros(len(observer.A)), np.zeros(len(observer.disturbance.output))
+    c, volts = observer.disturbance.output, []
+    for r, y in zip(reference, measured, strict=True):
+        nu = y - observer.C @ x
+        x, w = x + observer.state_gain * nu, w + observer.disturbance_gain * nu
+        v = observer.reference_gain * r - observer.feedback_gain @ x - c @ w
+        volts.append(v)
+        x = observer.A @ x + observer.B * (v + c @ w)
+        w = observer.disturbance.transition @ w
+    return np.array(volts)
+
+
+@pytest.mark.parametrize("oscillation_Hz", [(), (20.0,), (20.0, 60.0)])
+@pytest.mark.parametrize("gain", [GAIN_m_per_V, -GAIN_m_per_V])
+def test_the_runtime_runs_the_designed_observer(oscillation_Hz, gain, rng):
+    observer = placed(oscillation_Hz, gain)
+    reference, measured = rng.normal(0, 1e-7, (2, 300))
+    given = {**WIDE, **observer_values(observer), "method": "dob", "polarity": np.sign(gain)}
+    controller = Controller(given)
+    controller.start(0.0, 0.0)
+    expected = as_written(observer, reference, measured)
+    found = controller.run(reference, measured).voltage_V
+    assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_a_disturbance_without_a_constant_is_refused():
+    model = disturbance_model(RATE_Hz)
+    observer = placed()
+    swinging = SimpleNamespace(
+        A=observer.A,
+        disturbance=SimpleNamespace(transition=0.9 * model.transition, output=model.output),
+    )
+    with pytest.raises(ParameterFileError, match="constant"):
+        observer_values(swinging)
+
+
+def test_the_integrator_is_taken_out_of_s_and_all_is_monic():
+    given = rst_values(3 * RST_R, 3 * RST_S, 3 * RST_R.sum(keepdims=True), np.ones(1))
+    assert np.convolve(given["rst_S"], [1, -1]) == pytest.approx(RST_S, abs=1e-9)
+    assert given["rst_R_V"] == pytest.approx(RST_R)
+    assert given["rst_T_V"] == pytest.approx(RST_R.sum())
+
+
+def test_a_controller_without_an_integrator_is_refused():
+    with pytest.raises(ParameterFileError, match="integrator"):
+        rst_values(RST_R, RST_S + 1e-6, RST_R, np.ones(1))
+
+
+def path():
+    f = np.array([2.0, -1.5, 0.75, -0.25])
+    return ReferencePath(
+        filter=f, preview_samples=4, band_Hz=100.0, error=0.0, worst_error=0.0, plain_error=0.0
+    )
+
+
+def design(gain=GAIN_m_per_V, **others):
+    forms = {"mpi_dob": "inverse", "dob": "affine"}
+    loops = [
+        SimpleNamespace(
+            method=method,
+            observer=placed(gain=gain, form=form),
+            reference=path(),
+            members=(design_plant(gain),),
+            **others,
+        )
+        for method, form in forms.items()
+    ]
+    asked = SimpleNamespace(voltage_min_V=0.0, voltage_max_V=10.0, voltage_step_V=10 / 65536)
+    return SimpleNamespace(axis="x", specification=asked, loops=loops, recommended=loops[0])
+
+
+def model(polarity=1):
+    zones = DeadZones(threshold=np.array([-1e-6, 0, 2e-6]), weight=np.array([0.1, 1.0, -0.1]))
+    plays = PrandtlIshlinskii(
+        threshold=np.array([0.0, 1, 2, 3]), weight=GAIN_m_per_V * np.array([0.7, 0.1, 0.1, 0.1])
+    )
+    return SimpleNamespace(
+        polarity=polarity,
+        hysteresis=ModifiedPrandtlIshlinskii(
+            plays=plays, dead_zones=zones, voltage_offset_V=5.0, displacement_offset_m=1e-5
+        ),
+    )
+
+
+def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
+    axis = lateral_axis(model(), design(), {"stuck_samples": 100, "stuck_voltage_V": 0.1})
+    assert axis.methods == ("mpi_dob", "dob", "mpi", "none")
+    assert axis.values["preview_samples"] == 4
+    assert axis.for_method("none").values["preview_samples"] == 0
+    assert axis.values["stuck_samples"] == 100
+    low, high = (float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
+    assert high - low == pytest.approx(10 * GAIN_m_per_V, rel=0.2)
+    file = ParameterFile(name="stage", axes=(axis,))
+    assert to_json(from_json(to_json(file), "params.json")) == to_json(file)
+
+
+@pytest.mark.parametrize("polarity", [1, -1])
+def test_the_exported_inverse_is_the_models_own(polarity):
+    axis = lateral_axis(model(polarity), design(polarity * GAIN_m_per_V))
+    controller = Controller(axis.for_method("mpi").with_values({"lsb_V": 0.0}).values)
+    operator = model().hysteresis
+    u = np.r_[np.linspace(5, 9, 20), np.linspace(9, 1, 40), np.linspace(1, 6, 25)]
+    moved, _ = operator.run(u, operator.virgin_memory())
+    y = 1e-5 + polarity * (moved - 1e-5)
+    controller.start(5.0, np.nan)
+    assert np.abs(controller.run(y, y).voltage_V - u).max() < 1e-10
+
+
+def test_a_design_for_the_other_direction_is_refused():
+    with pytest.raises(ParameterFileError, match="direction"):
+        lateral_axis(model(-1), design())
+
+
+def test_the_tip_axis_carries_its_guards_and_its_polynomials():
+    loop = SimpleNamespace(
+        method="rst",
+        R=RST_R,
+        S=RST_S,
+        T=RST_R.sum(keepdims=True),
+        A_0=np.ones(1),
+        reference=path(),
+        members=(design_plant(),),
+    )
+    asked = SimpleNamespace(voltage_min_V=-10.0, voltage_max_V=10.0, voltage_step_V=20 / 65536)
+    vertical = SimpleNamespace(axis="z", specification=asked, loops=[loop], recommended=loop)
+    axis = tunnelling_axis(vertical, GUARDS, {"voltage_step_V": 0.01})
+    assert axis.method == "rst"
+    assert axis.values["current_ceiling_A"] == 1e-8
+    assert axis.values["voltage_step_V"] == 0.01
+    assert axis.values["reference_section_count"] == 2
+
+
+def test_a_loop_without_an_observer_is_no_lateral_loop():
+    bare = design()
+    bare.loops[0].observer = None
+    with pytest.raises(ParameterFileError, match="observer"):
+        lateral_axis(model(), bare)
