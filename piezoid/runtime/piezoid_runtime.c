@@ -150,9 +150,14 @@ static pz_real creep(const pz_parameters *p, const pz_state *s) {
     return sum;
 }
 
+/* Slow elements change by less than the last bit of x in a sample: what x cannot hold yet waits in
+ * `rest` (compensated summation, Kahan 1965). */
 static void relax(const pz_parameters *p, pz_state *s, pz_real y) {
     for (int32_t i = 0; i < p->relaxation_count; ++i) {
-        s->relaxation_m[i] += p->relaxation_rate[i] * (y - s->relaxation_m[i]);
+        const pz_real x = s->relaxation_m[i];
+        const pz_real change = s->relaxation_rest_m[i] + p->relaxation_rate[i] * (y - x);
+        s->relaxation_m[i] = x + change;
+        s->relaxation_rest_m[i] = change - (s->relaxation_m[i] - x);
     }
 }
 
@@ -619,6 +624,7 @@ static void rest_lateral(pz_state *s, const pz_parameters *p, pz_real y) {
     const pz_real model = static_displacement(p, s);
     for (int32_t i = 0; i < p->relaxation_count; ++i) {
         s->relaxation_m[i] = model;
+        s->relaxation_rest_m[i] = ZERO;
     }
     const pz_real moved = model + creep(p, s);
     s->bias_m = has_observer(p) ? ZERO : y - moved;

@@ -241,8 +241,9 @@ typedef struct {
     pz_real gain_ratio;    /* Z: set by pz_schedule */
     pz_real disturbance_V; /* d */
 
-    pz_real play_V[PZ_MAX_PLAYS];             /* z_i, forward memory, of gamma(u) */
-    pz_real relaxation_m[PZ_MAX_RELAXATIONS]; /* x_i of the creep block */
+    pz_real play_V[PZ_MAX_PLAYS];                  /* z_i, forward memory, of gamma(u) */
+    pz_real relaxation_m[PZ_MAX_RELAXATIONS];      /* x_i of the creep block */
+    pz_real relaxation_rest_m[PZ_MAX_RELAXATIONS]; /* below their last bit */
     pz_real reference_filter[PZ_MAX_SECTIONS][2];
     pz_real command_filter[PZ_MAX_SECTIONS][2];
     pz_real observer[PZ_MAX_ORDER];     /* x */

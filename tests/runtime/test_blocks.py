@@ -121,3 +121,18 @@ def test_a_stage_that_falls_as_the_drive_rises_is_the_mirrored_one(method, rng):
     one = rising.run(0.25 + reference, 0.25 + measured)
     two = falling.run(0.25 - reference, 0.25 - measured)
     assert np.abs(one.voltage_V - two.voltage_V).max() < 1e-11
+
+
+def test_slow_creep_does_not_stand_still_in_single_precision():
+    """Over 50 s at 20 kHz, 1e-6 of the rest a sample: soon below the last bit of a float."""
+    slow = {"relaxation_count": 1, "relaxation_rate": [1e-6], "relaxation_share": [0.5]}
+    crept = []
+    for precision in ("double", "float"):
+        controller = Controller(static(**slow), precision=precision)
+        controller.start(0.0, 0.0)
+        ones = np.ones(1_000_000)
+        for _ in range(6):
+            volts = controller.run(ones, ones).voltage_V[-1]
+        crept.append(1.0 - 0.5 * volts)
+    assert crept[0] == pytest.approx(0.5 / 1.5, rel=1e-3)
+    assert crept[1] == pytest.approx(crept[0], rel=1e-5)
