@@ -67,7 +67,7 @@ def _sweep(_: Rig, rng: np.random.Generator) -> Shapes:
     triangle = bool(rng.random() < 0.6)
     shape = drives.decaying_sweep(rate_Hz, frequency_Hz, cycles, triangle=triangle)
     loops = drives.nested_loops(rate_Hz, 4.0 * frequency_Hz, (1.0, -0.2, 0.5, -0.7, 0.3, -1.0))
-    again = drives.decaying_sweep(rate_Hz, frequency_Hz, 4, keep=0.8, triangle=triangle)
+    again = drives.decaying_sweep(rate_Hz, frequency_Hz, 4, keep=1.0, triangle=triangle)
     return rate_Hz, np.concatenate((shape, loops, again)), {}
 
 

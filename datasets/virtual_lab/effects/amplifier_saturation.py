@@ -49,7 +49,7 @@ def _limit(side: str, size_m: float, output_V: Array, moved_m: Array) -> float:
 EFFECT = Effect(
     name="amplifier_saturation",
     measure=Measure.PEAK,
-    visible_percent=0.8,
+    visible_percent=1.2,
     shown_by=("sweep",),
     install=install,
 )
