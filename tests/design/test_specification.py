@@ -1,0 +1,101 @@
+"""What is asked: defaults from the plant, tables of design.toml, refusals."""
+
+from dataclasses import replace
+
+import pytest
+
+from piezoid.design.chain import plant_from_chain
+from piezoid.design.specification import (
+    default_specification,
+    rest_delay_s,
+    slowest_Hz,
+    specifications_from_toml,
+)
+from piezoid.errors import LabFileError
+from tests.design.rig import (
+    LATERAL_m_per_V,
+    RATE_Hz,
+    lateral_chain,
+    lateral_specification,
+    vertical_chain,
+)
+
+
+def test_the_slowest_frequency_and_the_delay_are_the_chains():
+    plant = plant_from_chain(lateral_chain())
+    assert slowest_Hz(plant) == pytest.approx(630.0, rel=1e-9)
+    # Sum of 1/w and 2 zeta/w, and half a sample of hold.
+    expected_s = 39.79e-6 + 18.72e-6 + 25.26e-6 + 25e-6
+    assert rest_delay_s(plant) == pytest.approx(expected_s, rel=1e-3)
+    late = plant_from_chain(lateral_chain(delay_s=70e-6))
+    assert rest_delay_s(late) == pytest.approx(expected_s + 70e-6, rel=1e-3)
+
+
+def test_defaults_ask_half_a_modulus_margin_and_one_sample_of_delay():
+    asked = default_specification(
+        plant_from_chain(lateral_chain(LATERAL_m_per_V)),
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=1e-7,
+    )
+    assert asked.modulus_margin == 0.5
+    assert asked.delay_margin_s == pytest.approx(1.0 / RATE_Hz)
+    assert asked.bandwidth_Hz == pytest.approx(94.5)
+    assert asked.all_templates[0].limit_dB([asked.bandwidth_Hz])[0] == pytest.approx(-3.0)
+
+
+def test_a_fast_plant_is_limited_by_its_delay():
+    plant = plant_from_chain(vertical_chain())
+    asked = default_specification(
+        plant,
+        voltage_min_V=-1.0,
+        voltage_max_V=1.0,
+        sensor_noise_rms=1e-3,
+        disturbance_rms=0.1,
+    )
+    assert asked.bandwidth_Hz == pytest.approx(0.03 / rest_delay_s(plant))
+
+
+def test_a_table_changes_what_it_names_and_adds_templates():
+    text = """
+    [x]
+    bandwidth_Hz = 120
+    resonant_harmonics = [1, 3]
+    [[x.template]]
+    name = "mode"
+    function = "Syp"
+    frequency_Hz = [500, 800]
+    upper_dB = [3, 3]
+    """
+    defaults = {"x": lateral_specification(), "y": lateral_specification()}
+    asked = specifications_from_toml(text, defaults)
+    assert asked["x"].bandwidth_Hz == 120
+    assert asked["x"].resonant_harmonics == (1, 3)
+    assert asked["x"].templates[-1].limit_dB([600.0])[0] == 3.0
+    assert asked["y"] == defaults["y"]
+    assert asked["x"].modulus_margin == defaults["x"].modulus_margin
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[w]\nbandwidth_Hz = 1", r"\[w\] is not an axis.*one of x"),
+        ("[x]\nbandwith_Hz = 1", "unknown key 'bandwith_Hz'.*bandwidth_Hz"),
+        ("[x]\nbandwidth_Hz = '1 kHz'", "'1 kHz'; a number in SI units"),
+        ("[x]\nbandwidth_Hz = -1", "expected > 0"),
+        ("[x]\nmodulus_margin = 2", "between 0 and 1"),
+        ("[x]\nvoltage_min_V = 20", "cross"),
+        ("[x]\nsensor_noise_rms = -1.0", "expected >= 0"),
+        ("[x]\n[[x.template]]\nname = 'a'", "template: .*name, function"),
+        ("[x\n", "not TOML"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_with_its_place(text, message):
+    with pytest.raises(LabFileError, match=message):
+        specifications_from_toml(text, {"x": lateral_specification()})
+
+
+def test_a_specification_without_scan_is_refused():
+    with pytest.raises(ValueError, match="scan_frequency_Hz"):
+        replace(lateral_specification(), scan_frequency_Hz=0.0)
