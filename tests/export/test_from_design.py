@@ -12,11 +12,10 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.from_design import (
     TunnellingGuards,
     lateral_axis,
-    observer_values,
-    rst_values,
     tunnelling_axis,
 )
 from piezoid.export.parameter_file import ParameterFile, from_json, to_json
+from piezoid.export.runtime_names import observer_values, rst_values
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii

@@ -138,3 +138,16 @@ def test_an_envelope_in_front_of_the_plays_is_inverted_too(rng):
         controller = Controller(given)
         controller.start(0.5, np.nan)
         assert np.array_equal(controller.run(y, y).voltage_V, expected)
+
+
+def test_in_single_precision_the_inverse_errs_by_single_roundings(rng):
+    for _ in range(10):
+        model = random_model(rng, plays=16, knots_each_side=4)
+        y = np.cumsum(rng.uniform(-0.3, 0.3, 1000)).astype(np.float32).astype(np.float64)
+        runs = []
+        for precision in ("double", "float"):
+            controller = Controller(hysteresis(model), precision=precision)
+            controller.start(0.0, np.nan)
+            runs.append(controller.run(y, y).voltage_V)
+        ratio = np.finfo(np.float32).eps / np.finfo(np.float64).eps
+        assert np.abs(runs[0] - runs[1]).max() < 2 * ratio * rounding_V(model, y)

@@ -1,5 +1,7 @@
 """The disturbance-observer loop: against published polynomials, and against what it promises."""
 
+import ctypes
+
 import numpy as np
 import pytest
 
@@ -154,3 +156,12 @@ def test_samples_one_by_one_are_the_samples_of_a_run(rng):
     one = started(observer())
     stepped = [one.step(r, m) for r, m in zip(reference, y, strict=True)]
     assert np.array_equal(started(observer()).run(reference, y).voltage_V, stepped)
+
+
+def test_a_plant_in_c_can_step_the_controller_by_its_addresses():
+    one, two = started(observer()), started(observer())
+    address, state, parameters = one.addresses
+    prototype = ctypes.CFUNCTYPE(
+        ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
+    )
+    assert prototype(address)(state, parameters, 1.0, 0.3) == two.step(1.0, 0.3)
