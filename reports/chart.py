@@ -18,6 +18,7 @@ WIDTH, HEIGHT = 640, 360
 FINE = 20
 INVISIBLE = 0.15 * FINE
 BINS = 520
+TICKS = 7  # the most intervals between labels
 ROOM = 0.04  # of the range, left free at both ends of an axis
 
 
@@ -38,7 +39,7 @@ class Axis:
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
         """Round numbers along the axis: place as a share of its length, and label."""
-        step = _round_step((self.high - self.low) / 5)
+        step = _round_step((self.high - self.low) / TICKS)
         decimals = max(0, -math.floor(math.log10(step) + 1e-9))
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
         return tuple(

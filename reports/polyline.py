@@ -1,12 +1,14 @@
 """Curves with few points: the fewest that stay within a tolerance, and envelopes over time."""
 
 import heapq
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 
+MOST = 50_000  # samples that are worth splitting one by one
 Places = NDArray[np.int_]
 
 
@@ -21,7 +23,7 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Place
     points     the most that may be kept
     returned   (kept,) places, and the largest distance of what was left out
     """
-    places = _moving(x, y, tolerance)
+    places, cell = _moving(x, y, 0.5 * tolerance)
     x, y = x[places], y[places]
     kept = {0, len(x) - 1}
     waiting = [_worst(x, y, 0, len(x) - 1)]
@@ -32,14 +34,20 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Place
             if part[1] - part[0] > 1:
                 heapq.heappush(waiting, _worst(x, y, *part))
     left = max(-waiting[0][0], 0.0) if waiting else 0.0
-    return places[sorted(kept)], float(left)
+    return places[sorted(kept)], float(left + math.sqrt(2.0) * cell)
 
 
-def _moving(x: Array, y: Array, tolerance: float) -> Places:
-    """Return the samples at which the curve enters another cell of half the tolerance's size."""
-    cell = np.floor(np.stack([x, y]) / (0.5 * tolerance))
-    moved = np.any(np.diff(cell, axis=1) != 0.0, axis=0)
-    return np.unique(np.concatenate([[0], 1 + np.flatnonzero(moved), [len(x) - 1]]))
+def _moving(x: Array, y: Array, cell: float) -> tuple[Places, float]:
+    """Return the samples at which the curve enters another cell, and the size of the cells.
+
+    Cells grow until few enough samples are left to be split in a moment.
+    """
+    while True:
+        number = np.floor(np.stack([x, y]) / cell)
+        moved = np.any(np.diff(number, axis=1) != 0.0, axis=0)
+        if moved.sum() <= MOST:
+            return np.unique(np.concatenate([[0], 1 + np.flatnonzero(moved), [len(x) - 1]])), cell
+        cell *= 2.0
 
 
 def _worst(x: Array, y: Array, first: int, last: int) -> tuple[float, int, int, int]:

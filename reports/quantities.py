@@ -50,7 +50,7 @@ def told_between(value: float, half: float, unit: str) -> str:
     scale = scale_for(max(abs(value), half), unit)
     shown, spread = value / scale.factor, half / scale.factor
     if spread == 0.0:
-        return _joined(f"{significant(shown, 4)} (fixed)", scale.unit)
+        return f"{told(value, unit, 4)} (fixed)"
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
     pair = f"{shown:.{decimals}f} ± {spread:.{decimals}f}".replace("-", MINUS)
     return _joined(f"({pair})" if scale.unit else pair, scale.unit)

@@ -18,10 +18,12 @@ FEW_BLOCKS = 10
 class Weakness:
     """One thing that weakens a fit.
 
+    what    a few words, to follow "what weakens it most is"
     why     one sentence with its number
     remedy  the next experiment or repair
     """
 
+    what: str
     why: str
     remedy: str
 
@@ -38,9 +40,10 @@ def _class_does_not_apply(axis: AxisModel) -> Weakness | None:
     if axis.verdict.applies:
         return None
     return Weakness(
+        what="that the model class does not apply",
         why=f"The model class does not apply: {axis.verdict.reason}.",
         remedy="Check which column is which and that both channels are sampled at the same "
-        "instant; then sweep ten times slower. If the reason stays, another model is needed.",
+        "instant, then sweep ten times slower; if the reason stays, another model is needed.",
     )
 
 
@@ -48,6 +51,7 @@ def _one_excitation(axis: AxisModel) -> Weakness | None:
     if axis.quality.held_out_kind != "second half":
         return None
     return Weakness(
+        what="that it was tested on the second half of its only recording",
         why="Only one recording was given, so the held-out error is from its second half and "
         "the drive it was tested on is of the same kind.",
         remedy="Record a second, different drive: reversals of many sizes at another speed.",
@@ -58,6 +62,7 @@ def _not_converged(axis: AxisModel) -> Weakness | None:
     if axis.quality.converged:
         return None
     return Weakness(
+        what="that the search stopped before it converged",
         why="The search stopped at its limit of iterations; a better fit may exist.",
         remedy="Record reversals of decreasing size over the whole range, which tell neighbouring "
         "plays apart, and fit again with both recordings.",
@@ -70,6 +75,7 @@ def _wandering_zero(axis: AxisModel) -> Weakness | None:
         return None
     by_m, where = max(moved)
     return Weakness(
+        what=f"a zero that moves by {told(by_m, 'm')}, unexplained",
         why=f"The zero moves by {told(by_m, 'm')} "
         f"({percent(by_m / axis.quality.range_m)} of the range) during {where}; the fit "
         "followed this, but nothing here explains it.",
@@ -83,6 +89,7 @@ def _far_from_noise(axis: AxisModel) -> Weakness | None:
     if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
         return None
     return Weakness(
+        what=f"an error {_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise",
         why=f"The held-out error, {told(quality.held_out_rms_m, 'm')} rms, is "
         f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise: something in "
         "the data is not in this model.",
@@ -95,6 +102,7 @@ def _few_blocks(axis: AxisModel) -> Weakness | None:
     if axis.uncertainty.blocks >= FEW_BLOCKS:
         return None
     return Weakness(
+        what=f"that its intervals rest on {axis.uncertainty.blocks} blocks of cycles",
         why=f"Every interval rests on {axis.uncertainty.blocks} blocks of cycles.",
         remedy="Record at least twelve cycles, of different sizes.",
     )
@@ -105,6 +113,7 @@ def _loose_loop(axis: AxisModel) -> Weakness | None:
     if half_m <= LOOSE * abs(width_m):
         return None
     return Weakness(
+        what=f"a loop width known to ± {told(half_m, 'm')} only",
         why=f"The loop's width is known to ± {told(half_m, 'm')} only, of {told(width_m, 'm')}.",
         remedy="Record full-range cycles in both directions, several times, at one speed.",
     )
@@ -115,6 +124,7 @@ def _sensor_limits(axis: AxisModel) -> Weakness | None:
     if quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
         return None
     return Weakness(
+        what="the sensor, which sees no more",
         why="The held-out error is within twice the sensor noise: this sensor sees no more.",
         remedy="Nothing is needed; a quieter sensor or averaging would show what is left.",
     )

@@ -12,8 +12,8 @@ LOOK_CURVE = (
     "towards the end, where the data hardly reached."
 )
 LOOK_BEND = (
-    "Good: a smooth bow whose band stays away from zero, so that hysteresis is really seen. Bad: "
-    "a band that holds the zero line (a straight line would do), or kinks wider than the band."
+    "Good: a smooth bow, deeper than its band is wide. Bad: kinks, or a band wider than the bow "
+    "is deep, so that its shape is not known."
 )
 
 

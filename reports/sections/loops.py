@@ -3,15 +3,20 @@
 import numpy as np
 
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
 from piezoid_reports.page import Figure, Heading, Page, Part, Section, Table
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import Trace, rms
 
-LOOK = (
+LOOK_LOOP = (
     "Good: the thin model line lies inside the broad measured one on every branch, the small "
-    "loops included. Bad: it leaves the measured line at the turning points, cuts the corners of "
-    "small loops, or the loop crosses itself."
+    "loops included. Bad: the loop crosses itself, or the model leaves it where it is widest."
+)
+LOOK_OPENED = (
+    "The same with the best straight line taken away, which magnifies the loop. Good: thin on "
+    "broad, branch by branch. Bad: the model leaves the measurement after a turning point, cuts "
+    "the corners of small loops, or runs beside them."
 )
 
 
@@ -22,7 +27,8 @@ def render(page: Page) -> Section | None:
         if not page.traces[axis.axis]:
             continue
         parts.append(Heading(text=f"Axis {axis.axis}"))
-        parts += [_figure(page, axis, trace) for trace in page.drawn(axis)]
+        for trace in page.drawn(axis):
+            parts += [_loop(page, axis, trace), _opened(page, axis, trace)]
         parts.append(_table(page, axis))
     if not parts:
         return None
@@ -35,28 +41,53 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _figure(page: Page, axis: AxisModel, trace: Trace) -> Figure:
-    x = axis_over("drive", [trace.voltage_V], "V")
-    y = axis_over("displacement", [trace.measured_m, trace.modelled_m], "m")
-    canvas = Canvas(x=x, y=y)
+def _loop(page: Page, axis: AxisModel, trace: Trace) -> Figure:
+    left_m, range_m = rms(trace.residual_m), float(np.ptp(trace.measured_m))
+    return _figure(
+        page,
+        trace,
+        "displacement",
+        (trace.measured_m, trace.modelled_m),
+        f"{trace.recording.name}, axis {axis.axis}",
+        f"Residual {told(left_m, 'm')} rms, {percent(left_m / range_m)} of this recording's "
+        f"{told(range_m, 'm')} range.",
+        LOOK_LOOP,
+    )
+
+
+def _opened(page: Page, axis: AxisModel, trace: Trace) -> Figure:
+    return _figure(
+        page,
+        trace,
+        "displacement minus straight line",
+        (trace.line_residual_m, trace.modelled_m - trace.line_m),
+        f"{trace.recording.name}, axis {axis.axis}: the loop without its straight line",
+        f"The straight line leaves {told(rms(trace.line_residual_m), 'm')} rms, the model "
+        f"{told(rms(trace.residual_m), 'm')} rms.",
+        LOOK_OPENED,
+    )
+
+
+def _figure(
+    page: Page,
+    trace: Trace,
+    label: str,
+    curves: tuple[Array, Array],
+    title: str,
+    numbers: str,
+    look: str,
+) -> Figure:
+    canvas = Canvas(x=axis_over("drive", [trace.voltage_V], "V"), y=axis_over(label, curves, "m"))
     measured, far = canvas.line(
-        "measured", "measured", trace.voltage_V, trace.measured_m, points=page.points
+        "measured", "measured", trace.voltage_V, curves[0], points=page.points
     )
-    model, far_too = canvas.line(
-        "model", "model", trace.voltage_V, trace.modelled_m, points=page.points
-    )
-    left_m = rms(trace.residual_m)
+    model, far_too = canvas.line("model", "model", trace.voltage_V, curves[1], points=page.points)
     return Figure(
-        title=f"{trace.recording.name}, axis {axis.axis}",
-        numbers=(
-            f"Residual {told(left_m, 'm')} rms, "
-            f"{percent(left_m / float(np.ptp(trace.measured_m)))} of this recording's "
-            f"{told(float(np.ptp(trace.measured_m)), 'm')} range. Curves are drawn to within "
-            f"{told(max(far, far_too), 'm', 2)}."
-        ),
-        look=LOOK,
-        x=x,
-        y=y,
+        title=title,
+        numbers=f"{numbers} Curves are drawn to within {told(max(far, far_too), 'm', 2)}.",
+        look=look,
+        x=canvas.x,
+        y=canvas.y,
         layers=(measured, model),
         flicker=("measured", "model"),
     )

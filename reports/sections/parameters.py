@@ -9,6 +9,7 @@ from piezoid.identification.model import AxisModel, Uncertainty
 from piezoid_reports.page import Heading, Page, Part, Section, Table
 from piezoid_reports.quantities import MINUS, told, told_between
 
+EDGE = 0.97  # of half the drive's range: a play this wide moves for a moment only
 Known = Mapping[str, tuple[float, float]]
 
 
@@ -54,7 +55,7 @@ def _plays(axis: AxisModel, known: Known) -> Table:
                 str(i),
                 _shown(f"play_threshold_V[{i}]", float(plays.threshold[i]), known, "V"),
                 _shown(f"play_weight_m_per_V[{i}]", float(plays.weight[i]), known, "m/V"),
-                _on_weight(f"play_weight_m_per_V[{i}]", known, limits),
+                _on_play(axis, i, known, limits),
             )
             for i in range(len(plays.weight))
         ),
@@ -71,9 +72,7 @@ def _dead_zones(axis: AxisModel, known: Known) -> Table:
                 str(j),
                 _shown(f"dead_zone_threshold_m[{j}]", float(zones.threshold[j]), known, "m"),
                 _shown(f"dead_zone_weight[{j}]", float(zones.weight[j]), known, ""),
-                "fixed by the gauge"
-                if j == zones.zero
-                else _sign_of(f"dead_zone_weight[{j}]", known),
+                "by the gauge" if j == zones.zero else _sign_of(f"dead_zone_weight[{j}]", known),
             )
             for j in range(len(zones.weight))
         ),
@@ -88,12 +87,13 @@ def _envelope(axis: AxisModel, known: Known) -> tuple[Table, ...]:
         Table(
             caption=f"Axis {axis.axis}: envelope of the drive in front of the plays, piecewise "
             "linear; it keeps the range of the drive.",
-            columns=("bend", "kink, from the voltage offset", "weight"),
+            columns=("bend", "kink, from the voltage offset", "weight", "remark"),
             rows=tuple(
                 (
                     str(j),
                     told(float(envelope.threshold[j]), "V", 4),
                     _shown(f"envelope_weight[{j}]", float(envelope.weight[j]), known, ""),
+                    _sign_of(f"envelope_weight[{j}]", known),
                 )
                 for j in range(len(envelope.threshold))
             ),
@@ -138,9 +138,13 @@ def _shown(name: str, value: float, known: Known, unit: str) -> str:
     return told_between(value, known[name][1], unit)
 
 
-def _on_weight(name: str, known: Known, limits: Mapping[str, float]) -> str:
+def _on_play(axis: AxisModel, i: int, known: Known, limits: Mapping[str, float]) -> str:
+    name = f"play_weight_m_per_V[{i}]"
+    reach_V = (axis.voltage_V[1] - axis.voltage_V[0]) / 2
     if name in limits:
         return f"on its bound 0; below {told(limits[name], 'm/V')} (95 %)"
+    if axis.hysteresis.plays.threshold[i] >= EDGE * reach_V:
+        return "hardly moved by this drive"
     return _sign_of(name, known)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Figure, Heading, Page, Part, Section
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import Trace, rms
@@ -15,7 +15,7 @@ LOOK_BEFORE = (
     "line leaves. Bad: both are of the same size, so that the model earns nothing."
 )
 LOOK_AFTER = (
-    "Good: structureless, mostly inside the band of the sensor's noise from beginning to end. "
+    "Good: structureless, mostly between the lines of the sensor's noise from beginning to end. "
     "Bad: waves with the period of the drive (hysteresis left over), slow bending (creep or "
     "drift), spikes at turning points (dynamics or lag), steps (slips, outliers)."
 )
@@ -73,8 +73,8 @@ def _after(trace: Trace, axis: AxisModel) -> Figure:
         title=f"{trace.recording.name}, axis {axis.axis}: what the model leaves",
         numbers=(
             f"{told(rms(residual_m), 'm')} rms, at most "
-            f"{told(float(np.nanmax(np.abs(residual_m))), 'm')}; the band is twice the sensor's "
-            f"noise of {told(noise_m, 'm')} rms and holds {_inside(residual_m, noise_m)} of the "
+            f"{told(float(np.nanmax(np.abs(residual_m))), 'm')}; twice the sensor's noise "
+            f"of {told(noise_m, 'm')} rms holds {_inside(residual_m, noise_m)} of the "
             "samples, where noise alone would leave 95 %."
         ),
         look=LOOK_AFTER,
@@ -82,16 +82,17 @@ def _after(trace: Trace, axis: AxisModel) -> Figure:
         y=y,
         height=canvas.height,
         layers=(
-            canvas.band(
-                "noise",
-                "± 2 sensor noise",
-                trace.time_s[[0, -1]],
-                np.full(2, -SIGMAS * noise_m),
-                np.full(2, SIGMAS * noise_m),
-            ),
             canvas.range_over_time("model", "residual", trace.time_s, residual_m),
+            _limits(canvas, trace, noise_m),
         ),
     )
+
+
+def _limits(canvas: Canvas, trace: Trace, noise_m: float) -> Layer:
+    """Draw a line at plus and one at minus twice the noise, broken in between."""
+    time_s = trace.time_s[[0, -1, -1, 0, -1]]
+    level_m = SIGMAS * noise_m * np.array([1.0, 1.0, np.nan, -1.0, -1.0])
+    return canvas.line("limit", "± 2 sensor noise", time_s, level_m)[0]
 
 
 def _inside(residual_m: Array, noise_m: float) -> str:

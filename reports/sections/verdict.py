@@ -60,8 +60,9 @@ def _what_next(axes: list[AxisModel]) -> str:
     for axis in axes:
         found = weaknesses_of(axis)
         if found:
-            where = f"On axis {axis.axis}, next" if len(axes) > 1 else "Next"
-            return f"{where}: {_lowered(found[0].remedy)}"
+            whose = f"axis {axis.axis}" if len(axes) > 1 else "it"
+            remedy = _lowered(found[0].remedy)
+            return f"What weakens {whose} most is {found[0].what}; next, {remedy}"
     return "Nothing in this data speaks against using it within its range."
 
 
@@ -70,7 +71,9 @@ def _card(page: Page, axis: AxisModel) -> Card:
     score = score_of(axis, traces)
     tone = tone_of(score)
     found = weaknesses_of(axis)
-    first = found[0] if found else Weakness(why="No weakness was found.", remedy="Use it.")
+    first = (
+        found[0] if found else Weakness(what="", why="No weakness was found.", remedy="Use it.")
+    )
     against = f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, " if traces else ""
     held = axis.quality
     return Card(

@@ -3,6 +3,7 @@
 (() => {
   const SVG = "http://www.w3.org/2000/svg";
   const REACH = 30; // pixels of the figure: a pointer farther from a curve reads nothing
+  const TICKS = 7; // the most intervals between labels
   const DEEPEST = 60; // times the full view
 
   function roundStep(size) {
@@ -55,7 +56,7 @@
 
     function ticks(group, low, high, place) {
       group.replaceChildren();
-      const step = roundStep((high - low) / 5);
+      const step = roundStep((high - low) / TICKS);
       for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) {
         place(group, k * step, written(k * step, step));
       }
@@ -104,7 +105,7 @@
       const scale = width / seen.w;
       let best = { distance: REACH };
       layers.forEach((layer, index) => {
-        if (layer.classList.contains("off") || /noise|band|zero/.test(layer.dataset.role)) return;
+        if (layer.classList.contains("off") || /limit|band|zero/.test(layer.dataset.role)) return;
         for (const points of drawn[index]) {
           for (let k = 2; k + 1 < points.length; k += 2) {
             const ax = points[k - 2], ay = points[k - 1];

@@ -1,0 +1,85 @@
+"""What a model says of a whole recording: piece by piece, each from its own start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.simulation import simulate_recording, starts_of, zero_of
+from tests.reports.known_stage import BREAK, axis_model, recording, starts
+
+ROUNDING_m = 1e-17
+
+
+def test_a_recording_without_noise_is_reproduced_to_rounding() -> None:
+    exact = recording(noise_m=0.0)
+    simulated_m = simulate_recording(axis_model(), exact)
+    np.testing.assert_allclose(simulated_m, exact.displacement_m(), atol=ROUNDING_m, rtol=1e-14)
+
+
+def test_the_second_piece_knows_nothing_of_the_first() -> None:
+    exact = recording(noise_m=0.0)
+    other = replace(
+        exact,
+        channels=tuple(
+            replace(c, values=np.concatenate([c.values[:BREAK][::-1], c.values[BREAK:]]))
+            for c in exact.channels
+        ),
+    )
+    model = axis_model()
+    after = simulate_recording(model, exact)[BREAK:]
+    np.testing.assert_array_equal(simulate_recording(model, other)[BREAK:], after)
+
+
+def test_a_falling_polarity_mirrors_the_movement_about_the_zero() -> None:
+    exact = recording(noise_m=0.0)
+    rising = simulate_recording(axis_model(), exact)
+    falling = simulate_recording(replace(axis_model(), polarity=-1), exact)
+    first, second = starts(exact.name)
+    zero_m = np.concatenate([zero_of(first, BREAK), zero_of(second, BREAK)])
+    np.testing.assert_allclose(falling - zero_m, zero_m - rising, atol=ROUNDING_m, rtol=1e-12)
+
+
+def test_pieces_too_short_to_be_fitted_are_nan() -> None:
+    whole = recording(noise_m=0.0)
+    cut = replace(whole, breaks=(BREAK, 2 * BREAK - 5))
+    simulated_m = simulate_recording(axis_model(), cut)
+    assert np.isnan(simulated_m[-5:]).all()
+    assert np.isfinite(simulated_m[:-5]).all()
+
+
+def test_the_zero_stays_where_it_was_before_and_behind_the_rows_that_counted() -> None:
+    start = replace(starts("a.csv")[0], first=100, last=301, zero_m=np.array([1e-6, 3e-6]))
+    zero_m = zero_of(start, 400)
+    assert (zero_m[:101] == 1e-6).all()
+    assert (zero_m[300:] == 3e-6).all()
+    assert zero_m[200] == pytest.approx(2e-6)
+
+
+def test_a_recording_the_model_does_not_know_is_refused_by_name() -> None:
+    with pytest.raises(IdentificationError, match=r"other\.csv: 2 uninterrupted pieces"):
+        simulate_recording(axis_model(), recording("other.csv"))
+    assert starts_of(axis_model(), recording("other.csv")) == ()
+
+
+def test_a_recording_cut_elsewhere_than_the_fitted_one_is_refused() -> None:
+    with pytest.raises(IdentificationError, match="holds the start of 2"):
+        simulate_recording(axis_model(), replace(recording(), breaks=()))
+
+
+def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports() -> None:
+    given = recording()
+    model = estimate_axis((given,), "x", Rig(), orders=((2, 2),))
+    residual_m = given.displacement_m() - simulate_recording(model, given)
+    counted = np.concatenate(
+        [
+            residual_m[part.start + start.first : part.start + start.last]
+            for part, start in zip(given.pieces, model.starts, strict=True)
+        ]
+    )
+    # The fit reports the rms of the rows it used: here all that count.
+    rms_m = float(np.sqrt(np.mean(counted**2)))
+    assert rms_m == pytest.approx(model.quality.rms_m, rel=1e-6)

@@ -1,0 +1,48 @@
+// Run in front of the page's own script: hears every error, then uses the page as a reader would,
+// and writes what it found where --dump-dom shows it.
+"use strict";
+(() => {
+  const errors = [];
+  addEventListener("error", (event) => errors.push(String(event.message)));
+  addEventListener("securitypolicyviolation", (event) => errors.push(`policy: ${event.blockedURI}`));
+  const send = (target, kind, extra) => target.dispatchEvent(
+    new (extra && "clientX" in extra ? PointerEvent : KeyboardEvent)(kind, { bubbles: true, cancelable: true, ...extra }));
+  addEventListener("load", () => {
+    const sizes = [...document.querySelectorAll("figure.chart")].map((figure) => {
+      const frame = figure.querySelector(".frame").getBoundingClientRect();
+      const curves = [...figure.querySelectorAll(".layer")].map((layer) => {
+        const box = layer.getBoundingClientRect();
+        return [box.width, box.height];
+      });
+      return { width: frame.width, height: frame.height, curves };
+    });
+    const figure = document.querySelector("figure.chart");
+    const view = figure.querySelector(".view"), plot = figure.querySelector(".plot");
+    const box = view.getBoundingClientRect();
+    const ticksBefore = figure.querySelector(".ticks-x").textContent;
+    const whole = plot.getAttribute("viewBox");
+    // Over the middle of the first curve something must be read.
+    const curve = figure.querySelector(".layer");
+    const on = curve.getPointAtLength(curve.getTotalLength() / 2).matrixTransform(curve.getScreenCTM());
+    send(view, "pointermove", { clientX: on.x, clientY: on.y });
+    const readout = figure.querySelector(".readout").textContent;
+    send(view, "keydown", { key: "+" });
+    const near = plot.getAttribute("viewBox"), ticksNear = figure.querySelector(".ticks-x").textContent;
+    view.dispatchEvent(new MouseEvent("dblclick", { bubbles: true }));
+    const again = plot.getAttribute("viewBox"), ticksAgain = figure.querySelector(".ticks-x").textContent;
+    const unfocused = new WheelEvent("wheel", { deltaY: -1, clientX: box.x + 200, clientY: box.y + 200, cancelable: true });
+    view.dispatchEvent(unfocused);
+    figure.querySelector(".key").click();
+    const hidden = getComputedStyle(figure.querySelector(".layer")).display;
+    figure.querySelector(".key").click();
+    figure.querySelector(".flicker").click();
+    const flickering = [...figure.querySelectorAll(".layer.off")].length;
+    figure.querySelector(".flicker").click();
+    const after = [...figure.querySelectorAll(".layer.off")].length;
+    const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
+    document.body.dataset.probe = JSON.stringify({
+      errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
+      stolenWheel: unfocused.defaultPrevented, hidden, flickering, after, wide,
+    });
+  });
+})();

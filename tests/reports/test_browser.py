@@ -1,0 +1,132 @@
+"""The page in a real browser: no error, nothing asked of the network, every figure to be seen."""
+
+import base64
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.reports.anatomy import Anatomy
+
+BROWSER = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+PROBE = (Path(__file__).parent / "probe.js").read_text()
+PHONE = "420,900"
+
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+
+def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:
+    """Open a page; return the document and what the console said."""
+    place = folder / "report.html"
+    place.write_text(page, encoding="utf-8")
+    done = subprocess.run(
+        [
+            str(BROWSER),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-background-networking",
+            f"--user-data-dir={folder / 'profile'}",
+            "--enable-logging=stderr",
+            "--v=0",
+            *arguments,
+            place.as_uri(),
+        ],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    return done.stdout, done.stderr
+
+
+def _with_probe(page: str) -> str:
+    digest = base64.b64encode(hashlib.sha256(PROBE.encode()).digest()).decode()
+    allowed = page.replace("script-src ", f"script-src 'sha256-{digest}' ", 1)
+    return allowed.replace("<style>", f"<script>{PROBE}</script><style>", 1)
+
+
+@pytest.fixture(scope="module")
+def found(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("browser")
+    document, console = _browse(folder, _with_probe(page), "--dump-dom", f"--window-size={PHONE}")
+    body = Anatomy(document).all("body")[0]
+    return {**json.loads(body.attributes["data-probe"]), "console": console}
+
+
+def test_neither_page_nor_console_hears_an_error(found: dict[str, Any]) -> None:
+    assert found["errors"] == []
+    assert "CONSOLE" not in found["console"]
+
+
+def test_every_figure_and_every_curve_has_a_size(found: dict[str, Any], page: str) -> None:
+    assert len(found["sizes"]) == page.count("<figure")
+    for figure in found["sizes"]:
+        assert figure["width"] > 300
+        assert figure["height"] > 100
+        for width, height in figure["curves"]:
+            assert width > 0
+            assert height >= 0
+            assert width + height > 50
+
+
+def test_a_phone_need_not_scroll_sideways(found: dict[str, Any]) -> None:
+    assert not found["wide"]
+
+
+def test_the_pointer_reads_a_value_with_its_unit(found: dict[str, Any]) -> None:
+    assert re.fullmatch(r"(measured|model): drive \S+ V, displacement \S+ µm", found["readout"]), (
+        found["readout"]
+    )
+
+
+def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
+    found: dict[str, Any],
+) -> None:
+    assert found["near"] != found["whole"]
+    assert found["ticksNear"] != found["ticksBefore"]
+    assert found["again"] == found["whole"]
+    # The script's ticks are those Python wrote.
+    assert found["ticksAgain"] == "".join(found["ticksBefore"].split())
+
+
+def test_the_wheel_belongs_to_the_page_until_the_figure_is_chosen(found: dict[str, Any]) -> None:
+    assert found["stolenWheel"] is False
+
+
+def test_curves_can_be_hidden_and_flickered_one_at_a_time(found: dict[str, Any]) -> None:
+    assert found["hidden"] == "none"
+    assert found["flickering"] == 1
+    assert found["after"] == 0
+
+
+def test_a_page_that_breaks_its_policy_is_heard(page: str, tmp_path: Path) -> None:
+    # The listener of the tests above must be able to fail.
+    broken = page.replace("</body>", "<script>alert(1)</script></body>")
+    _, console = _browse(tmp_path, broken, "--dump-dom")
+    assert "CONSOLE" in console
+
+
+def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: Path) -> None:
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no pdftotext on this machine")
+    _browse(tmp_path, page, "--no-pdf-header-footer", f"--print-to-pdf={tmp_path / 'page.pdf'}")
+    text = subprocess.run(
+        ["pdftotext", "-layout", str(tmp_path / "page.pdf"), "-"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    sheets = text.split("\f")
+    for number in range(1, page.count("<figure") + 1):
+        holding = [sheet for sheet in sheets if f"Figure {number}." in sheet]
+        assert len(holding) == 1
+        # The caption follows the figure it belongs to on the same sheet.
+        assert "Good:" in holding[0].partition(f"Figure {number}.")[2]

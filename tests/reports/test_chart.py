@@ -1,0 +1,123 @@
+"""Curves on paper: within their tolerance, with their spikes, on round ticks."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid.numerics.arrays import Array
+from piezoid_reports.chart import FINE, HEIGHT, WIDTH, Axis, Canvas, axis_over
+from piezoid_reports.polyline import envelope, thinned, whole_parts
+from piezoid_reports.quantities import MINUS, Scale
+
+
+def _points(path: str) -> list[Array]:
+    """Read our paths as an SVG reader does."""
+    found = []
+    for part in path.split("M")[1:]:
+        numbers = np.array([int(n) for n in re.findall(r"-?\d+", part)]).reshape(-1, 2)
+        found.append(np.cumsum(numbers, axis=0).astype(float))
+    return found
+
+
+def _distance(x: Array, y: Array, a: Array, b: Array) -> float:
+    """Return how far the curve (x, y) lies from the polyline (a, b) at most."""
+    furthest = 0.0
+    for px, py in zip(x, y, strict=True):
+        dx, dy = np.diff(a), np.diff(b)
+        length = np.maximum(dx**2 + dy**2, 1e-300)
+        t = np.clip(((px - a[:-1]) * dx + (py - b[:-1]) * dy) / length, 0, 1)
+        near = np.hypot(a[:-1] + t * dx - px, b[:-1] + t * dy - py).min()
+        furthest = max(furthest, float(near))
+    return furthest
+
+
+def _spiral() -> tuple[Array, Array]:
+    angle = np.linspace(0, 12 * np.pi, 2000)
+    return 1000 * np.cos(angle) * np.exp(-angle / 30), 700 * np.sin(angle)
+
+
+def test_a_thinned_curve_stays_within_its_tolerance() -> None:
+    x, y = _spiral()
+    kept, left = thinned(x, y, tolerance=3.0, points=5000)
+    assert len(kept) < 500
+    # The chords' tolerance, and the cells of half its size that were passed over before.
+    assert _distance(x, y, x[kept], y[kept]) <= left <= 3.0 + 1.5 * np.sqrt(2)
+
+
+def test_a_budget_that_is_too_small_is_kept_and_its_cost_is_told() -> None:
+    x, y = _spiral()
+    kept, left = thinned(x, y, tolerance=0.1, points=40)
+    assert len(kept) == 40
+    assert left == pytest.approx(_distance(x, y, x[kept], y[kept]), rel=0.2)
+
+
+def test_noise_on_half_a_million_samples_is_drawn_within_what_is_told() -> None:
+    rng = np.random.default_rng(5)
+    x, y = np.linspace(0, 12800, 500_000), 3000 + rng.normal(scale=20.0, size=500_000)
+    kept, left = thinned(x, y, tolerance=3.0, points=2400)
+    assert len(kept) <= 2400
+    some = rng.choice(500_000, 500, replace=False)
+    assert _distance(x[some], y[some], x[kept], y[kept]) <= left
+
+
+def test_a_straight_line_needs_its_ends_only() -> None:
+    x = np.linspace(0.0, 1000.0, 5001)
+    kept, left = thinned(x, 2 * x, tolerance=3.0, points=100)
+    assert kept.tolist() == [0, 5000]
+    assert left <= 3.0 + 1e-9
+
+
+def test_a_curve_that_stands_still_is_two_points() -> None:
+    kept, _ = thinned(np.zeros(9), np.zeros(9), tolerance=3.0, points=100)
+    assert kept.tolist() == [0, 8]
+
+
+def test_an_envelope_keeps_the_one_spike_in_a_hundred_thousand_samples() -> None:
+    x = np.arange(100_000.0)
+    y = np.zeros(100_000)
+    y[77_777] = 5.0
+    middle, low, high = envelope(x, y, 500)
+    assert len(middle) == 500
+    assert high.max() == 5.0
+    assert low.min() == 0.0
+    assert abs(middle[high.argmax()] - 77_777) <= 200
+
+
+def test_a_path_read_back_lies_on_the_samples_to_half_a_step() -> None:
+    voltage_V, displacement_m = np.array([0.0, 1.0, 3.0, 2.0]), np.array([0.0, 4e-6, 1e-6, 2e-6])
+    canvas = Canvas(x=axis_over("u", [voltage_V], "V"), y=axis_over("y", [displacement_m], "m"))
+    layer, _ = canvas.line("model", "model", voltage_V, displacement_m)
+    (points,) = _points(layer.path)
+    x_V = canvas.x.low + points[:, 0] / (WIDTH * FINE) * (canvas.x.high - canvas.x.low)
+    y_um = canvas.y.high - points[:, 1] / (HEIGHT * FINE) * (canvas.y.high - canvas.y.low)
+    np.testing.assert_allclose(x_V, voltage_V, atol=0.51 * 3.3 / (WIDTH * FINE))
+    np.testing.assert_allclose(y_um * 1e-6, displacement_m, atol=0.51 * 4.4e-6 / (HEIGHT * FINE))
+
+
+def test_a_curve_is_broken_where_the_model_says_nothing() -> None:
+    y = np.array([0.0, 1.0, np.nan, np.nan, 1.0, 0.0, np.nan])
+    assert whole_parts(y) == [slice(0, 2), slice(4, 6)]
+    canvas = Canvas(x=axis_over("t", [np.arange(7.0)], "s"), y=axis_over("y", [y], "m"))
+    assert len(_points(canvas.line("model", "model", np.arange(7.0), y)[0].path)) == 2
+
+
+@given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))
+def test_ticks_are_round_inside_the_axis_and_few(low: float, span: float) -> None:
+    axis = Axis(label="u", scale=Scale(factor=1.0, unit="V"), low=low, high=low + span)
+    ticks = axis.ticks
+    assert 2 <= len(ticks) <= 8
+    for share, label in ticks:
+        assert -1e-6 <= share <= 1 + 1e-6
+        # The label, read back, stands where it says.
+        assert float(label.replace(MINUS, "-")) == pytest.approx(
+            low + share * span, abs=1e-6 * span
+        )
+
+
+def test_an_axis_of_one_value_still_has_a_length() -> None:
+    axis = axis_over("u", [np.full(3, 2e-9)], "m")
+    assert axis.low < 2.0 < axis.high
+    assert axis_over("u", [np.full(3, np.nan)], "m").ticks

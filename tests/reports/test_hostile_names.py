@@ -1,0 +1,68 @@
+"""Names come from files and strangers: on the page they are text, whatever they hold."""
+
+from dataclasses import replace
+
+import pytest
+
+from piezoid.records.recording import Problem
+from piezoid_reports.plain_text import printable
+from piezoid_reports.render import render
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+
+HOSTILE = [
+    "<script>alert(1)</script>",
+    '"><img src=x onerror=alert(1)>',
+    "' autofocus onfocus='alert(1)",
+    "</style><b>",
+    "</script><b>",
+    "{{ 7 * 7 }}{% raw %}",
+    "--><svg onload=alert(1)>",
+    "javascript:alert(1)",
+    "\x00nul\x1b[31m",
+    "\u202etxt.csv\u2066",
+    "&lt;b&gt;",
+    "\ud800half",
+    "x" * 3000,
+    "",
+]
+
+
+def _hostile_page(name: str) -> str:
+    axis = replace(axis_model(name, (name,)))
+    axis = replace(axis, verdict=replace(axis.verdict, remarks=(name,), reason=name))
+    given = replace(
+        recording(name, name, label=name), problems=(Problem(kind=name, place=name, text=name),)
+    )
+    return render(stage_model(axis, stage=name), [given])
+
+
+@pytest.fixture(scope="module")
+def tame() -> list[str]:
+    """Tags and attribute names of the same page with a harmless name."""
+    return _skeleton(_hostile_page("harmless"))
+
+
+def _skeleton(page: str) -> list[str]:
+    return [f"{e.tag} {' '.join(e.attributes)}" for e in Anatomy(page).elements]
+
+
+@pytest.mark.parametrize("name", [n for n in HOSTILE if "\ud800" not in n], ids=ascii)
+def test_a_hostile_name_adds_no_element_and_no_attribute(name: str, tame: list[str]) -> None:
+    assert _skeleton(_hostile_page(name)) == tame
+
+
+@pytest.mark.parametrize("name", HOSTILE[:8])
+def test_a_hostile_name_is_shown_as_it_is(name: str) -> None:
+    texts = [e.text for e in Anatomy(_hostile_page(name)).all("h1")]
+    assert texts == [f"Stage {name}"]
+
+
+def test_characters_that_turn_or_break_a_line_are_shown_as_codes() -> None:
+    assert printable("a\u202eb\x00c\n\ud800") == "a\\u202eb\\x00c\\n\\ud800"
+    ours = "10\u202fnm µ \N{MINUS SIGN} שלום"
+    assert printable(ours) == ours
+
+
+def test_numbers_and_finished_markup_pass_untouched() -> None:
+    assert printable(12) == 12

@@ -1,0 +1,68 @@
+"""Numbers for readers: the right prefix, the digits the interval allows, never an exponent."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid_reports.quantities import MINUS, PREFIXES, UNKNOWN, significant, told, told_between
+
+FACTOR = {prefix: factor for factor, prefix in PREFIXES}
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (6.604e-8, "m", "66.0 nm"),
+        (3.367e-5, "m", "33.7 µm"),
+        (9.996e-7, "m", "1.00 µm"),
+        (0.0, "V", "0 V"),
+        (-5.0, "V", f"{MINUS}5.00 V"),
+        (0.0196, "%", "0.0196 %"),
+        (2.75e-6, "m/V", "2.75 µm/V"),
+        (1.0, "", "1.00"),
+        (1570.0, "V/s", "1.57 kV/s"),
+        (math.nan, "m", UNKNOWN),
+        (math.inf, "m", UNKNOWN),
+    ],
+)
+def test_a_number_is_told_in_the_unit_a_reader_likes(value: float, unit: str, text: str) -> None:
+    assert told(value, unit).replace("\u202f", " ") == text
+
+
+@given(st.floats(1e-11, 1e8))
+def test_what_is_told_is_the_number_to_three_digits(value: float) -> None:
+    number, _, unit = told(value, "m").partition("\u202f")
+    assert float(number) * FACTOR[unit[:-1]] == pytest.approx(value, rel=5.1e-3)
+
+
+@given(st.floats(1e-11, 1e8))
+def test_a_prefixed_number_stays_between_one_and_a_thousand(value: float) -> None:
+    number = float(told(value, "m").partition("\u202f")[0])
+    assert 0.999 <= number < 1000 or value > 999e6
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (2.749e-6, 1.24e-8, "(2.749 ± 0.012) µm/V"),
+        (-4.2e-8, 3e-7, f"({MINUS}42 ± 300) nm/V"),
+        (1e-9, 0.0, "1.000 nm/V (fixed)"),
+        (1e-9, math.nan, "1.00 nm/V"),
+    ],
+)
+def test_an_interval_stands_in_the_unit_of_its_number(
+    value: float, half: float, text: str
+) -> None:
+    assert told_between(value, half, "m/V").replace("\u202f", " ") == text
+
+
+def test_a_plain_number_needs_no_brackets() -> None:
+    assert told_between(0.17, 0.13, "") == "0.17 ± 0.13"
+
+
+@given(st.floats(-1e6, 1e6))
+def test_significant_digits_come_back(value: float) -> None:
+    shown = float(significant(value, 4).replace(MINUS, "-"))
+    assert shown == pytest.approx(value, rel=5.1e-4, abs=1e-300)
