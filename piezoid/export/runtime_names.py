@@ -7,10 +7,10 @@ keeps S without its integrator, which is then exact in every precision.
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import block_diag
 
 from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.observer import DisturbanceObserver
+from piezoid.design.observer_loop import with_oscillators_as_states
 from piezoid.errors import ParameterFileError
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -47,38 +47,31 @@ def hysteresis_values(model: AxisModel) -> Given:
 
 
 def observer_values(observer: DisturbanceObserver) -> Given:
-    """Return the observer's gains under the runtime's names.
+    """Return the observer's gains under the runtime's names, oscillators among its states.
 
-        x_e = [x; w_osc],  A_e = [A  B c_osc; 0  F_osc],  B_e = [B; 0],  K_e = [K  c_osc]
-
-    with w_osc the disturbance states behind the first, which is the constant the runtime carries.
     A plant that falls as the drive rises is mirrored, as the runtime mirrors its displacement.
     """
-    turn, c = observer.disturbance.transition, observer.disturbance.output
-    if turn[0, 0] != 1.0 or c[0] != 1.0 or turn[0, 1:].any() or turn[1:, 0].any():
+    turn, output = observer.disturbance.transition, observer.disturbance.output
+    if turn[0, 0] != 1.0 or output[0] != 1.0 or turn[0, 1:].any() or turn[1:, 0].any():
         raise ParameterFileError(
             "the observer's first disturbance state is no constant",
             needed="a constant first, then oscillators",
             remedy="Design with piezoid.design.observer.disturbance_model.",
         )
-    oscillators = len(c) - 1
-    rest = np.linalg.solve(np.eye(len(observer.A)) - observer.A, observer.B)
-    gain = float(observer.C @ rest)
+    inner = with_oscillators_as_states(observer)
+    rest = np.linalg.solve(np.eye(len(inner.A)) - inner.A, inner.B)
+    gain = float(inner.C @ rest)
     sign = float(np.sign(gain))
-    A = block_diag(observer.A, turn[1:, 1:])
-    A[: len(rest), len(rest) :] = np.outer(observer.B, c[1:])
-    zeros = np.zeros(oscillators)
-    correction = np.r_[observer.state_gain, observer.disturbance_gain[1:]]
     return {
-        "observer_order": len(A),
-        "observer_A": A,
-        "observer_B": np.r_[observer.B, zeros],
-        "observer_C": sign * np.r_[observer.C, zeros],
-        "observer_L": sign * correction,
-        "observer_disturbance_L_V_per_m": sign * float(observer.disturbance_gain[0]),
-        "observer_rest": np.r_[rest, zeros],
-        "feedback_K_V": np.r_[observer.feedback_gain, c[1:]],
-        "feedback_N_V_per_m": sign * observer.reference_gain,
+        "observer_order": len(inner.A),
+        "observer_A": inner.A,
+        "observer_B": inner.B,
+        "observer_C": sign * inner.C,
+        "observer_L": sign * inner.state_gain,
+        "observer_disturbance_L_V_per_m": sign * float(inner.disturbance_gain[0]),
+        "observer_rest": rest,
+        "feedback_K_V": inner.feedback_gain,
+        "feedback_N_V_per_m": sign * inner.reference_gain,
         "gain_m_per_V": sign * gain,
     }
 

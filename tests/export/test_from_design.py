@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, place_observer
+from piezoid.design.observer_loop import linear_controller
 from piezoid.design.plant import Plant
 from piezoid.errors import ParameterFileError
 from piezoid.export.from_design import (
@@ -202,3 +203,17 @@ def test_a_loop_without_an_observer_is_no_lateral_loop():
     bare.loops[0].observer = None
     with pytest.raises(ParameterFileError, match="observer"):
         lateral_axis(model(), bare)
+
+
+@pytest.mark.parametrize("oscillation_Hz", [(), (20.0,)])
+def test_the_runtime_is_the_polynomials_whose_margins_were_computed(oscillation_Hz, rng):
+    """S u = T r - R y, for the R, S and T that the design derives from its observer."""
+    observer = placed(oscillation_Hz)
+    loop = linear_controller(observer)
+    reference, measured = rng.normal(0, 1e-7, (2, 300))
+    controller = Controller({**WIDE, **observer_values(observer), "method": "dob"})
+    controller.start(0.0, 0.0)
+    u = controller.run(reference, measured).voltage_V
+    terms = [np.convolve(p, x)[:300] for p, x in ((loop.S, u), (loop.T, reference))]
+    left = terms[0] - terms[1] + np.convolve(loop.R, measured)[:300]
+    assert np.abs(left).max() < 1e-9 * np.abs(u).max()
