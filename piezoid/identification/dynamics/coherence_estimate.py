@@ -5,9 +5,11 @@ from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.periodic_estimate import smoothed
 from piezoid.numerics.arrays import Array
 
 LEAST_COHERENCE = 0.8
+LEVEL_LINES = 33  # over which a random drive is as strong in one window as in another
 OVERLAP_LOSS = 1.0 + 2.0 / 36.0  # Hann windows that overlap by half share (1/6)^2 of their power
 MAIN_LOBE_LINES = 2  # a Hann window smears the mean over this many lines
 
@@ -98,8 +100,11 @@ def _cross(left: ComplexArray, right: ComplexArray) -> ComplexArray:
 
 
 def _effective_averages(U: ComplexArray) -> Array:
-    """How many windows really drove each line: a chirp passes through few of them."""
-    power = (np.abs(U) ** 2).sum(axis=1)
+    """How many windows really drove each line: a chirp passes through few of them.
+
+    Power is first smoothed over lines, so that the luck of random drives does not count.
+    """
+    power = smoothed((np.abs(U) ** 2).sum(axis=1), min(LEVEL_LINES, (len(U) - 1) // 2 * 2 + 1))
     squared = np.maximum((power**2).sum(axis=1), _TINY)
     return np.asarray(power.sum(axis=1) ** 2 / squared / OVERLAP_LOSS)
 

@@ -105,27 +105,31 @@ def _output_variances(
     total = noise
     if freedom:
         total = (np.abs(residual.mean(axis=3)) ** 2).sum(axis=2) / freedom
-    level, is_interference = _standing_out(total, freedom or noise_freedom)
-    total = np.where(is_interference, level, total)
     power = (np.abs(np.einsum("koi,kirp->korp", G, drive)) ** 2).mean(axis=(2, 3))
-    distortion = smoothed(total - noise, width) / smoothed(power, width) * power
+    is_interference = _standing_out(total, power, freedom or noise_freedom)
+    kept = ~is_interference
+    share = smoothed(kept * (total - noise), width) / np.maximum(
+        smoothed(kept * power, width), np.finfo(float).tiny
+    )
     noise = smoothed(noise, width)
-    whole = noise + np.maximum(distortion, 0.0)
+    whole = noise + np.maximum(share, 0.0) * power
     return whole, noise, float(width * (freedom or noise_freedom)), is_interference
 
 
-def _standing_out(variance: Array, freedom: int) -> tuple[Array, NDArray[np.bool_]]:
-    """The local level of a variance, and the lines far above it: mains, its harmonics, drift.
+def _standing_out(variance: Array, power: Array, freedom: int) -> NDArray[np.bool_]:
+    """Find lines far above their neighbours: mains, its harmonics, drift.
 
-    A variance of d complex degrees of freedom is gamma distributed; a median over neighbours is
-    turned into a mean by its factor.
+    They must stand out both as they are and as a share of the output's power: distortion at a
+    sharp resonance does the first, noise between resonances the second.
     """
     width = min(LEVEL_LINES, (len(variance) - 1) // 2 * 2 + 1)
-    padded = np.pad(variance, ((width // 2, width // 2), (0, 0)), mode="reflect")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
-    level = np.median(windows, axis=2) * freedom / gammainccinv(freedom, 0.5)
-    limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / freedom
-    return level, variance > limit * level
+    limit = gammainccinv(freedom, FALSE_ALARMS / variance.size) / gammainccinv(freedom, 0.5)
+    found = np.ones(variance.shape, dtype=np.bool_)
+    for quantity in (variance, variance / np.maximum(power, np.finfo(float).tiny)):
+        padded = np.pad(quantity, ((width // 2, width // 2), (0, 0)), mode="reflect")
+        windows = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0)
+        found &= quantity > limit * np.median(windows, axis=2)
+    return found
 
 
 def _odd_width(freedom: int, lines: int) -> int:
