@@ -23,6 +23,7 @@ from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation
 from piezoid.design.youla import ConvexController, optimise
 
+_ATTEMPTED = 2
 _FIGURE = "max over members and f <= bandwidth of |Syp| bandwidth / f"
 
 
@@ -123,8 +124,12 @@ def _refuse(
     """Refuse with the least violated candidate and the nearest bandwidth either way reaches."""
 
     def attempt(asked: Specification) -> tuple[Violation, ...]:
-        tried = _candidates(family, asked, *_both(family, asked, taps))
-        return min((unmet(family.members, c.R, c.S, asked) for c in tried), key=severity)
+        start = shape(family, asked).controller
+        missed = unmet(family.members, start.R, start.S, asked)
+        if not missed:
+            return ()
+        c = optimise(family, asked, start, taps=taps, most_iterations=_ATTEMPTED).controller
+        return min(missed, unmet(family.members, c.R, c.S, asked), key=severity)
 
     best = min((unmet(family.members, c.R, c.S, specification) for c in found), key=severity)
     refuse(axis, specification, best, nearest_feasible(specification, best, attempt))
