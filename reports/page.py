@@ -45,10 +45,21 @@ class Page:
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:
-    """A heading inside a chapter, such as an axis' name."""
+    """A heading inside a chapter, such as an axis' name; ``tone`` is ``plain`` or ``bad``."""
 
     kind: ClassVar[str] = "heading"
     text: str
+    tone: str = "plain"
+
+
+def axis_heading(axis: AxisModel) -> Heading:
+    """Return the heading of an axis, warning where the model does not apply."""
+    if axis.verdict.applies:
+        return Heading(text=f"Axis {axis.axis}")
+    return Heading(
+        text=f"Axis {axis.axis}: the model does not apply, these numbers only show why",
+        tone="bad",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

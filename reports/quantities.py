@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "µ"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
 UNKNOWN = "not known"
+NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
 MINUS = "\N{MINUS SIGN}"
 
 
@@ -52,7 +53,7 @@ def told_between(value: float, half: float, unit: str) -> str:
     if spread == 0.0:
         return f"{told(value, unit, 4)} (fixed)"
     decimals = min(max(1 - math.floor(math.log10(spread)), 0), 6)
-    pair = f"{shown:.{decimals}f} ± {spread:.{decimals}f}".replace("-", MINUS)
+    pair = f"{shown:.{decimals}f}{NARROW}±{NARROW}{spread:.{decimals}f}".replace("-", MINUS)
     return _joined(f"({pair})" if scale.unit else pair, scale.unit)
 
 
@@ -75,5 +76,4 @@ def percent(share: float) -> str:
 
 
 def _joined(number: str, unit: str) -> str:
-    # A narrow no-break space keeps number and unit on one line.
-    return f"{number}\u202f{unit}" if unit else number
+    return f"{number}{NARROW}{unit}" if unit else number

@@ -5,6 +5,8 @@ from piezoid_reports.traces import Trace, rms
 
 GOOD, MIDDLING = 90, 50
 WORDS = {"good": "good", "middling": "usable with care", "bad": "poor"}
+UNSCORED = ("middling", "no score")
+REFUSED = ("bad", "does not apply")
 
 
 def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
@@ -29,8 +31,11 @@ def line_rms_m(traces: tuple[Trace, ...]) -> float:
     return float((squares / sum(len(t.time_s) for t in traces)) ** 0.5)
 
 
-def tone_of(score: int | None) -> str:
-    """Return ``good``, ``middling`` or ``bad``."""
-    if score is None or score < MIDDLING:
-        return "bad"
-    return "good" if score >= GOOD else "middling"
+def judgement_of(axis: AxisModel, score: int | None) -> tuple[str, str]:
+    """Return ``good``, ``middling`` or ``bad``, and the word a reader sees."""
+    if not axis.verdict.applies:
+        return REFUSED
+    if score is None:
+        return UNSCORED
+    tone = "bad" if score < MIDDLING else "middling" if score < GOOD else "good"
+    return tone, WORDS[tone]

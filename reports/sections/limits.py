@@ -1,7 +1,7 @@
 """What the data cannot tell, what the fit remarks of itself, and the next experiment."""
 
 from piezoid.identification.model import AxisModel
-from piezoid_reports.page import Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Listing, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import told
 from piezoid_reports.weaknesses import weaknesses_of
 
@@ -10,7 +10,7 @@ def render(page: Page) -> Section:
     """Return remarks, untested conditions and experiments for every axis."""
     parts: list[Part] = []
     for axis in page.axes:
-        parts.append(Heading(text=f"Axis {axis.axis}"))
+        parts.append(axis_heading(axis))
         parts += [_experiments(axis), *_remarks(axis), _untested(axis)]
     return Section(
         anchor="limits",

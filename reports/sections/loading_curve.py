@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Figure, Page, Section
+from piezoid_reports.page import Figure, Page, Section, axis_heading
 from piezoid_reports.quantities import told, told_between
 
 LOOK_CURVE = (
@@ -24,7 +24,11 @@ def render(page: Page) -> Section:
         title="Loading curve",
         lead="What the plays answer to a drive that only rises from the de-poled state. It holds "
         "all weights and thresholds in one line, and its interval is better known than theirs.",
-        parts=tuple(figure for axis in page.axes for figure in (_curve(axis), _bend(axis))),
+        parts=tuple(
+            figure
+            for axis in page.axes
+            for figure in (axis_heading(axis), _curve(axis), _bend(axis))
+        ),
     )
 
 

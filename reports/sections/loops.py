@@ -5,7 +5,7 @@ import numpy as np
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Figure, Heading, Page, Part, Section, Table
+from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import Trace, rms
 
@@ -26,7 +26,7 @@ def render(page: Page) -> Section | None:
     for axis in page.axes:
         if not page.traces[axis.axis]:
             continue
-        parts.append(Heading(text=f"Axis {axis.axis}"))
+        parts.append(axis_heading(axis))
         for trace in page.drawn(axis):
             parts += [_loop(page, axis, trace), _opened(page, axis, trace)]
         parts.append(_table(page, axis))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from piezoid.identification.model import AxisModel, Uncertainty
-from piezoid_reports.page import Heading, Page, Part, Section, Table
+from piezoid_reports.page import Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, told, told_between
 
 EDGE = 0.97  # of half the drive's range: a play this wide moves for a moment only
@@ -19,7 +19,7 @@ def render(page: Page) -> Section:
     for axis in page.axes:
         known = known_of(axis.uncertainty)
         parts += [
-            Heading(text=f"Axis {axis.axis}"),
+            axis_heading(axis),
             _plays(axis, known),
             _dead_zones(axis, known),
             *_envelope(axis, known),

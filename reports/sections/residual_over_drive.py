@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Figure, Page, Section
+from piezoid_reports.page import Figure, Page, Part, Section, axis_heading
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import Trace
 
@@ -23,17 +23,18 @@ LOOK = (
 
 def render(page: Page) -> Section | None:
     """Return one figure for each axis, all its recordings together."""
-    figures = [
-        _figure(axis, page.traces[axis.axis]) for axis in page.axes if page.traces[axis.axis]
-    ]
-    if not figures:
+    parts: list[Part] = []
+    for axis in page.axes:
+        if page.traces[axis.axis]:
+            parts += [axis_heading(axis), _figure(axis, page.traces[axis.axis])]
+    if not parts:
         return None
     return Section(
         anchor="residual-over-drive",
         title="Residual against drive",
         lead="All recordings of an axis together, in classes of drive. Bands hold the middle 90 % "
         "of the residual; lines are medians.",
-        parts=tuple(figures),
+        parts=tuple(parts),
     )
 
 

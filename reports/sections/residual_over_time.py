@@ -5,7 +5,7 @@ import numpy as np
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Figure, Heading, Page, Part, Section
+from piezoid_reports.page import Figure, Page, Part, Section, axis_heading
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import Trace, rms
 
@@ -27,7 +27,7 @@ def render(page: Page) -> Section | None:
     for axis in page.axes:
         if not page.traces[axis.axis]:
             continue
-        parts.append(Heading(text=f"Axis {axis.axis}"))
+        parts.append(axis_heading(axis))
         for trace in page.drawn(axis):
             parts += [_before_and_after(trace, axis), _after(trace, axis)]
     if not parts:

@@ -3,13 +3,14 @@
 from piezoid.identification.model import AxisModel
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
-from piezoid_reports.score import WORDS, line_rms_m, score_of, tone_of
+from piezoid_reports.score import judgement_of, line_rms_m, score_of
+from piezoid_reports.traces import Trace
 from piezoid_reports.weaknesses import Weakness, weaknesses_of
 
 
 def render(page: Page) -> Section:
     """Return what a reader must know if nothing else is read."""
-    tones = [tone_of(score_of(axis, page.traces[axis.axis])) for axis in page.axes]
+    tones = [judgement_of(axis, score_of(axis, page.traces[axis.axis]))[0] for axis in page.axes]
     worst = "bad" if "bad" in tones else "middling" if "middling" in tones else "good"
     return Section(
         anchor="verdict",
@@ -46,11 +47,12 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
         )
     worst = max(good, key=lambda axis: axis.quality.held_out_rms_percent)
     quality = worst.quality
-    whose = f"On axis {worst.axis}, the least well known" if len(good) > 1 else "On data"
-    tested = " that applies," if len(good) > 1 else " it was not fitted to,"
+    alone = len(good) + len(wrong) == 1
+    whose = "On data" if alone else f"On data of axis {worst.axis}"
     return (
-        f"{whose}{tested} it misses the measured displacement by "
-        f"{told(quality.held_out_rms_m, 'm')} rms, {told(quality.held_out_rms_percent, '%')} of "
+        f"{whose} it was not fitted to{_least_known(good)}, it misses the measured "
+        f"displacement by {told(quality.held_out_rms_m, 'm')} rms, "
+        f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
         f"{told(quality.noise_rms_m, 'm')} rms."
     )
@@ -69,23 +71,34 @@ def _what_next(axes: list[AxisModel]) -> str:
 def _card(page: Page, axis: AxisModel) -> Card:
     traces = page.traces[axis.axis]
     score = score_of(axis, traces)
-    tone = tone_of(score)
+    tone, word = judgement_of(axis, score)
     found = weaknesses_of(axis)
     first = (
         found[0] if found else Weakness(what="", why="No weakness was found.", remedy="Use it.")
     )
-    against = f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, " if traces else ""
-    held = axis.quality
     return Card(
         title=f"Axis {axis.axis}",
         score=score,
         tone=tone,
-        word=WORDS[tone] if axis.verdict.applies else "does not apply",
-        why=(
-            f"{against}the model {told(held.held_out_rms_m, 'm')} on held-out data, "
-            f"{percent(held.held_out_rms_m / held.range_m)} of the range. {first.why}"
-        ),
+        word=word,
+        why=f"{_against_line(axis, traces)}{first.why}",
         remedy=first.remedy,
+    )
+
+
+def _least_known(good: list[AxisModel]) -> str:
+    return ", its worst axis" if len(good) > 1 else ""
+
+
+def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:
+    """Say what the model is better than, unless it must not be used."""
+    if not traces or not axis.verdict.applies:
+        return ""
+    held = axis.quality
+    return (
+        f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, the model "
+        f"{told(held.held_out_rms_m, 'm')} on held-out data, "
+        f"{percent(held.held_out_rms_m / held.range_m)} of the range. "
     )
 
 

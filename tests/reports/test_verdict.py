@@ -21,7 +21,11 @@ def _verdict(page: str) -> str:
 
 def test_three_sentences_say_class_error_and_next_experiment(page: str) -> None:
     verdict = _verdict(page).replace("\u202f", " ")
-    assert re.match(r"The hysteresis model applies to axes x and y\. On axis ", verdict)
+    assert re.match(
+        r"The hysteresis model applies to axes x and y\. On data of axis x it was not fitted to, "
+        r"its worst axis, it misses the measured displacement by ",
+        verdict,
+    )
     assert "30.0 nm rms, 0.125 % of the 24.0 µm range" in verdict
     assert "own noise is 5.00 nm rms" in verdict
     assert "What weakens axis x most is an error 6.0 times the sensor noise; next, " in verdict
