@@ -2,7 +2,8 @@
 
 All three signals are differenced first: G commutes with that, and drift, which would leak from
 the block edges over every line, becomes a constant. A periodic dither is cut into its periods, so
-that nothing leaks at all; any other is cut into half overlapping windowed blocks.
+that nothing leaks at all; any other is cut into tapered blocks, not overlapping, so that they
+are independent witnesses; the plant forgets within a few samples of a block's thousands.
 
 Lines at multiples of 50 and of 60 Hz are left out: mains hum repeats with every period whose
 length is a whole number of its cycles, and would pass for an answer to the dither.
@@ -61,15 +62,17 @@ def spectra_of_dither(record: LoopRecord, *, highest_Hz: float) -> LoopSpectra:
     """Return the spectra on the lines the dither excites, up to a highest frequency."""
     if record.period_samples is None:
         length = _block_length(record)
-        spectra = _cut(record, length, length // 2, np.hanning(length + 1)[:-1])
+        spectra = _cut(record, length, length, _tapered(length))
     else:
         length = record.period_samples
         _refuse_few_periods(record, length)
         spectra = _cut(record, length, length, np.ones(length))
-    power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
     inside = (spectra.frequency_Hz > 0.0) & (spectra.frequency_Hz <= highest_Hz)
+    difference = 2.0 * np.sin(np.pi * spectra.frequency_Hz / record.sampling_rate_Hz)
+    power = np.sum(np.abs(spectra.reference) ** 2, axis=0)
+    power[inside] /= difference[inside] ** 2  # of the dither itself, not of its differences
     inside &= ~_is_mains(spectra.frequency_Hz, record.sampling_rate_Hz / length)
-    if not np.max(power, initial=0.0) > 0.0:
+    if not np.max(power[inside], initial=0.0) > 0.0:
         raise ExcitationError(
             f"{record.label}: the reference does not move",
             needed="a dither that does not depend on the current",
@@ -102,8 +105,17 @@ def _is_mains(frequency_Hz: Array, resolution_Hz: float) -> NDArray[np.bool_]:
 
 
 def _block_length(record: LoopRecord) -> int:
-    """A power of two that leaves at least sixteen blocks without overlap."""
-    return max(int(2 ** np.floor(np.log2(record.samples / 16))), 16)
+    """A power of two that leaves at least thirty-two blocks without overlap."""
+    return max(int(2 ** np.floor(np.log2(record.samples / 33))), 16)
+
+
+def _tapered(length: int) -> Array:
+    """A window with a twentieth of its length as cosine taper at either end."""
+    taper = length // 20
+    window = np.ones(length)
+    window[:taper] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(taper) + 0.5) / max(taper, 1))
+    window[length - taper :] = window[:taper][::-1]
+    return window
 
 
 def _refuse_few_periods(record: LoopRecord, length: int) -> None:

@@ -1,0 +1,139 @@
+"""Plant and barrier are found behind a controller, where the plain transfer function is wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_spectra import spectra_of_dither
+from piezoid_datasets.virtual_lab.junction import Junction
+from tests.identification.tunnelling.loops import identified, loop_records
+
+
+def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
+    """Twenty records of four seconds; the benchmark does fifty of eight."""
+    barriers_eV = np.linspace(1.0, 5.0, 20)
+    junctions = [Junction(barrier_eV=barrier, drive_range_V=1.0) for barrier in barriers_eV]
+    records = loop_records(junctions, periods=41, seed=1)
+    fits = [
+        identified(record, junction) for record, junction in zip(records, junctions, strict=True)
+    ]
+    error = np.array([fit.barrier_eV for fit in fits]) / barriers_eV - 1.0
+    held = [
+        fit.barrier_interval_eV[0] < truth < fit.barrier_interval_eV[1]
+        for fit, truth in zip(fits, barriers_eV, strict=True)
+    ]
+    assert np.median(np.abs(error)) < 0.025
+    assert np.max(np.abs(error)) < 0.08  # four standard deviations of the longest interval
+    assert sum(held) >= 17  # 19 expected, two standard deviations are 2
+    naive = np.array([abs(fit.naive_error) for fit in fits])
+    assert np.median(naive) > 0.15
+    assert np.median(naive) > 5.0 * np.median(np.abs(error))
+
+
+def test_delay_and_sensor_pole_are_found_with_their_intervals() -> None:
+    junction = Junction(latency_s=40e-6, sensor_pole_Hz=5000.0)
+    fit = identified(loop_records([junction], periods=41, seed=3)[0], junction)
+    assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
+    assert fit.sensor_pole_interval_Hz[0] < 5000.0 < fit.sensor_pole_interval_Hz[1]
+    assert fit.plant.delay_s == pytest.approx(40e-6, abs=5e-6)
+
+
+def test_a_quiet_junction_is_known_to_a_per_mille() -> None:
+    quiet = Junction(flicker_m=0.0, vibration_m=0.0, mains_gap_m=0.0, mains_current_A=0.0)
+    fit = identified(loop_records([quiet], periods=21, seed=5)[0], quiet)
+    truth = quiet.decay_per_m * quiet.drive_gain_m_per_V
+    assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=5e-3)
+    assert fit.confidence is Confidence.HIGH
+
+
+def test_the_naive_error_does_not_fall_with_a_longer_record() -> None:
+    junction = Junction(drive_range_V=1.0)
+    short, long = (
+        identified(loop_records([junction], periods=periods, seed=7)[0], junction)
+        for periods in (11, 41)
+    )
+    assert abs(short.naive_error) > 0.15
+    assert abs(long.naive_error) > 0.15
+    assert "minus the controller's inverse" in long.naive_reason
+    assert np.ptp(long.gain_interval) < np.ptp(short.gain_interval)
+
+
+def test_a_dither_without_a_period_serves_as_instrument_too() -> None:
+    junction = Junction(drive_range_V=1.0)
+    record = loop_records([junction], periods=41, seed=9, periodic=False)[0]
+    fit = identified(record, junction)
+    truth = junction.decay_per_m * junction.drive_gain_m_per_V
+    assert fit.gain_interval[0] < truth < fit.gain_interval[1]
+    assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=0.06)
+
+
+def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:
+    junction = Junction(drive_range_V=1.0, flicker_m=5e-12)
+    fit = identified(loop_records([junction], periods=12, seed=11, rms=0.02)[0], junction)
+    assert fit.confidence is not Confidence.HIGH
+    assert any("95 % interval" in reason.text for reason in fit.reasons)
+
+
+def test_lines_on_the_mains_are_left_out() -> None:
+    record = loop_records([Junction()], periods=10, seed=13, periodic=False)[0]
+    periodic = _changed(record, period_samples=2000)
+    frequency_Hz = spectra_of_dither(periodic, highest_Hz=8000.0).frequency_Hz
+    assert not np.isin([50.0, 60.0, 100.0, 120.0, 150.0], frequency_Hz).any()
+    assert np.isin([40.0, 70.0, 110.0, 1000.0], frequency_Hz).all()
+
+
+def test_the_unit_of_the_dither_does_not_matter() -> None:
+    junction = Junction()
+    record = loop_records([junction], periods=12, seed=15)[0]
+    scaled = _changed(record, reference=1e-3 * record.reference)
+    one, other = (identified(r, junction).plant.gain_nepers_per_V for r in (record, scaled))
+    assert one == pytest.approx(other, rel=1e-6)
+
+
+def test_negative_currents_give_the_same_plant() -> None:
+    junction = Junction()
+    record = loop_records([junction], periods=12, seed=15)[0]
+    mirrored = _changed(record, current_A=-record.current_A, set_point_A=-record.set_point_A)
+    one, other = (identified(r, junction).plant for r in (record, mirrored))
+    assert one == other
+
+
+def test_a_record_without_dither_is_refused() -> None:
+    record = loop_records([Junction()], periods=10, seed=17)[0]
+    still = _changed(record, reference=np.zeros(record.samples))
+    with pytest.raises(ExcitationError, match="does not move"):
+        identified(still, Junction())
+
+
+def test_too_few_periods_are_refused() -> None:
+    record = loop_records([Junction()], periods=5, seed=17)[0]
+    with pytest.raises(ExcitationError, match="4 whole periods"):
+        identified(record, Junction())
+
+
+def test_a_set_point_of_the_wrong_sign_is_refused() -> None:
+    record = loop_records([Junction()], periods=5, seed=17)[0]
+    with pytest.raises(ExcitationError, match="10000 of 10000 currents"):
+        _changed(record, set_point_A=-1e-9)
+
+
+def test_an_uncertain_extension_widens_the_barrier_only() -> None:
+    record = loop_records([Junction()], periods=12, seed=19)[0]
+    sure = identified(record, Junction())
+    unsure = identify_closed_loop(
+        record,
+        amplifier_pole_Hz=4000.0,
+        drive_gain_m_per_V=18e-9,
+        drive_gain_relative_uncertainty=0.05,
+    )
+    assert unsure.gain_interval == sure.gain_interval
+    assert np.ptp(unsure.barrier_interval_eV) > 0.38 * unsure.barrier_eV  # 2 * 2 * 1.96 * 5 %
+
+
+def _changed(record: LoopRecord, **fields: object) -> LoopRecord:
+    return replace(record, **fields)  # type: ignore[arg-type]

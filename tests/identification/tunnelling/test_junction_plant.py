@@ -1,0 +1,61 @@
+"""The sampled plant is exact: against the matrix exponential, and in all of its three forms."""
+
+import numpy as np
+import pytest
+
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.numerics.zero_order_hold import sample
+
+RATE_Hz = 20000.0
+EXACT = 1e-9  # closed form against a matrix exponential, in gains of hundreds
+
+
+def _plant(delay_s: float, sensor_pole_Hz: float = 7000.0) -> JunctionPlant:
+    return JunctionPlant(
+        gain_nepers_per_V=369.0,
+        sensor_pole_Hz=sensor_pole_Hz,
+        delay_s=delay_s,
+        amplifier_pole_Hz=4000.0,
+        sampling_rate_Hz=RATE_Hz,
+    )
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 12e-6, 50e-6, 95e-6, 100e-6])
+@pytest.mark.parametrize("sensor_pole_Hz", [900.0, 4000.0, 30000.0])
+def test_the_step_response_is_that_of_the_continuous_chain(
+    delay_s: float, sensor_pole_Hz: float
+) -> None:
+    plant = _plant(delay_s, sensor_pole_Hz)
+    a, s = 2 * np.pi * 4000.0, 2 * np.pi * sensor_pole_Hz
+    system = sample(
+        np.array([[-a, 0.0], [s, -s]]),
+        np.array([a * plant.gain_nepers_per_V, 0.0]),
+        np.array([0.0, 1.0]),
+        1.0 / RATE_Hz,
+        delay_s,
+    )
+    state, past, expected = np.zeros(2), np.zeros(system.taps.shape[1]), []
+    for _ in range(40):
+        expected.append(float(system.C @ state))
+        past = np.concatenate([[1.0], past[:-1]])
+        state = system.A @ state + system.taps @ past
+    split = 1e-3 if sensor_pole_Hz == 4000.0 else EXACT  # a double pole is split by 1e-6
+    assert plant.respond(np.ones(40)) == pytest.approx(np.array(expected), abs=split)
+
+
+def test_the_frequency_response_is_that_of_the_polynomials() -> None:
+    plant = _plant(61e-6)
+    numerator, denominator = plant.polynomials()
+    frequency_Hz = np.array([1.0, 100.0, 3000.0, 9900.0])
+    back = np.exp(-2j * np.pi * frequency_Hz / RATE_Hz)
+    expected = np.polyval(numerator[::-1], back) / np.polyval(denominator[::-1], back)
+    assert plant.frequency_response(frequency_Hz) == pytest.approx(expected, rel=1e-10)
+
+
+def test_the_gain_at_rest_is_the_gain() -> None:
+    assert _plant(30e-6).respond(np.ones(200))[-1] == pytest.approx(369.0, rel=1e-12)
+
+
+def test_a_negative_delay_is_refused() -> None:
+    with pytest.raises(ValueError, match="delay_s"):
+        _plant(-1e-6)

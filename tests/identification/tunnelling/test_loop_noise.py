@@ -1,0 +1,105 @@
+"""Drift, hum and the limit of resolution are read off the closed loop, in metres of gap."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.loop_noise import (
+    LoopNoise,
+    budget_resolution,
+    measure_loop_noise,
+    power_density,
+)
+from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid_datasets.virtual_lab.junction import Junction
+from tests.identification.tunnelling.loops import identified, loop_records
+
+CHAIN = CurrentChain(bandwidth_Hz=7000.0, feedback_ohm=1e9, adc_step_A=10.0 / 2**15 * 1e-9)
+
+
+def _noise(junction: Junction, *, seed: int, periods: int = 21) -> LoopNoise:
+    record = loop_records([junction], periods=periods, seed=seed)[0]
+    fit = identified(record, junction)
+    return measure_loop_noise(
+        record,
+        fit.plant,
+        decay_per_m=fit.decay_per_m,
+        drive_step_V=junction.drive_range_V / 2**15,
+        chain=CHAIN,
+    )
+
+
+def test_the_drift_rate_lies_in_its_interval() -> None:
+    noise = _noise(Junction(drift_m_per_s=60e-12, wander_m_per_root_s=5e-12), seed=21)
+    low, high = noise.drift_interval_m_per_s
+    assert low < 60e-12 < high
+    assert noise.drift_m_per_s == pytest.approx(60e-12, abs=10e-12)
+
+
+def test_the_hum_is_found_at_its_frequency_and_size() -> None:
+    noise = _noise(Junction(mains_Hz=60.0, mains_gap_m=6e-12), seed=23)
+    assert noise.mains[0].frequency_Hz == pytest.approx(60.0, abs=0.3)
+    assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15)
+
+
+def test_without_hum_no_line_is_claimed() -> None:
+    noise = _noise(Junction(mains_gap_m=0.0, mains_current_A=0.0), seed=25)
+    assert noise.mains == ()
+
+
+def test_the_vibration_stands_in_the_spectrum() -> None:
+    noise = _noise(Junction(vibration_m=8e-12, wander_m_per_root_s=0.0), seed=27)
+    around = (noise.frequency_Hz > 70.0) & (noise.frequency_Hz < 1000.0)
+    peak_Hz = noise.frequency_Hz[around][np.argmax(noise.density_m2_per_Hz[around])]
+    assert peak_Hz == pytest.approx(140.0, abs=10.0)
+
+
+def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
+    """Shot 1.79 pA, Johnson of 1 GOhm 4.0e-15 A/rtHz; the drive's steps limit, not physics."""
+    chain = CurrentChain(bandwidth_Hz=10e3, feedback_ohm=1e9, adc_step_A=0.305e-12)
+    assert chain.shot_A(1e-9) == pytest.approx(1.79e-12, rel=5e-3)
+    assert chain.johnson_A / 100.0 == pytest.approx(4.0e-15, rel=0.02)
+    sources = budget_resolution(
+        set_point_A=1e-9,
+        decay_per_m=decay_of_barrier(1.0),
+        drive_step_m=5.49e-12,
+        sampling_rate_Hz=20e3,
+        chain=chain,
+        gap_rms_m=0.0,
+    )
+    in_pm = {source.name: source.rms_m * 1e12 for source in sources}
+    assert in_pm["shot"] == pytest.approx(0.17, abs=0.01)
+    assert in_pm["drive_step"] == pytest.approx(1.59, abs=0.01)
+    assert max(in_pm, key=lambda name: in_pm[name]) == "drive_step"
+
+
+def test_the_limiting_electronics_change_with_an_attenuator() -> None:
+    whole, attenuated = (
+        _noise(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
+    )
+    assert whole.limiting_electronics == "drive_step"
+    assert attenuated.limiting_electronics == "shot"
+    assert whole.limiting_source == attenuated.limiting_source == "gap"
+
+
+def test_the_power_density_integrates_to_the_variance(rng: np.random.Generator) -> None:
+    signal = rng.standard_normal(40000)
+    frequency_Hz, density = power_density(signal, 1000.0)
+    assert np.sum(density) * frequency_Hz[1] == pytest.approx(np.var(signal), rel=0.03)
+
+
+def test_a_sine_keeps_its_power_in_the_density() -> None:
+    signal = 3.0 * np.sin(2 * np.pi * 50.0 * np.arange(20000) / 1000.0)
+    frequency_Hz, density = power_density(signal, 1000.0)
+    near = np.abs(frequency_Hz - 50.0) < 5.0
+    assert np.sum(density[near]) * frequency_Hz[1] == pytest.approx(4.5, rel=0.01)
+
+
+def test_an_undeclared_bandwidth_is_refused() -> None:
+    record = loop_records([Junction()], periods=12, seed=31)[0]
+    plant = identified(record, Junction()).plant
+    with pytest.raises(ExcitationError, match="bandwidth"):
+        measure_loop_noise(
+            record, plant, decay_per_m=2e10, drive_step_V=3e-4, chain=CurrentChain()
+        )

@@ -1,0 +1,96 @@
+"""What leaves the folder: a family that holds the junctions, a model that comes back exactly."""
+
+import json
+
+import numpy as np
+import pytest
+
+from piezoid.identification.tunnelling.barrier_fit import fit_barrier
+from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
+from piezoid.identification.tunnelling.family import spread_family
+from piezoid.identification.tunnelling.model import (
+    TunnellingModel,
+    describe_gap_law,
+    describe_loop_plant,
+)
+from piezoid_datasets.virtual_lab.junction import Junction
+from tests.identification.tunnelling.loops import identified, loop_records
+from tests.identification.tunnelling.sweeps import sweep
+
+
+@pytest.fixture(scope="module")
+def fits() -> list[ClosedLoopFit]:
+    """Eight junctions of one rig with barriers around 4 eV, spread by 10 %."""
+    barriers_eV = 4.0 * np.exp(0.1 * np.random.default_rng(33).standard_normal(8))
+    junctions = [Junction(barrier_eV=barrier) for barrier in barriers_eV]
+    records = loop_records(junctions, periods=21, seed=35)
+    return [identified(r, j) for r, j in zip(records, junctions, strict=True)]
+
+
+def test_the_family_holds_the_junctions_it_was_drawn_from(fits: list[ClosedLoopFit]) -> None:
+    family = spread_family(fits, drive_gain_m_per_V=18e-9)
+    assert family.between_records
+    gains = [fit.plant.gain_nepers_per_V for fit in fits]
+    assert family.gain.low < min(gains)
+    assert family.gain.high > max(gains)
+    assert family.barrier_eV.low < 4.0 < family.barrier_eV.high
+    assert family.delay_s.low < 30e-6 < family.delay_s.high
+
+
+def test_the_family_spreads_by_what_the_barriers_spread(fits: list[ClosedLoopFit]) -> None:
+    """The spread is that of the junctions: 5 % of gain, Student's quantile 2.36, not more."""
+    family = spread_family(fits, drive_gain_m_per_V=18e-9)
+    half = 0.5 * np.log(family.gain.high / family.gain.low)
+    assert 0.06 < half < 0.25
+
+
+def test_members_are_nominal_first_and_extreme_in_turn(fits: list[ClosedLoopFit]) -> None:
+    family = spread_family(fits, drive_gain_m_per_V=18e-9)
+    nominal, gain_low, gain_high, *_, delay_low, delay_high = family.members
+    assert len(family.members) == 7
+    assert nominal.gain_nepers_per_V == family.gain.nominal
+    assert (gain_low.gain_nepers_per_V, gain_high.gain_nepers_per_V) == (
+        family.gain.low,
+        family.gain.high,
+    )
+    assert (delay_low.delay_s, delay_high.delay_s) == (family.delay_s.low, family.delay_s.high)
+
+
+def test_one_record_cannot_show_a_spread(fits: list[ClosedLoopFit]) -> None:
+    family = spread_family(fits[:1], drive_gain_m_per_V=18e-9)
+    assert not family.between_records
+    assert family.records == 1
+    assert family.gain.low < fits[0].plant.gain_nepers_per_V < family.gain.high
+
+
+def test_equal_junctions_have_no_spread_beyond_their_uncertainty() -> None:
+    junction = Junction()
+    same = [identified(r, junction) for r in loop_records([junction] * 6, periods=21, seed=37)]
+    family = spread_family(same, drive_gain_m_per_V=18e-9)
+    uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
+    assert 0.5 * np.log(family.gain.high / family.gain.low) < 4.0 * uncertainty
+
+
+def test_the_model_comes_back_number_for_number(
+    rng: np.random.Generator, fits: list[ClosedLoopFit]
+) -> None:
+    family = spread_family(fits, drive_gain_m_per_V=18e-9)
+    model = TunnellingModel(
+        gap_law=describe_gap_law(fit_barrier([sweep(rng)])),
+        loop_plant=describe_loop_plant(fits[0], family),
+    )
+    text = json.dumps(model.to_json(), allow_nan=False)
+    assert TunnellingModel.from_json(json.loads(text)) == model
+
+
+def test_an_unbounded_interval_survives_json(rng: np.random.Generator) -> None:
+    weak = fit_barrier([sweep(rng, peak_A=0.02e-12, floor_A=0.05e-12)])
+    assert weak.decay_interval_per_m[1] == np.inf
+    model = TunnellingModel(gap_law=describe_gap_law(weak), loop_plant=None)
+    text = json.dumps(model.to_json(), allow_nan=False)
+    assert TunnellingModel.from_json(json.loads(text)) == model
+
+
+def test_an_empty_model_is_refused() -> None:
+    with pytest.raises(ValueError, match="gap law or a loop plant"):
+        TunnellingModel(gap_law=None, loop_plant=None)
