@@ -5,7 +5,7 @@ inverse is as exact.
 """
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,18 +83,19 @@ class ModifiedPrandtlIshlinskii:
         _, after_V = self.plays.run(command_V, memory_V)
         return self.envelope.inverse().run(command_V) + self.voltage_offset_V, after_V
 
-    def regauged(self) -> "ModifiedPrandtlIshlinskii":
-        """Return the same operator with weight 1 at the central dead zone."""
-        c = float(self.dead_zones.weight[self.dead_zones.zero])
-        return ModifiedPrandtlIshlinskii(
+    def rescaled(self, c: float) -> "ModifiedPrandtlIshlinskii":
+        """Return the same operator in another gauge: (w, r_S, w_S) -> (c w, c r_S, w_S / c)."""
+        return replace(
+            self,
             plays=PrandtlIshlinskii(threshold=self.plays.threshold, weight=self.plays.weight * c),
             dead_zones=DeadZones(
                 threshold=self.dead_zones.threshold * c, weight=self.dead_zones.weight / c
             ),
-            voltage_offset_V=self.voltage_offset_V,
-            displacement_offset_m=self.displacement_offset_m,
-            envelope=self.envelope,
         )
+
+    def regauged(self) -> "ModifiedPrandtlIshlinskii":
+        """Return the same operator with weight 1 at the central dead zone."""
+        return self.rescaled(float(self.dead_zones.weight[self.dead_zones.zero]))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,14 +7,15 @@ lag alone explains (a play sum imitates lag, with weights that hold at no other 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.loops import Loop, loops_of
-from piezoid.identification.hysteresis.order import Choice, folds_of, held_out_error
+from piezoid.identification.hysteresis.order import Choice, attempt
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 
@@ -95,20 +96,16 @@ def _only_lag(
     if widest < WIDE * height:
         return ""
     progress("a lag alone, without hysteresis")
-    zones = min(choice.shape.below, 2)
+    zones = min(choice.best.shape.below, 2)
     for lag in ("first_order", "delay"):
-        total, count, lag_s = 0.0, 0, 0.0
-        for training, testing in folds_of(pieces):
-            fitted = search(training, Shape(plays=0, below=zones, above=zones, lag=lag), settings)
-            error, rows = held_out_error(fitted, training, testing)
-            total, count, lag_s = total + error, count + rows, fitted.operator.lag_s
-        rms = float(np.sqrt(total / count))
-        if rms <= AS_GOOD * choice.held_out_rms:
-            kind = lag.replace("_", "-")
+        shape = Shape(plays=0, below=zones, above=zones, lag=lag)
+        trial = attempt(pieces, shape, replace(settings, lag_s=None))
+        if trial.held_out_rms <= AS_GOOD * choice.best.held_out_rms:
             return (
-                f"a {kind} lag of {1e3 * lag_s:.3g} ms without any hysteresis leaves "
-                f"{100 * rms / height:.3g} % of the displacement range on held-out data, the "
-                f"hysteresis model {100 * choice.held_out_rms / height:.3g} %: the loop "
+                f"a {lag.replace('_', '-')} lag of {1e3 * trial.lag_s:.3g} ms without any "
+                f"hysteresis leaves {100 * trial.held_out_rms / height:.3g} % of the displacement "
+                "range on held-out data, the hysteresis model "
+                f"{100 * choice.best.held_out_rms / height:.3g} %: the loop "
                 f"({100 * widest / height:.1f} % wide) is phase lag, not hysteresis"
             )
     return ""
@@ -116,7 +113,7 @@ def _only_lag(
 
 def _unexplained(pieces: Sequence[Piece], choice: Choice) -> str:
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
-    share = choice.held_out_rms / height
+    share = choice.best.held_out_rms / height
     if share <= UNEXPLAINED:
         return ""
     return (

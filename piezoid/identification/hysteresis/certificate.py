@@ -64,7 +64,14 @@ def certify(
 def apart(
     model: ModifiedPrandtlIshlinskii, other: ModifiedPrandtlIshlinskii, reach_V: float
 ) -> tuple[float, float]:
-    """Return the play and the dead-zone term of the distance between two models, m."""
+    """Return the play and the dead-zone term of the distance between two models, m.
+
+    The other model is first brought to the gauge in which its loading curve ends where ours does:
+    the same operator in another gauge is no distance away.
+    """
+    end = np.array([reach_V])
+    ratio = float(model.plays.loading_curve(end)[0] / other.plays.loading_curve(end)[0])
+    other = other.rescaled(ratio)
     steepest = float(model.dead_zones.slope.max())
     reach = np.array([-reach_V, reach_V])
     widest_V = float(np.abs(other.envelope.run(reach)).max())

@@ -9,14 +9,9 @@ from piezoid.identification.hysteresis.applicability import reason_in_fit, reaso
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
-from piezoid.identification.hysteresis.gauss_newton import Minimum, minimise
+from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
-from piezoid.identification.hysteresis.order import (
-    ORDERS,
-    Choice,
-    choose_shape,
-    held_out_residual,
-)
+from piezoid.identification.hysteresis.order import ORDERS, Choice, choose_shape
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
@@ -32,7 +27,6 @@ from piezoid.identification.model import (
     PieceStart,
     Verdict,
 )
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import reversals_of
@@ -73,17 +67,15 @@ def estimate_axis(
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
     ready = _prepare(recordings, axis, rig, progress)
-    choosing = replace(ready.settings, rows=CHOOSING_ROWS, iterations=15)
+    choosing = replace(ready.settings, rows=CHOOSING_ROWS, iterations=12)
     against = reason_in_loops(ready.pieces)
     # Where the loops rule the class out, one small fit is enough to show how wrong it is.
     tried = orders[:1] if against else orders
     choice = choose_shape(ready.pieces, choosing, orders=tried, progress=progress)
     against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
-    progress("held-out error of the chosen shape")
-    residual = held_out_residual(ready.pieces, choice.shape, ready.settings)
     progress("final fit")
     fitted = _final(ready, choice)
-    return _axis_model(recordings, axis, rig, ready, choice, fitted, residual, against)
+    return _axis_model(recordings, axis, rig, ready, choice, fitted, against)
 
 
 def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:
@@ -95,6 +87,7 @@ def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Pro
     )
     rough = search(pieces, FIRST_SHAPE, replace(settings, rows=CHOOSING_ROWS, iterations=12))
     pieces, transients = without_transients(rough)
+    settings = replace(settings, lag_s=rough.operator.lag_s)
     return Prepared(scales=scales, pieces=pieces, settings=settings, transients=transients)
 
 
@@ -111,7 +104,7 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
 
 def _final(ready: Prepared, choice: Choice) -> Fitted:
     settings = replace(ready.settings, rows=FINAL_ROWS)
-    fitted = search(ready.pieces, choice.shape, settings)
+    fitted = search(ready.pieces, choice.best.shape, settings)
     fitted = simplified(fitted, iterations=settings.iterations)
     if fitted.task.stride == 1:
         return fitted
@@ -127,7 +120,6 @@ def _axis_model(
     ready: Prepared,
     choice: Choice,
     fitted: Fitted,
-    residual: Array,
     against: str,
 ) -> AxisModel:
     scales, theta = ready.scales, fitted.minimum.theta
@@ -153,13 +145,13 @@ def _axis_model(
             reason=against,
             remarks=remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
         ),
-        quality=_quality(fitted.minimum, fitted, choice, residual, ready.pieces, stroke_m),
+        quality=_quality(fitted, choice, ready.pieces, stroke_m),
         uncertainty=summarise(found, fitted.task.coordinates, scales),
         certificate=certify(
             found,
             fitted.task.coordinates,
             scales,
-            residual * stroke_m,
+            choice.best.residual * stroke_m,
             slew,
             fitted.task.longest_lag_s,
         ),
@@ -186,18 +178,14 @@ def _starts(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
 
 
 def _quality(
-    minimum: Minimum,
-    fitted: Fitted,
-    choice: Choice,
-    residual: Array,
-    pieces: Sequence[Piece],
-    stroke_m: float,
+    fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
+    minimum = fitted.minimum
     height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
     noise = max(white_noise_rms(piece.response[piece.first : piece.last]) for piece in pieces)
     return FitQuality(
         rms_m=minimum.rms * stroke_m,
-        held_out_rms_m=float(np.sqrt(np.mean(residual**2))) * stroke_m,
+        held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=height * stroke_m,
         noise_rms_m=noise * stroke_m,

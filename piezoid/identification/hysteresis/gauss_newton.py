@@ -16,6 +16,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step
 from piezoid.numerics.triangle import empty_triangle, gather
 
+BATCH = 2048  # rows factorised together
 CONVERGED = 1e-5  # relative fall of the cost that is not worth another iteration
 
 
@@ -73,24 +74,35 @@ def triangle_of(theta: Array, task: Task) -> Array:
     """Return the triangular factor of [J | e] over all pieces, (<= total + 1, total + 1)."""
     coordinates = task.coordinates
     whole = empty_triangle(coordinates.total + 1)
-    for index, piece in enumerate(task.pieces):
+    for index in range(len(task.pieces)):
+        part = _piece_triangle(theta, task, index)
         local = coordinates.local_slice(index)
-        part = empty_triangle(coordinates.shared + local.stop - local.start + 1)
-        for rows in rows_of(
-            theta,
-            coordinates,
-            index,
-            piece,
-            sensor_pole=task.sensor_pole_Hz,
-            stride=task.stride,
-        ):
-            part = gather(part, np.hstack([rows.tangent, rows.residual[:, None]]))
         wide = np.zeros((len(part), coordinates.total + 1), order="F")
         wide[:, : coordinates.shared] = part[:, : coordinates.shared]
         wide[:, local] = part[:, coordinates.shared : -1]
         wide[:, -1] = part[:, -1]
         whole = gather(whole, wide)
     return whole
+
+
+def _piece_triangle(theta: Array, task: Task, index: int) -> Array:
+    """Return the factor of one piece; thinned chunks wait until a factorisation is worth it."""
+    local = task.coordinates.local_slice(index)
+    part = empty_triangle(task.coordinates.shared + local.stop - local.start + 1)
+    waiting: list[Array] = []
+    for rows in rows_of(
+        theta,
+        task.coordinates,
+        index,
+        task.pieces[index],
+        sensor_pole=task.sensor_pole_Hz,
+        stride=task.stride,
+    ):
+        waiting.append(np.hstack([rows.tangent, rows.residual[:, None]]))
+        if sum(map(len, waiting)) >= BATCH:
+            part = gather(part, np.vstack(waiting))
+            waiting.clear()
+    return gather(part, np.vstack(waiting)) if waiting else part
 
 
 def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:

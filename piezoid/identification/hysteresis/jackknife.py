@@ -24,6 +24,9 @@ from piezoid.numerics.arrays import Array
 
 BLOCKS = 24
 _RIDGE = 1e-12
+# Directions the data hardly see (eigenvalues of the scaled normal matrix below this share of the
+# largest) keep the fit's values: there a linear step says nothing, and the output hardly changes.
+TRUNCATED = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,7 +92,7 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
     for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
         rest = (whole - normal)[np.ix_(free, free)]
         scale = np.sqrt(np.diag(whole)[free])
-        step = np.linalg.lstsq(rest / np.outer(scale, scale), gradient[free] / scale, rcond=1e-10)
+        step = np.linalg.lstsq(rest / np.outer(scale, scale), gradient[free] / scale, rcond=TRUNCATED)
         replicates[block, free] += step[0] / scale
     replicates = np.clip(replicates, lower, upper)
     return Jackknife(

@@ -20,42 +20,44 @@ from piezoid.identification.hysteresis.search import (
 )
 from piezoid.numerics.arrays import Array
 
-ORDERS = ((2, 0), (4, 1), (6, 1), (8, 2), (10, 3), (12, 4), (16, 6))
+ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
 BENDS = (3, 6)
 CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
 FOLDS = 3
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
     """One shape and its held-out error.
 
-    shape         what was fitted
-    held_out_rms  scaled units, over all folds
+    shape     what was fitted
+    residual  (rows,)  on rows the fits of all folds did not see, scaled units
+    lag_s     fitted lag, of the last fold
     """
 
     shape: Shape
-    held_out_rms: float
+    residual: Array
+    lag_s: float
+
+    @property
+    def held_out_rms(self) -> float:
+        """Return the rms of the residual."""
+        return float(np.sqrt(np.mean(self.residual**2)))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Choice:
     """The chosen shape among those tried.
 
-    shape   chosen
+    best    the chosen trial
     trials  all, in the order they were tried
     kind    ``other recordings`` or ``second half``
     """
 
-    shape: Shape
+    best: Trial
     trials: tuple[Trial, ...]
     kind: str
-
-    @property
-    def held_out_rms(self) -> float:
-        """Return the held-out error of the chosen shape, scaled units."""
-        return next(t.held_out_rms for t in self.trials if t.shape == self.shape)
 
 
 def choose_shape(
@@ -83,7 +85,7 @@ def choose_shape(
         if other.held_out_rms * CLOSE < best.held_out_rms:
             best = other
     kind = "other recordings" if _recordings(pieces) > 1 else "second half"
-    return Choice(shape=best.shape, trials=tuple(trials), kind=kind)
+    return Choice(best=best, trials=tuple(trials), kind=kind)
 
 
 def _smallest_close(trials: Sequence[Trial]) -> Trial:
@@ -98,12 +100,17 @@ def _try(
         f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
         f"{shape.lag.replace('_', ' ')}"
     )
-    total, count = 0.0, 0
+    return attempt(pieces, shape, settings)
+
+
+def attempt(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Trial:
+    """Fit a shape to every fold's training part and look at the part it did not see."""
+    residuals, lag_s = [], 0.0
     for training, testing in folds_of(pieces):
-        error = held_out_error(search(training, shape, settings), training, testing)
-        total += error[0]
-        count += error[1]
-    return Trial(shape=shape, held_out_rms=float(np.sqrt(total / count)))
+        fitted = search(training, shape, settings)
+        residuals.append(_unseen(fitted, training, testing))
+        lag_s = fitted.operator.lag_s
+    return Trial(shape=shape, residual=np.concatenate(residuals), lag_s=lag_s)
 
 
 def _recordings(pieces: Sequence[Piece]) -> int:
@@ -123,24 +130,6 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
         training = tuple(p for p in pieces if p.recording % folds != fold)
         if training and testing:
             yield training, testing
-
-
-def held_out_error(
-    fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]
-) -> tuple[float, int]:
-    """Return the sum of squares and the count of residuals on rows the fit did not see."""
-    residual = _unseen(fitted, training, testing)
-    return float(residual @ residual), len(residual)
-
-
-def held_out_residual(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Array:
-    """Return all residuals of a shape on rows the fits did not see, scaled units."""
-    return np.concatenate(
-        [
-            _unseen(search(training, shape, settings), training, testing)
-            for training, testing in folds_of(pieces)
-        ]
-    )
 
 
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:

@@ -55,6 +55,7 @@ class Settings:
     rows            how many rows a search may use; more are thinned
     follow_zero     whether slow motion of the zero is followed by knots
     iterations      most Jacobians of a search
+    lag_s           where the lag begins; None searches for it over the whole range
     """
 
     longest_lag_s: float
@@ -62,11 +63,14 @@ class Settings:
     rows: int = 8000
     follow_zero: bool = True
     iterations: int = 30
+    lag_s: float | None = None
 
 
 def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
     """Fit one shape to pieces, from a convex start."""
-    lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
+    lag_s = settings.lag_s
+    if lag_s is None:
+        lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
     begin = kuhnen_start(pieces, shape, lag_s) if shape.plays else linear_start(pieces, lag_s)
     task = task_for(pieces, bent(begin.operator, shape.bends), shape.lag, settings)
     theta = vector_of(bent(begin.operator, shape.bends), task.coordinates)
