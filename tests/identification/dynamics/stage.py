@@ -1,0 +1,100 @@
+"""A simulated stage whose truth is known: two modes, a delay, an amplifier, a little of a play."""
+
+import numpy as np
+
+from piezoid.identification.dynamics.fit_dynamics import Declaration
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+from piezoid.records.excitation import DriveLimits
+from piezoid.records.multisine import multisines, odd_lines
+
+RATE_HZ = 20_000.0
+PERIOD = 2000  # samples: lines are 10 Hz apart
+AMPLIFIER = Filter(name="amplifier", frequency_Hz=4000.0)
+DECLARATION = Declaration(filters=(AMPLIFIER,))
+STRUCTURE = Structure(modes=2)
+FREQUENCY_HZ = (630.0, 1810.0)
+DAMPING = (0.03, 0.02)
+DELAY_S = 83e-6
+
+
+def truth(inputs: tuple[str, ...] = ("x",)) -> LinearDynamics:
+    """Every path has both modes, with gains of its own."""
+    n = len(inputs)
+    coupling = np.eye(n) + 0.2 * np.arange(n * n).reshape(n, n)
+    return LinearDynamics(
+        inputs=inputs,
+        outputs=inputs,
+        mode_frequency_Hz=np.array(FREQUENCY_HZ),
+        mode_damping=np.array(DAMPING),
+        mode_gain_m_per_V=np.stack([1e-6 * coupling, 0.2e-6 * coupling.T]),
+        mode_rate_gain_m_s_per_V=np.zeros((2, n, n)),
+        lag_frequency_Hz=np.zeros(0),
+        lag_gain_m_per_V=np.zeros((0, n, n)),
+        direct_gain_m_per_V=np.zeros((n, n)),
+        delay_s=DELAY_S,
+        declared=(AMPLIFIER,),
+        shape_covariance=np.zeros((5, 5)),
+        static_gain_std_m_per_V=np.zeros((n, n)),
+        hold="zero_order",
+        sampling_rate_Hz=RATE_HZ,
+        band_Hz=(0.0, RATE_HZ / 2),
+        drive_rms_V=np.ones(n),
+        cost=1.0,
+        expected_cost=1.0,
+    )
+
+
+def record(
+    rng: np.random.Generator,
+    *,
+    inputs: tuple[str, ...] = ("x",),
+    realisations: int = 4,
+    periods: int = 4,
+    noise_m: float = 2e-9,
+    play_weight: float = 0.0,
+    cubic: float = 0.0,
+    silent: int = 0,
+) -> PeriodicData:
+    """Record odd multisines of 0.5 V rms up to 4 kHz behind a zero-order hold, in steady state.
+
+    play_weight  share of a play of half-width 0.1 V in the drive, of what hysteresis does
+    cubic        share of a cubic term
+    """
+    lines = odd_lines(30, 4000, RATE_HZ / PERIOD, left_out_of=silent, rng=rng)
+    drives = multisines(
+        lines,
+        period_samples=PERIOD,
+        periods=1,
+        realisations=realisations,
+        rms_V=0.5,
+        offset_V=0.0,
+        axes=inputs,
+        sampling_rate_Hz=RATE_HZ,
+        limits=DriveLimits(voltage_min_V=-10, voltage_max_V=10, slew_V_per_s=1e6),
+        rng=rng,
+    )
+    drive_V = np.stack([drive.voltage_V for drive in drives], axis=2)
+    bent_V = np.apply_along_axis(_bent, 0, drive_V, play_weight, cubic)
+    model = truth(inputs)
+    line = np.arange(PERIOD // 2 + 1)
+    G = model.sampled(RATE_HZ).response(line * RATE_HZ / PERIOD)
+    moved = np.einsum("koi,kir->kor", G, np.fft.rfft(bent_V, axis=0))
+    steady_m = np.fft.irfft(moved, PERIOD, axis=0)[..., None]
+    noise = noise_m * rng.standard_normal((*steady_m.shape[:3], periods))
+    return PeriodicData(
+        sampling_rate_Hz=RATE_HZ,
+        inputs=inputs,
+        outputs=inputs,
+        voltage_V=np.repeat(drive_V[..., None], periods, axis=3),
+        displacement_m=steady_m + noise,
+    )
+
+
+def _bent(period_V: Array, play_weight: float, cubic: float) -> Array:
+    """The second period of a play, when its memory is that of the drive."""
+    twice, _ = play_columns(np.tile(period_V, 2), np.array([0.1]), np.zeros(1))
+    return np.asarray(period_V + play_weight * twice[PERIOD:, 0] + cubic * period_V**3)

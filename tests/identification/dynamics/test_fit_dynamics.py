@@ -1,0 +1,170 @@
+"""The parametric fit: modes, damping and delay come back, within what it says of them."""
+
+import json
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.interchange import from_control, to_control
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.structure_choice import choose_structure, relative_rms
+from tests.identification.dynamics.stage import (
+    DAMPING,
+    DECLARATION,
+    DELAY_S,
+    FREQUENCY_HZ,
+    RATE_HZ,
+    STRUCTURE,
+    record,
+    truth,
+)
+
+EXACT = 1e-6  # relative: where the fit stops without noise
+
+
+def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
+    model = fit_dynamics(estimate_response(record(rng, noise_m=0.0)), STRUCTURE, DECLARATION)
+    np.testing.assert_allclose(model.mode_frequency_Hz, FREQUENCY_HZ, rtol=EXACT)
+    np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
+    assert model.delay_s == pytest.approx(DELAY_S, rel=100 * EXACT)
+    np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
+
+
+def test_two_axes_share_their_modes(rng: np.random.Generator) -> None:
+    data = record(rng, inputs=("x", "y"), realisations=6, noise_m=5e-9)
+    model = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
+    np.testing.assert_allclose(model.mode_frequency_Hz, FREQUENCY_HZ, rtol=1e-4)
+    exact = truth(("x", "y")).static_gain_m_per_V
+    np.testing.assert_allclose(model.static_gain_m_per_V, exact, rtol=5e-3)
+    assert model.cost_ratio == pytest.approx(1.0, abs=0.25)
+
+
+def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Generator) -> None:
+    """At least 93 % of five parameters in 100 draws, none below 90, with noise, play and cubic.
+
+    The play is small: at one level hysteresis also delays a little, which no linear model tells
+    from a delay (a play of 2 % of the drive counts as 0.2 us here).
+    """
+    exact = np.array([*FREQUENCY_HZ, *DAMPING, DELAY_S])
+    inside = np.zeros(len(exact))
+    for _ in range(100):
+        data = record(rng, noise_m=2e-8, play_weight=5e-4, cubic=4e-3)
+        model = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
+        inside += (_intervals(model)[:, 0] <= exact) & (exact <= _intervals(model)[:, 1])
+    assert inside.mean() >= 93
+    assert inside.min() >= 90
+
+
+def test_held_out_data_choose_the_true_number_of_modes(rng: np.random.Generator) -> None:
+    data = record(rng, realisations=6, noise_m=5e-9)
+    tried = [Structure(modes=n) for n in (1, 2, 3)]
+    choice = choose_structure(
+        estimate_response(data.select([0, 1, 2, 3])), data.select([4, 5]), tried, DECLARATION
+    )
+    one, two, _ = choice.trials
+    assert choice.structure == Structure(modes=2)
+    assert one.held_out_relative_rms > 2 * two.held_out_relative_rms
+    assert one.cost_ratio > 10
+    assert two.cost_ratio == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_smooth_model_beats_the_measured_response_on_held_out_data(
+    rng: np.random.Generator,
+) -> None:
+    data = record(rng, realisations=4, noise_m=5e-8)
+    measured = estimate_response(data.select([0, 1]))
+    model = fit_dynamics(measured, STRUCTURE, DECLARATION)
+    f, other = measured.frequency_Hz, data.select([2, 3])
+    smooth = relative_rms(model.response_as_measured(f), f, other)
+    assert smooth < 0.95 * relative_rms(measured.response, f, other)
+
+
+def test_the_fraction_drives_like_the_state_space() -> None:
+    model = truth()
+    B, A = model.polynomials(RATE_HZ)
+    frequency_Hz = np.linspace(20, 9000, 60)
+    late = np.exp(-2j * np.pi * frequency_Hz / RATE_HZ)
+    found = np.polyval(B[::-1], late) / np.polyval(A[::-1], late)
+    expected = model.sampled(RATE_HZ).response(frequency_Hz)[:, 0, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+    assert B[0] == B[1] == 0.0  # 83 us are one sample and two thirds
+
+
+def test_a_path_of_a_matrix_is_that_entry(rng: np.random.Generator) -> None:
+    frequency_Hz = rng.uniform(10, 5000, 20)
+    whole = truth(("x", "y")).response(frequency_Hz)
+    single = truth(("x", "y")).path("y", "x").response(frequency_Hz)
+    np.testing.assert_allclose(single[:, 0, 0], whole[:, 1, 0], rtol=1e-12)
+
+
+def test_the_realisation_has_the_response_of_the_record() -> None:
+    frequency_Hz = np.linspace(5, 20_000, 77)
+    model = truth(("x", "y"))
+    expected = model.response(frequency_Hz)
+    found = model.realised().response(frequency_Hz)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-20)
+
+
+def test_a_first_order_stage_is_found_as_a_lag(rng: np.random.Generator) -> None:
+    measured = estimate_response(record(rng, noise_m=1e-10))
+    lag = 2 * np.pi * 630 / (2j * np.pi * measured.frequency_Hz + 2 * np.pi * 630)
+    slow = type(measured)(**{**vars(measured), "response": 1e-6 * lag[:, None, None]})
+    found = fit_dynamics(slow, Structure(modes=0, lags=1), Declaration(hold="band_limited"))
+    np.testing.assert_allclose(found.lag_frequency_Hz, 630, rtol=1e-6)
+    assert found.delay_s < 1e-9
+
+
+def test_the_record_survives_json(rng: np.random.Generator) -> None:
+    data = record(rng, inputs=("x", "y"))
+    before = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
+    after = LinearDynamics.from_json(json.loads(json.dumps(before.to_json())))
+    for name, value in vars(before).items():
+        np.testing.assert_array_equal(getattr(after, name), value)
+
+
+def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> None:
+    narrow = estimate_response(record(rng)).band(600, 700)
+    with pytest.raises(IdentificationError, match="usable real values"):
+        fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
+
+
+def test_python_control_receives_and_returns_the_same_matrices(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With a stand-in of its interface, so that the package need not be installed."""
+    stand_in = SimpleNamespace(
+        ss=lambda A, B, C, D, dt: SimpleNamespace(A=A, B=B, C=C, D=D, dt=dt)
+    )
+    monkeypatch.setitem(sys.modules, "control", stand_in)
+    plain = truth().sampled(RATE_HZ)
+    back = from_control(to_control(truth(), RATE_HZ))
+    for name in "ABCD":
+        np.testing.assert_array_equal(getattr(back, name), getattr(plain, name))
+    with pytest.raises(ValueError, match="dt is 0"):
+        from_control(SimpleNamespace(dt=0))
+
+
+def test_a_declared_filter_is_not_blamed_on_the_delay(rng: np.random.Generator) -> None:
+    measured = estimate_response(record(rng, noise_m=1e-10))
+    without = fit_dynamics(measured, STRUCTURE, Declaration())
+    declared = fit_dynamics(measured, STRUCTURE, DECLARATION)
+    added = without.delay_s - declared.delay_s
+    assert added == pytest.approx(1 / (2 * np.pi * 4000), rel=0.25)
+    assert without.cost_ratio > 10 * declared.cost_ratio
+    assert declared.declared == (Filter(name="amplifier", frequency_Hz=4000.0),)
+
+
+def _intervals(model: LinearDynamics) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    return np.concatenate(
+        [
+            model.mode_frequency_interval_Hz(),
+            model.mode_damping_interval(),
+            model.delay_interval_s()[None],
+        ]
+    )

@@ -1,0 +1,150 @@
+"""The measured response: true on average, honest about noise, distortion and interference."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.periodic_data import PeriodicData, cut_periods
+from piezoid.identification.dynamics.periodic_estimate import detect_distortion, estimate_response
+from piezoid.operators.linear import sample
+from piezoid.records.excitation import DriveLimits, log_chirp
+from piezoid.records.recording import Channel, Quantity, Recording
+from tests.identification.dynamics.stage import PERIOD, RATE_HZ, record, truth
+
+
+def test_without_noise_the_response_of_two_axes_is_exact(rng: np.random.Generator) -> None:
+    data = record(rng, inputs=("x", "y"), noise_m=0.0)
+    found = estimate_response(data)
+    exact = truth(("x", "y")).sampled(RATE_HZ).response(found.frequency_Hz)
+    np.testing.assert_allclose(found.response, exact, rtol=1e-9, atol=1e-18)
+
+
+def test_the_stated_variance_is_that_of_the_error(rng: np.random.Generator) -> None:
+    """Errors over their standard deviation have mean square one: 200 complex values, 4 sigma."""
+    found = estimate_response(record(rng, noise_m=5e-9))
+    error = found.response - truth().sampled(RATE_HZ).response(found.frequency_Hz)
+    mean_square = np.mean(np.abs(error) ** 2 / found.variance)
+    assert abs(mean_square - 1) < 4 / np.sqrt(len(error))
+
+
+def test_noise_and_distortion_are_told_apart(rng: np.random.Generator) -> None:
+    noisy = estimate_response(record(rng, noise_m=5e-9))
+    bent = estimate_response(record(rng, noise_m=1e-10, cubic=0.05))
+    assert noisy.distortion_variance.mean() < 0.5 * noisy.noise_variance.mean()
+    assert bent.distortion_variance.mean() > 100 * bent.noise_variance.mean()
+
+
+def test_mains_on_the_sensor_is_rejected_at_its_line_alone(rng: np.random.Generator) -> None:
+    data = record(rng, noise_m=5e-10, realisations=6)
+    time_s = np.arange(PERIOD) / RATE_HZ
+    phase = rng.uniform(0, 2 * np.pi, 6)
+    hum_m = 2e-7 * np.cos(2 * np.pi * 150 * time_s[:, None] + phase)
+    disturbed = replace(data, displacement_m=data.displacement_m + hum_m[:, None, :, None])
+    found = estimate_response(disturbed)
+    assert found.frequency_Hz[found.is_rejected[:, 0]].tolist() == [150.0]
+
+
+def test_a_sharp_resonance_is_not_taken_for_interference(rng: np.random.Generator) -> None:
+    assert not estimate_response(record(rng, cubic=0.02)).is_interference.any()
+
+
+def test_silent_lines_show_odd_and_even_distortion(rng: np.random.Generator) -> None:
+    straight = detect_distortion(record(rng, silent=4, noise_m=1e-10))
+    odd = detect_distortion(record(rng, silent=4, noise_m=1e-10, cubic=0.05))
+    assert odd.level_m(even=False)[0] > 20 * odd.level_m(even=True)[0]
+    assert odd.level_m(even=False)[0] > 20 * straight.level_m(even=False)[0]
+
+
+def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(
+    rng: np.random.Generator,
+) -> None:
+    drive_V = _chirp_V()
+    moved_m, _ = truth().sampled(RATE_HZ).run(drive_V)
+    found = estimate_response_by_coherence(
+        drive_V,
+        moved_m + 1e-9 * rng.standard_normal(len(moved_m)),
+        sampling_rate_Hz=RATE_HZ,
+        segment_samples=8192,
+    )
+    exact = truth().sampled(RATE_HZ).response(found.frequency_Hz)[:, 0, 0]
+    inside = (found.frequency_Hz > 60) & (found.frequency_Hz < 2500)
+    above = found.frequency_Hz > 5000
+    error = np.abs(found.response[:, 0, 0] - exact)[inside] / np.abs(exact[inside])
+    assert np.median(error) < 0.02
+    assert not found.is_rejected[inside & (found.frequency_Hz < 500)].any()
+    assert found.is_rejected[above].mean() > 0.9
+
+
+def test_coherence_falls_with_noise_as_it_should(rng: np.random.Generator) -> None:
+    """Equal powers of signal and noise make a coherence of one half."""
+    drive_V = rng.standard_normal(200_000)
+    found = estimate_response_by_coherence(
+        drive_V,
+        drive_V + rng.standard_normal(200_000),
+        sampling_rate_Hz=1.0,
+        segment_samples=512,
+    )
+    assert np.mean(found.coherence) == pytest.approx(0.5, abs=0.02)
+    scatter = np.mean(np.abs(found.response - 1) ** 2) / np.mean(found.variance)
+    assert scatter == pytest.approx(1.0, abs=0.25)
+
+
+def test_one_realisation_of_one_period_is_refused(rng: np.random.Generator) -> None:
+    with pytest.raises(ExcitationError, match="1 realisations of 1 periods for 1 inputs"):
+        estimate_response(record(rng, realisations=1, periods=1))
+
+
+def test_the_record_survives_json(rng: np.random.Generator) -> None:
+    before = estimate_response(record(rng, inputs=("x", "y"), cubic=0.01))
+    after = FrequencyResponse.from_json(json.loads(json.dumps(before.to_json())))
+    for name, value in vars(before).items():
+        np.testing.assert_array_equal(getattr(after, name), value)
+
+
+def test_recordings_are_cut_at_their_periods_after_settling() -> None:
+    samples = np.arange(35.0)
+    recording = Recording(
+        name="r",
+        digest="",
+        axis="x",
+        sampling_rate_Hz=1.0,
+        channels=(
+            Channel(quantity=Quantity.VOLTAGE, axis="x", values=samples, label="u"),
+            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=-samples, label="y"),
+        ),
+    )
+    data = cut_periods([recording], inputs=["x"], outputs=["x"], period_samples=10)
+    assert isinstance(data, PeriodicData)
+    np.testing.assert_array_equal(data.voltage_V[:, 0, 0, :], np.arange(10.0, 30).reshape(2, 10).T)
+    np.testing.assert_array_equal(data.displacement_m, -data.voltage_V)
+    with pytest.raises(ExcitationError, match="0 steady periods"):
+        cut_periods([recording], inputs=["x"], outputs=["x"], period_samples=20)
+
+
+def test_sampling_faster_than_the_stage_leaves_the_continuous_response() -> None:
+    model = truth()
+    frequency_Hz = np.linspace(50, 3000, 40)
+    fast = sample(model.realised(), 2_000_000.0).response(frequency_Hz)
+    hold = np.sinc(frequency_Hz / 2e6) * np.exp(-1j * np.pi * frequency_Hz / 2e6)
+    expected = model.response(frequency_Hz) * hold[:, None, None]
+    np.testing.assert_allclose(fast, expected, rtol=1e-4)
+
+
+def _chirp_V() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    limits = DriveLimits(voltage_min_V=-1, voltage_max_V=1, slew_V_per_s=1e6)
+    drive = log_chirp(
+        lowest_Hz=20,
+        highest_Hz=3000,
+        duration_s=10.0,
+        amplitude_V=0.5,
+        offset_V=0.0,
+        axis="x",
+        sampling_rate_Hz=RATE_HZ,
+        limits=limits,
+    )
+    return drive.voltage_V[:, 0]
