@@ -26,9 +26,9 @@ def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
 
 
 def line_rms_m(traces: tuple[Trace, ...]) -> float:
-    """Return what the best straight line leaves on all recordings of an axis, m rms."""
-    squares = sum(rms(t.line_residual_m) ** 2 * len(t.time_s) for t in traces)
-    return float((squares / sum(len(t.time_s) for t in traces)) ** 0.5)
+    """Return what the best straight line leaves on the samples the fit used, m rms."""
+    squares = sum(rms(t.line_residual_m) ** 2 * t.counted for t in traces)
+    return float((squares / sum(t.counted for t in traces)) ** 0.5)
 
 
 def judgement_of(axis: AxisModel, score: int | None) -> tuple[str, str]:

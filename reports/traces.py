@@ -21,7 +21,7 @@ class Trace:
     measured_m  (samples,)  m
     modelled_m  (samples,)  m; NaN where the model says nothing or the fit left the rows out
     line_m      (samples,)  m; the best straight line of all recordings of the axis, each with its
-                own zero: what one would have without a hysteresis model
+                own zero: what one would have without a hysteresis model. NaN where the model is
     """
 
     recording: Recording
@@ -30,6 +30,11 @@ class Trace:
     measured_m: Array
     modelled_m: Array
     line_m: Array
+
+    @property
+    def counted(self) -> int:
+        """How many samples the fit used."""
+        return int(np.isfinite(self.modelled_m).sum())
 
     @property
     def residual_m(self) -> Array:
@@ -52,7 +57,11 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
     fitted = [r for r in recordings if starts_of(axis_model, r)]
     modelled = [_counted(axis_model, recording) for recording in fitted]
     axis = axis_model.axis
-    slope = _common_slope([(r.voltage_V(axis), r.displacement_m(axis)) for r in fitted])
+    compared = [
+        (r.voltage_V(axis)[np.isfinite(m)], r.displacement_m(axis)[np.isfinite(m)])
+        for r, m in zip(fitted, modelled, strict=True)
+    ]
+    slope = _common_slope(compared)
     found = [
         _trace(recording, axis, model_m, slope)
         for recording, model_m in zip(fitted, modelled, strict=True)
@@ -86,7 +95,9 @@ def _common_slope(pairs: Sequence[tuple[Array, Array]]) -> float:
 
 def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:
     voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis)
-    line_m = measured_m.mean() + slope_m_per_V * (voltage_V - voltage_V.mean())
+    counts = np.isfinite(modelled_m)
+    zero_m = float(np.mean((measured_m - slope_m_per_V * voltage_V)[counts]))
+    line_m = np.where(counts, zero_m + slope_m_per_V * voltage_V, np.nan)
     return Trace(
         recording=recording,
         time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,

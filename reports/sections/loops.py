@@ -50,8 +50,18 @@ def _loop(page: Page, axis: AxisModel, trace: Trace) -> Figure:
         (trace.measured_m, trace.modelled_m),
         f"{trace.recording.name}, axis {axis.axis}",
         f"Residual {told(left_m, 'm')} rms, {percent(left_m / range_m)} of this recording's "
-        f"{told(range_m, 'm')} range.",
+        f"{told(range_m, 'm')} range.{_left_out(trace)}",
         LOOK_LOOP,
+    )
+
+
+def _left_out(trace: Trace) -> str:
+    missing = len(trace.time_s) - trace.counted
+    if not missing:
+        return ""
+    return (
+        f" The fit left out {missing} of {len(trace.time_s)} samples; they have no model line and "
+        "count in no residual."
     )
 
 
