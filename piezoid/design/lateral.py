@@ -1,8 +1,9 @@
 """X and Y: a disturbance observer in both forms, chosen among its tunings."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NoReturn
 
 import numpy as np
 
@@ -106,23 +107,11 @@ class _Request:
 
 
 def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
-    family, members = request.family, members_of(request.family)
-
-    def tuned(asked: Specification) -> list[TunedObserver]:
-        return [
-            tune_observer(family, asked, model=request.model, form=request.form, method=method)
-            for method in METHODS
-        ]
-
-    def attempt(asked: Specification) -> tuple[Violation, ...]:
-        return min((_missed(members, t, asked) for t in tuned(asked)), key=severity)
-
-    found = tuned(specification)
+    members = members_of(request.family)
+    found = [_tuned(request, specification, method) for method in METHODS]
     missed = [_missed(members, t, specification) for t in found]
     if all(missed):
-        best = min(missed, key=severity)
-        nearest = nearest_feasible(specification, best, attempt)
-        refuse(request.axis, specification, best, nearest)
+        _refuse(request, members, specification, min(missed, key=severity))
     chosen = min(
         (k for k in range(len(found)) if not missed[k]),
         key=lambda k: found[k].judgement.predicted_error,
@@ -148,6 +137,45 @@ def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign
         ),
         members=members,
     )
+
+
+def _tuned(
+    request: _Request, specification: Specification, method: str, *, until_met: bool = False
+) -> TunedObserver:
+    return tune_observer(
+        request.family,
+        specification,
+        model=request.model,
+        form=request.form,
+        method=method,
+        until_met=until_met,
+    )
+
+
+def _refuse(
+    request: _Request,
+    members: tuple[Member, ...],
+    specification: Specification,
+    best: tuple[Violation, ...],
+) -> NoReturn:
+    def attempt(asked: Specification) -> tuple[Violation, ...]:
+        tries = (
+            _missed(members, _tuned(request, asked, method, until_met=True), asked)
+            for method in METHODS
+        )
+        return min(_until_empty(tries), key=severity)
+
+    refuse(request.axis, specification, best, nearest_feasible(specification, best, attempt))
+
+
+def _until_empty(
+    tries: Iterable[tuple[Violation, ...]],
+) -> Iterator[tuple[Violation, ...]]:
+    """Yield tries up to and including the first that misses nothing."""
+    for missed in tries:
+        yield missed
+        if not missed:
+            return
 
 
 def _missed(

@@ -1,5 +1,6 @@
 """A deterministic search for the best parameters that meet all limits, without gradients."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,10 @@ Judge = Callable[[Array], tuple[float, float]]
 _PATIENCE = 1e-3
 _POLISHING_STEPS = (0.1, 0.05, 0.1, 0.05)
 _FLOOR_dB = 1.0
+
+
+class _LimitsMetError(Exception):
+    """Leaves the optimiser early; never leaves this file."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +45,7 @@ def search(
     *,
     evaluations: int = 250,
     reserve_dB: float = 0.1,
+    until_met: bool = False,
 ) -> SearchResult:
     """Minimise the cost where the excess is at most -reserve_dB; else minimise the excess.
 
@@ -48,6 +54,7 @@ def search(
     edges it can stop at. The best point ever asked is kept; the same input gives the same output.
 
     reserve_dB  what the search's grid may overlook between its points
+    until_met   stop at the first point that meets every limit: enough to know that one exists
     """
     import nlopt
 
@@ -59,13 +66,16 @@ def search(
         cost, excess_dB = judge(parameters)
         feasible = excess_dB <= -reserve_dB
         seen.append((not feasible, cost if feasible else excess_dB, excess_dB, parameters))
+        if feasible and until_met:
+            raise _LimitsMetError
         return cost, excess_dB
 
-    for start in starts:
-        _descend(nlopt, ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
-    for step in _POLISHING_STEPS:
-        best = min(seen, key=lambda item: item[:2])
-        _descend(nlopt, ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
+    with contextlib.suppress(_LimitsMetError):
+        for start in starts:
+            _descend(nlopt, ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
+        for step in _POLISHING_STEPS:
+            best = min(seen, key=lambda item: item[:2])
+            _descend(nlopt, ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
     best = min(seen, key=lambda item: item[:2])
     cost, _ = judge(best[3])
     return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))

@@ -65,6 +65,7 @@ def tune_observer(
     model: Plant | None = None,
     form: str = "affine",
     method: str = "placed",
+    until_met: bool = False,
 ) -> TunedObserver:
     """Choose feedback and observer so that every member meets every limit, with the least
     predicted error.
@@ -74,6 +75,7 @@ def tune_observer(
 
     model   what the observer computes with; the family's nominal member unless it is too large
     method  ``placed`` searches poles; ``kalman`` searches noise variances and feedback poles
+    until_met  take the first choice that meets every limit, to learn whether there is one
 
     Where no choice meets the limits, the one that misses them least is returned; its judgement
     says by how much.
@@ -92,6 +94,7 @@ def tune_observer(
         np.log([choice.lowest for choice in choices]),
         np.log([choice.highest for choice in choices]),
         [np.log(start) for start in zip(*(c.starts for c in choices), strict=True)],
+        until_met=until_met,
     )
     observer = build(found.parameters)
     controller = linear_controller(observer)
