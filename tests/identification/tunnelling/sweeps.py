@@ -1,4 +1,4 @@
-"""Sweeps with known truth, and the one real file, read with nothing but a split on tabs."""
+"""Sweeps with known truth, and the sweeps of the one real file."""
 
 from pathlib import Path
 
@@ -6,6 +6,8 @@ import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction, read_approach
 from piezoid.numerics.arrays import Array
+from piezoid.records.readers import read_table
+from piezoid.records.table import RawTable
 
 DECAY_PER_M = 20.5e9
 HEIGHT_M = np.linspace(-0.21e-9, 0.49e-9, 200)
@@ -47,21 +49,18 @@ def sweep(
     )
 
 
-def real_columns(realdata: Path) -> dict[str, Array]:
-    """All columns of the recorded Z spectroscopy by name."""
-    text = (realdata / "stm_current_vs_z" / "z.dat").read_text(encoding="latin-1")
-    header, *rows = text.split("[DATA]")[1].strip("\n").splitlines()
-    values = np.array([[float(cell) for cell in row.split("\t")] for row in rows if row.strip()])
-    return dict(zip(header.split("\t"), values.T, strict=True))
+def real_table(realdata: Path) -> RawTable:
+    """The recorded Z spectroscopy."""
+    return read_table(realdata / "stm_current_vs_z" / "z.dat")
 
 
-def real_sweep(columns: dict[str, Array], number: str, direction: Direction) -> ApproachCurve:
+def real_sweep(table: RawTable, number: str, direction: Direction) -> ApproachCurve:
     """One sweep of the real file: number "AVG", "00001", ..."""
     way = " [bwd]" if direction is Direction.BACKWARD else ""
     return read_approach(
-        columns["Z rel (m)"],
-        columns[f"Current [{number}]{way} (A)"],
-        bias_V=float(columns[f"Bias [{number}]{way} (V)"][0]),
+        table.si("Z rel (m)"),
+        table.si(f"Current [{number}]{way} (A)"),
+        bias_V=float(table.si(f"Bias [{number}]{way} (V)")[0]),
         direction=direction,
         label=f"Current [{number}]{way}",
     )

@@ -9,15 +9,15 @@ from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.directions import compare_directions
-from tests.identification.tunnelling.sweeps import real_columns, real_sweep, sweep
+from tests.identification.tunnelling.sweeps import real_sweep, real_table, sweep
 
 # The published fits of the two averages, in decays per nanometre.
 PUBLISHED_PER_M = {Direction.FORWARD: 20.60e9, Direction.BACKWARD: 20.76e9}
 
 
 def _fit(realdata: Path, direction: Direction, *numbers: str) -> BarrierFit:
-    columns = real_columns(realdata)
-    return fit_barrier([real_sweep(columns, number, direction) for number in numbers])
+    table = real_table(realdata)
+    return fit_barrier([real_sweep(table, number, direction) for number in numbers])
 
 
 @pytest.mark.parametrize("direction", list(Direction))
@@ -56,11 +56,11 @@ def test_the_directions_differ_by_a_few_picometres(realdata: Path) -> None:
 def test_two_thirds_of_the_rows_missing_lower_the_confidence(
     realdata: Path, rng: np.random.Generator
 ) -> None:
-    columns = real_columns(realdata)
-    current_A = columns["Current [00001] (A)"].copy()
+    table = real_table(realdata)
+    current_A = table.si("Current [00001] (A)").copy()
     current_A[rng.permutation(200)[:134]] = np.nan
     holed = read_approach(
-        columns["Z rel (m)"], current_A, bias_V=-0.02, direction=Direction.FORWARD, label="holed"
+        table.si("Z rel (m)"), current_A, bias_V=-0.02, direction=Direction.FORWARD, label="holed"
     )
     fit = fit_barrier([holed])
     assert fit.confidence is Confidence.LOW
@@ -68,11 +68,11 @@ def test_two_thirds_of_the_rows_missing_lower_the_confidence(
 
 
 def test_the_part_below_700_femtoamperes_is_wide_and_says_why(realdata: Path) -> None:
-    columns = real_columns(realdata)
-    weak = np.abs(columns["Current [00001] (A)"]) < 0.7e-12
+    table = real_table(realdata)
+    weak = np.abs(table.si("Current [00001] (A)")) < 0.7e-12
     part = read_approach(
-        columns["Z rel (m)"][weak],
-        columns["Current [00001] (A)"][weak],
+        table.si("Z rel (m)")[weak],
+        table.si("Current [00001] (A)")[weak],
         bias_V=-0.02,
         direction=Direction.FORWARD,
         label="weak part",

@@ -1,0 +1,71 @@
+"""The sweeps of a Z spectroscopy file are found, with height, direction and bias."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import RecordingError, UnitError
+from piezoid.identification.tunnelling.approach import Direction
+from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
+from piezoid.records.table import Column, RawTable
+from tests.identification.tunnelling.sweeps import real_sweep, real_table
+
+
+def _table(*labels: str, metadata: dict[str, str] | None = None) -> RawTable:
+    columns = tuple(
+        Column(number=n + 1, label=label, values=np.linspace(n + 1.0, n + 2.0, 10))
+        for n, label in enumerate(labels)
+    )
+    return RawTable(
+        name="made.dat",
+        digest="sha256:0",
+        format="Nanonis",
+        columns=columns,
+        independent=labels[0],
+        metadata=metadata or {},
+    )
+
+
+def test_the_real_file_holds_three_sweeps_each_way(realdata: Path) -> None:
+    table = real_table(realdata)
+    curves = read_z_spectroscopy(table)
+    ways = [curve.direction for curve in curves]
+    assert ways == [Direction.FORWARD] * 3 + [Direction.BACKWARD] * 3
+    assert {curve.bias_V for curve in curves} == {-0.02}
+    expected = real_sweep(table, "00002", Direction.BACKWARD)
+    assert np.array_equal(curves[4].current_A, expected.current_A)
+    assert np.array_equal(curves[4].height_m, expected.height_m)
+
+
+def test_an_average_is_taken_only_where_there_is_nothing_else() -> None:
+    alone = _table("Z rel (nm)", "Current [AVG] (pA)", "Bias [AVG] (V)")
+    both = _table("Z rel (nm)", "Current [AVG] (pA)", "Current [00001] (pA)", "Bias [00001] (V)")
+    assert [c.label for c in read_z_spectroscopy(alone)] == ["made.dat: Current [AVG] (pA)"]
+    assert [c.label for c in read_z_spectroscopy(both)] == ["made.dat: Current [00001] (pA)"]
+
+
+def test_units_of_the_headings_are_converted() -> None:
+    (curve,) = read_z_spectroscopy(_table("Z rel (nm)", "Current (pA)", "Bias (mV)"))
+    assert curve.height_m[0] == pytest.approx(1e-9)
+    assert curve.current_A[0] == pytest.approx(2e-12)
+    assert curve.bias_V == pytest.approx(3.5e-3)
+
+
+def test_the_bias_of_the_head_serves_where_the_sweep_has_none() -> None:
+    table = _table("Z rel (m)", "Current [bwd] (A)", metadata={"Bias>Bias (V)": "-20E-3"})
+    (curve,) = read_z_spectroscopy(table)
+    assert curve.bias_V == -0.02
+    assert curve.direction is Direction.BACKWARD
+
+
+def test_a_sweep_over_bias_is_refused() -> None:
+    with pytest.raises(UnitError, match="swept column is 'Bias"):
+        read_z_spectroscopy(_table("Bias (V)", "Current (A)"))
+
+
+def test_a_table_without_current_or_bias_is_refused() -> None:
+    with pytest.raises(RecordingError, match="no current among"):
+        read_z_spectroscopy(_table("Z rel (m)", "LIX 1 omega (A)"))
+    with pytest.raises(RecordingError, match="no bias for 'Current'"):
+        read_z_spectroscopy(_table("Z rel (m)", "Current (A)"))
