@@ -194,3 +194,15 @@ def test_a_fraction_is_no_count():
 def test_an_unknown_method_is_refused():
     with pytest.raises(ParameterFileError, match="method"):
         complete({**WIDE, "method": "pid"})
+
+
+def test_a_negative_zero_is_a_zero():
+    """What is not written into a file is read as 0, so nothing else may be 0 differently."""
+    values = complete({**WIDE, "voltage_offset_V": -0.0, "knot_m": [-1.0, -0.0]})
+    assert not np.signbit(values["voltage_offset_V"])
+    assert not np.signbit(values["knot_m"][1])
+
+
+def test_a_library_of_the_other_precision_is_refused():
+    with pytest.raises(RuntimeLibraryError, match="size of pz_real is 4"):
+        compare_layout(replace(library("float"), real=ctypes.c_double))

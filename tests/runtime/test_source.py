@@ -13,6 +13,16 @@ from tests.runtime.test_schema import LATERAL, tunnelling
 SANITISERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 STEPS = 250_000  # for each of four parameter sets: a million
 
+# Everything the lateral parameters of the other tests leave out.
+SECTION = [[0.5, 0.25, 0.25, -0.5, 0.5]]
+FURTHER = {
+    **{"voltage_minimum_V": -4.0, "voltage_maximum_V": 3.0, "lsb_V": 0.001, "polarity": -1},
+    **{"envelope_count": 3, "envelope_knot_V": [-1, 0, 2], "envelope_weight": [0.1, 1, -0.1]},
+    **{"reference_section_count": 1, "reference_section": SECTION, "reference_step_m": 0.5},
+    **{"command_section_count": 1, "command_section": SECTION, "voltage_step_V": 1.0},
+    **{"stuck_samples": 3, "stuck_voltage_V": 0.01},
+}
+
 
 @pytest.mark.parametrize("precision", PRECISION)
 def test_it_compiles_alone_without_a_warning_and_needs_no_mathematics(precision, tmp_path):
@@ -59,8 +69,7 @@ def test_a_million_hostile_steps_pass_the_sanitisers(precision, tmp_path):
         pytest.skip("no sanitisers on this machine")
     packed = tmp_path / "parameters.bin"
     opened = library(precision)
-    limits = {"voltage_minimum_V": -4.0, "voltage_maximum_V": 3.0, "lsb_V": 0.001}
-    sets = [{**LATERAL, **limits, "method": method} for method in ("mpi", "dob", "mpi_dob")]
+    sets = [{**LATERAL, **FURTHER, "method": method} for method in ("mpi", "dob", "mpi_dob")]
     sets.append(tunnelling(lsb_V=20 / 65536, stuck_samples=10, voltage_step_V=0.01))
     packed.write_bytes(b"".join(bytes(opened.pack(complete(s))) for s in sets))
     fuzz = str(tmp_path / "fuzz")
