@@ -5,10 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.curvature import ModalFit
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
-from piezoid.identification.dynamics.maximum_likelihood import ModalFit, maximise_likelihood
+from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Hold, Lines, Structure
+from piezoid.identification.dynamics.mode_exchange import exchange_modes
 from piezoid.identification.dynamics.vector_fitting import (
     start_poles,
     vector_fit,
@@ -47,7 +49,8 @@ def fit_dynamics(
     structure    how many modes, lags, ... ; ``choose_structure`` finds it
     declaration  hold and known filters
 
-    Start values come from vector fitting after several trial delays. The stated covariance takes
+    Start values come from vector fitting after several trial delays; modes it misplaced move to
+    the largest residual. The stated covariance takes
     the variances of ``measured`` as they are, and widens where the residual is larger. Columns of
     inputs are weighted independently, exact for orthogonal multisines.
     """
@@ -60,7 +63,9 @@ def fit_dynamics(
         declared=declaration.filters,
     )
     start = _start_shape(measured, weight, structure, declaration)
-    fit = maximise_likelihood(measured.response, weight, lines, structure, start)
+    first = maximise_likelihood(measured.response, weight, lines, structure, start)
+    expected = _expected_cost(measured, structure, first)
+    fit = exchange_modes(measured.response, weight, lines, structure, first, expected)
     return _record(measured, structure, declaration, fit)
 
 
@@ -153,8 +158,6 @@ def _record(
         rate = by_column[n : 2 * n][order] / (2 * np.pi * np.exp(shape[:n]))[:, None, None]
         first = 2 * n
     direct = by_column[-1] if structure.direct else np.zeros(by_column.shape[1:])
-    freedom = measured.variance_freedom
-    unknowns = structure.shapes + fit.gains.size
     return LinearDynamics(
         inputs=measured.inputs,
         outputs=measured.outputs,
@@ -174,10 +177,12 @@ def _record(
         band_Hz=(float(measured.frequency_Hz[0]), float(measured.frequency_Hz[-1])),
         drive_rms_V=measured.drive_rms_V,
         cost=fit.cost,
-        expected_cost=(fit.values - unknowns / 2) * _inflation(freedom),
+        expected_cost=_expected_cost(measured, structure, fit),
     )
 
 
-def _inflation(freedom: float) -> float:
-    """Mean of one over a variance estimated with so many complex degrees of freedom."""
-    return freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+def _expected_cost(measured: FrequencyResponse, structure: Structure, fit: ModalFit) -> float:
+    """Values less half the real unknowns, times the mean of one over an estimated variance."""
+    freedom = measured.variance_freedom
+    inflation = freedom / (freedom - 1.0) if freedom > 2.0 else 2.0
+    return (fit.values - (structure.shapes + fit.gains.size) / 2) * inflation

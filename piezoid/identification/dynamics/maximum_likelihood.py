@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.curvature import ModalFit, Point, with_covariance
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import (
     Lines,
@@ -23,42 +24,6 @@ STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
 LONGEST_MOVE = 0.3  # of a log frequency or log damping in one round
 OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
 LEAST_DAMPING = 1e-5
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ModalFit:
-    """The minimum of sum |G_hat - G|^2 / variance, and its curvature.
-
-    shape             (shapes,)             as in ``modal_basis.basis``
-    gains             (outputs, inputs, columns)
-    cost              twice the negative log likelihood but for a constant
-    shape_covariance  (shapes, shapes)      inflated where the residual is larger than its variance
-    gain_std          (outputs, inputs, columns)
-    static_std        (outputs, inputs)     of the gain at frequency zero
-    values            complex values that counted
-    """
-
-    shape: Array
-    gains: Array
-    cost: float
-    shape_covariance: Array
-    gain_std: Array
-    static_std: Array
-    values: int
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Point:
-    """One evaluation: cost, gradient and curvature with the gains eliminated."""
-
-    shape: Array
-    cost: float
-    gains: Array
-    gradient: Array
-    curvature: Array
-    line_scores: Array
-    gain_roots: list[Array]
-    gain_slopes: list[Array]
 
 
 def maximise_likelihood(
@@ -85,10 +50,10 @@ def maximise_likelihood(
             damping *= 10
         if (0 <= gained < ENOUGH) or damping > 1e8:
             break
-    return _with_covariance(here, weight, structure)
+    return with_covariance(here, weight, structure)
 
 
-def _move(point: _Point, damping: float, bounds: tuple[Array, Array]) -> Array:
+def _move(point: Point, damping: float, bounds: tuple[Array, Array]) -> Array:
     """The damped Gauss-Newton step of what is free to move, in scaled unknowns."""
     low, high = bounds
     pushed = ((point.shape <= low) & (point.gradient < 0)) | (
@@ -120,7 +85,7 @@ def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
 
 def _evaluate(
     response: ComplexArray, weight: Array, lines: Lines, structure: Structure, shape: Array
-) -> _Point:
+) -> Point:
     columns = basis(lines, structure, shape)
     slopes = _slopes(lines, structure, shape)
     paths = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
@@ -145,7 +110,7 @@ def _evaluate(
         scores += (tangent * residual[:, None]).reshape(2, len(columns), -1).sum(axis=0)
         roots.append(root)
         drags.append(-root @ inside)
-    return _Point(
+    return Point(
         shape=shape,
         cost=cost,
         gains=gains,
@@ -202,52 +167,3 @@ def _difference(
 
 def _tangent(slopes: list[_Slope], gains: Array) -> ComplexArray:
     return np.stack([slope.change @ gains[slope.columns] for slope in slopes], axis=1)
-
-
-def _with_covariance(point: _Point, weight: Array, structure: Structure) -> ModalFit:
-    """Curvature and the sandwich over lines, whichever is wider for each parameter.
-
-    A complex value of variance one has parts of variance one half, hence the halves. The sandwich
-    counts a line as one draw: distortion is shared by all outputs at that line.
-    """
-    values = int((weight > 0).sum())
-    unknowns = structure.shapes + point.gains.size
-    spare = max(values - unknowns / 2, 1.0)
-    excess = max(1.0, point.cost / spare)
-    inverse = _scaled_inverse(point.curvature)
-    plain = 0.5 * excess * inverse
-    lines = int((weight > 0).any(axis=(1, 2)).sum())
-    meat = point.line_scores.T @ point.line_scores * lines / max(lines - unknowns / 2, 1.0)
-    sandwich = inverse @ meat @ inverse
-    ratio = np.diag(sandwich) / np.maximum(np.diag(plain), np.finfo(float).tiny)
-    wider = np.sqrt(np.maximum(ratio, 1.0))
-    covariance = plain * np.outer(wider, wider)
-    gain_std, static_std = _gain_spread(point, covariance, excess, structure)
-    return ModalFit(
-        shape=point.shape,
-        gains=point.gains,
-        cost=point.cost,
-        shape_covariance=covariance,
-        gain_std=gain_std,
-        static_std=static_std,
-        values=values,
-    )
-
-
-def _scaled_inverse(curvature: Array) -> Array:
-    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
-    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
-    return np.asarray(inverse / np.outer(scale, scale))
-
-
-def _gain_spread(
-    point: _Point, covariance: Array, excess: float, structure: Structure
-) -> tuple[Array, Array]:
-    static = structure.static_columns()
-    spread, static_spread = [], []
-    for root, drag in zip(point.gain_roots, point.gain_slopes, strict=True):
-        whole = 0.5 * excess * root @ root.T + drag @ covariance @ drag.T
-        spread.append(np.sqrt(np.diag(whole)))
-        static_spread.append(np.sqrt(max(float(static @ whole @ static), 0.0)))
-    shape = point.gains.shape
-    return np.reshape(spread, shape), np.reshape(static_spread, shape[:2])

@@ -9,6 +9,7 @@ from scipy.linalg import block_diag
 
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
+from piezoid.identification.dynamics.modal_states import for_each, lag_states, mode_states
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.analogue import cascade
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
@@ -152,7 +153,7 @@ class LinearDynamics:
         A mode whose gains have rank r takes 2 r states.
         """
         parts = [
-            _mode_states(w, zeta, g, h)
+            mode_states(w, zeta, g, h)
             for w, zeta, g, h in zip(
                 2 * np.pi * self.mode_frequency_Hz,
                 self.mode_damping,
@@ -162,7 +163,7 @@ class LinearDynamics:
             )
         ]
         parts += [
-            _lag_states(w, g)
+            lag_states(w, g)
             for w, g in zip(2 * np.pi * self.lag_frequency_Hz, self.lag_gain_m_per_V, strict=True)
         ]
         inner = ContinuousSystem(
@@ -172,7 +173,7 @@ class LinearDynamics:
             D=self.direct_gain_m_per_V,
             delay_s=self.delay_s,
         )
-        chain = [_for_each(known.system(), len(self.inputs)) for known in self.declared]
+        chain = [for_each(known.system(), len(self.inputs)) for known in self.declared]
         return cascade(*chain, inner)
 
     def sampled(self, sampling_rate_Hz: float) -> DiscreteSystem:
@@ -226,34 +227,6 @@ class LinearDynamics:
         changed["band_Hz"] = (float(lowest_Hz), float(highest_Hz))
         changed["declared"] = tuple(Filter(**known) for known in record["declared"])
         return LinearDynamics(**{**record, **changed})
-
-
-def _mode_states(w: float, zeta: float, g: Array, h: Array) -> tuple[Array, Array, Array]:
-    """Two states for each independent combination of inputs that drives the mode."""
-    both = np.concatenate([g, h * w])
-    left, strength, right = np.linalg.svd(both, full_matrices=False)
-    rank = max(int((strength > 1e-13 * strength[0]).sum()), 1)
-    shape = left[:, :rank] * strength[:rank]
-    single = np.array([[0.0, w], [-w, -2 * zeta * w]])
-    drive = np.array([[0.0], [w]])
-    outputs = len(g)
-    return (
-        np.kron(np.eye(rank), single),
-        np.kron(np.eye(rank), drive) @ right[:rank],
-        np.stack([shape[:outputs], shape[outputs:]], axis=2).reshape(outputs, 2 * rank),
-    )
-
-
-def _lag_states(w: float, g: Array) -> tuple[Array, Array, Array]:
-    inputs = g.shape[1]
-    return -w * np.eye(inputs), w * np.eye(inputs), g
-
-
-def _for_each(system: ContinuousSystem, inputs: int) -> ContinuousSystem:
-    """The same filter in every input."""
-    each = np.eye(inputs)
-    A, B, C, D = (np.kron(each, getattr(system, name)) for name in "ABCD")
-    return ContinuousSystem(A=A, B=B, C=C, D=D)
 
 
 _ARRAYS = (

@@ -10,8 +10,10 @@ import pytest
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.interchange import from_control, to_control
+from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.modal_basis import Filter, Lines, Structure
+from piezoid.identification.dynamics.mode_exchange import exchange_modes
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.identification.dynamics.structure_choice import choose_structure, relative_rms
 from tests.identification.dynamics.stage import (
@@ -148,6 +150,25 @@ def test_python_control_receives_and_returns_the_same_matrices(
         np.testing.assert_array_equal(getattr(back, name), getattr(plain, name))
     with pytest.raises(ValueError, match="dt is 0"):
         from_control(SimpleNamespace(dt=0))
+
+
+def test_two_modes_started_in_one_place_find_theirs(rng: np.random.Generator) -> None:
+    """Likelihood alone stays where it was put; the exchange moves the mode that is of no use."""
+    measured = estimate_response(record(rng, noise_m=5e-9))
+    lines = Lines(
+        frequency_Hz=measured.frequency_Hz,
+        sampling_rate_Hz=RATE_HZ,
+        hold="zero_order",
+        declared=DECLARATION.filters,
+    )
+    setting = (measured.response, measured.weights(), lines, STRUCTURE)
+    start = np.array([*np.log([600, 660, 0.03, 0.03]), DELAY_S])
+    stuck = maximise_likelihood(*setting, start)
+    expected = float(stuck.values)
+    moved = exchange_modes(*setting, stuck, expected)
+    assert stuck.cost > 100 * expected
+    assert moved.cost < 1.5 * expected
+    np.testing.assert_allclose(np.exp(np.sort(moved.shape[:2])), FREQUENCY_HZ, rtol=1e-4)
 
 
 def test_a_declared_filter_is_not_blamed_on_the_delay(rng: np.random.Generator) -> None:
