@@ -127,6 +127,7 @@ def simulate_junctions(
     *,
     reference_nepers: Array,
     seeds: Sequence[int],
+    drive_dither_V: Array | None = None,
     settle_samples: int = 2000,
 ) -> tuple[JunctionRecord, ...]:
     """Run junctions side by side under the same reference, one record each.
@@ -134,12 +135,13 @@ def simulate_junctions(
     junctions         of one sampling rate
     reference_nepers  (samples,)  set point with dither; its first samples are repeated to settle
     seeds             one for each junction
+    drive_dither_V    (samples,)  added to the controller's drive before the converter; none
     settle_samples    run before the record starts; default: ten time constants of a slow loop
     """
-    lead_in = np.resize(reference_nepers[::-1], settle_samples)[::-1]
-    reference = np.concatenate([lead_in, reference_nepers])
+    reference = _led_in(reference_nepers, settle_samples)
+    added_V = np.zeros_like(reference_nepers) if drive_dither_V is None else drive_dither_V
     bench = _Bench(junctions, seeds, len(reference))
-    drive_V, current_A = bench.run(reference)
+    drive_V, current_A = bench.run(reference, _led_in(added_V, settle_samples))
     return tuple(
         JunctionRecord(
             sampling_rate_Hz=junction.sampling_rate_Hz,
@@ -150,6 +152,11 @@ def simulate_junctions(
         )
         for n, junction in enumerate(junctions)
     )
+
+
+def _led_in(signal: Array, settle_samples: int) -> Array:
+    """The signal behind as many of its own last samples, repeated where it is shorter."""
+    return np.concatenate([np.resize(signal[::-1], settle_samples)[::-1], signal])
 
 
 class _Bench:
@@ -172,7 +179,7 @@ class _Bench:
     def column(self, name: str) -> Array:
         return np.array([getattr(junction, name) for junction in self.junctions])
 
-    def run(self, reference: Array) -> tuple[Array, Array]:
+    def run(self, reference: Array, added_V: Array) -> tuple[Array, Array]:
         """Step every tick; returned (ticks, junctions) of drive and of current."""
         drive_step_V = self.column("drive_range_V") / 2**15
         current_step_A = self.column("input_range_V") / 2**15 / self.column("current_gain_V_per_A")
@@ -188,7 +195,8 @@ class _Bench:
             error = wanted - np.log(np.maximum(read_A, lost_A) / set_point_A)
             command_V = np.clip(command_V + gain_V * error, -limit_V, limit_V)
             current_A[tick] = read_A
-            drive_V[tick] = np.round(command_V / drive_step_V) * drive_step_V
+            wanted_V = np.clip(command_V + added_V[tick], -limit_V, limit_V)
+            drive_V[tick] = np.round(wanted_V / drive_step_V) * drive_step_V
             chain.advance(tick, drive_V[tick])
         return drive_V, current_A
 

@@ -47,7 +47,9 @@ def test_the_loop_follows_the_drift() -> None:
     drifting = replace(STILL, drift_m_per_s=100e-12)
     (record,) = simulate_junctions([drifting], reference_nepers=np.zeros(20000), seeds=[3])
     slope = np.polyfit(np.arange(20000) / 20000.0, record.drive_V * 18e-9, 1)[0]
-    assert slope == pytest.approx(100e-12, rel=0.05)  # the drive's step is 5 % of a second's drift
+    assert slope == pytest.approx(
+        100e-12, rel=0.05, abs=0.0
+    )  # the drive's step is 5 % of a second's drift
 
 
 def test_the_current_of_a_still_tip_shows_shot_noise() -> None:
@@ -55,7 +57,7 @@ def test_the_current_of_a_still_tip_shows_shot_noise() -> None:
     open_loop = replace(STILL, integral_gain_V=0.0, sensor_pole_Hz=2000.0)
     (record,) = simulate_junctions([open_loop], reference_nepers=np.zeros(40000), seeds=[4])
     expected_A = np.sqrt(2 * 1.602e-19 * 1e-9 * 2000.0 * np.pi / 2)
-    assert np.std(record.current_A) == pytest.approx(expected_A, rel=0.03)
+    assert np.std(record.current_A) == pytest.approx(expected_A, rel=0.03, abs=0.0)
 
 
 def test_both_converters_put_out_whole_steps() -> None:

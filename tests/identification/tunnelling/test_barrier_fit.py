@@ -21,7 +21,7 @@ from tests.identification.tunnelling.sweeps import (
 def test_a_sweep_without_noise_gives_back_its_decay_and_offset(rng: np.random.Generator) -> None:
     fit = fit_barrier([sweep(rng, floor_A=0.0, relative=0.0)])
     assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=1e-6)  # the search's own tolerance
-    assert fit.offset_A == pytest.approx(OFFSET_A, rel=1e-3)
+    assert fit.offset_A == pytest.approx(OFFSET_A, rel=1e-3, abs=0.0)
     assert fit.barrier_eV == pytest.approx(barrier_of_decay(DECAY_PER_M), rel=2e-6)
 
 
@@ -69,13 +69,14 @@ def test_an_inverting_amplifier_is_seen_in_the_data(rng: np.random.Generator) ->
 
 def test_the_floor_and_the_jitter_of_the_gap_are_estimated(rng: np.random.Generator) -> None:
     fit = fit_barrier([sweep(rng) for _ in range(3)])
-    assert fit.noise.floor_A == pytest.approx(0.015e-12, rel=0.2)  # 240 points below: 5 %
-    assert fit.gap_jitter_m == pytest.approx(0.01 / DECAY_PER_M, rel=0.2)
+    assert fit.noise.floor_A == pytest.approx(0.015e-12, rel=0.2, abs=0.0)  # 240 points below: 5 %
+    assert fit.gap_jitter_m == pytest.approx(0.01 / DECAY_PER_M, rel=0.2, abs=0.0)
 
 
 def test_a_declared_converter_step_bounds_the_floor_from_below(rng: np.random.Generator) -> None:
     chain = CurrentChain(bandwidth_Hz=5.0, feedback_ohm=1e9, adc_step_A=0.3e-12)
-    assert chain.declared_floor_A == pytest.approx(0.3e-12 / np.sqrt(12.0), rel=1e-3)
+    step_A, johnson_A = 0.3e-12 / np.sqrt(12.0), 4.02e-15 * np.sqrt(5.0)
+    assert chain.declared_floor_A == pytest.approx(np.hypot(step_A, johnson_A), rel=1e-3, abs=0.0)
     fit = fit_barrier([sweep(rng)], chain=chain)
     assert fit.noise.floor_A >= chain.declared_floor_A * (1.0 - 1e-9)
 

@@ -10,8 +10,13 @@ from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_dither
-from piezoid_datasets.virtual_lab.junction import Junction
-from tests.identification.tunnelling.loops import identified, loop_records
+from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
+from tests.identification.tunnelling.loops import (
+    LINES,
+    PERIOD_SAMPLES,
+    identified,
+    loop_records,
+)
 
 
 def test_barriers_within_five_percent_and_intervals_that_hold() -> None:
@@ -70,6 +75,33 @@ def test_a_dither_without_a_period_serves_as_instrument_too() -> None:
     truth = junction.decay_per_m * junction.drive_gain_m_per_V
     assert fit.gain_interval[0] < truth < fit.gain_interval[1]
     assert fit.plant.gain_nepers_per_V == pytest.approx(truth, rel=0.06)
+
+
+def test_a_dither_added_to_the_drive_serves_as_instrument_too() -> None:
+    """Three picometres of tip, recorded in volts."""
+    junction = Junction(drive_range_V=1.0)
+    dither_V = multisine(
+        PERIOD_SAMPLES, 41, lines=LINES, rms=3e-12 / 18e-9, rng=np.random.default_rng(41)
+    )
+    (record,) = simulate_junctions(
+        [junction],
+        reference_nepers=np.zeros_like(dither_V),
+        drive_dither_V=dither_V,
+        seeds=[42],
+    )
+    loop = LoopRecord(
+        label="dithered drive",
+        sampling_rate_Hz=record.sampling_rate_Hz,
+        set_point_A=record.set_point_A,
+        floor_A=1e-12,
+        reference=dither_V,
+        drive_V=record.drive_V,
+        current_A=record.current_A,
+        period_samples=PERIOD_SAMPLES,
+    )
+    fit = identified(loop, junction)
+    assert fit.barrier_interval_eV[0] < junction.barrier_eV < fit.barrier_interval_eV[1]
+    assert fit.barrier_eV == pytest.approx(junction.barrier_eV, rel=0.05)
 
 
 def test_a_weak_dither_gives_a_wide_interval_and_says_so() -> None:

@@ -40,7 +40,7 @@ def test_the_drift_rate_lies_in_its_interval() -> None:
 def test_the_hum_is_found_at_its_frequency_and_size() -> None:
     noise = _noise(Junction(mains_Hz=60.0, mains_gap_m=6e-12), seed=23)
     assert noise.mains[0].frequency_Hz == pytest.approx(60.0, abs=0.3)
-    assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15)
+    assert noise.mains[0].amplitude_m == pytest.approx(6e-12, rel=0.15, abs=0.0)
 
 
 def test_without_hum_no_line_is_claimed() -> None:
@@ -58,8 +58,8 @@ def test_the_vibration_stands_in_the_spectrum() -> None:
 def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
     """Shot 1.79 pA, Johnson of 1 GOhm 4.0e-15 A/rtHz; the drive's steps limit, not physics."""
     chain = CurrentChain(bandwidth_Hz=10e3, feedback_ohm=1e9, adc_step_A=0.305e-12)
-    assert chain.shot_A(1e-9) == pytest.approx(1.79e-12, rel=5e-3)
-    assert chain.johnson_A / 100.0 == pytest.approx(4.0e-15, rel=0.02)
+    assert chain.shot_A(1e-9) == pytest.approx(1.79e-12, rel=5e-3, abs=0.0)
+    assert chain.johnson_A / 100.0 == pytest.approx(4.0e-15, rel=0.02, abs=0.0)
     sources = budget_resolution(
         set_point_A=1e-9,
         decay_per_m=decay_of_barrier(1.0),

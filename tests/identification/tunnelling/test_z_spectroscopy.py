@@ -47,8 +47,8 @@ def test_an_average_is_taken_only_where_there_is_nothing_else() -> None:
 
 def test_units_of_the_headings_are_converted() -> None:
     (curve,) = read_z_spectroscopy(_table("Z rel (nm)", "Current (pA)", "Bias (mV)"))
-    assert curve.height_m[0] == pytest.approx(1e-9)
-    assert curve.current_A[0] == pytest.approx(2e-12)
+    assert curve.height_m[0] == pytest.approx(1e-9, abs=0.0)
+    assert curve.current_A[0] == pytest.approx(2e-12, abs=0.0)
     assert curve.bias_V == pytest.approx(3.5e-3)
 
 
