@@ -13,7 +13,7 @@ from piezoid.numerics.polynomial import roots_of
 Poles = NDArray[np.complex128]
 
 _OBSERVER_LEAD = 1.05
-"""The observer's share of the fast poles is moved this much, so that none is left unobserved."""
+"""The observer's share of the fast poles decays this much faster: none is left unobserved."""
 _WELL_DAMPED = 0.7
 
 
@@ -61,7 +61,7 @@ def observer_poles(plant: Plant, choice: PoleChoice, oscillation_Hz: tuple[float
     slow, fast = slow_and_fast(plant)
     parts = [
         _replacement(choice.observer, len(slow), rate_Hz),
-        np.exp(_OBSERVER_LEAD * np.log(fast)),
+        fast * np.abs(fast) ** (_OBSERVER_LEAD - 1.0),
         np.array([np.exp(-2.0 * np.pi * choice.disturbance_Hz / rate_Hz)]),
     ]
     for f in oscillation_Hz:

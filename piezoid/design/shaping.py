@@ -27,6 +27,8 @@ from piezoid.numerics.polynomial import product
 
 _HOPELESS = (1e3, 1e3)
 _DEEPEST = 0.25
+_LEAST_TIGHTENING_dB = 0.02
+_LEAST_GAIN = 0.95
 _DENOMINATOR_DAMPING = 0.8
 
 
@@ -81,13 +83,13 @@ def shape(
 
     A band-stop is tried at the frequency where the worst limit, or failing that the rejection,
     is worst; its depth is what is missing there, 12 dB at most. It is kept where it brings the
-    excess down, or the rejection without excess.
+    excess down, or the rejection by 5 % without excess.
     """
     grid = family_grid(family, specification)
     best = _best_placement(family.nominal, grid, ())
     for _ in range(most_band_stops):
         better = _with_one_more(family.nominal, grid, best)
-        if _rank(better) >= _rank(best):
+        if not _is_worth_its_order(better, best):
             break
         best = better
     return best
@@ -107,8 +109,12 @@ def _with_one_more(plant: Plant, grid: FamilyGrid, best: ShapedController) -> Sh
     return _best_placement(plant, grid, (*best.band_stops, stop))
 
 
-def _rank(design: ShapedController) -> tuple[float, float]:
-    return (max(design.excess_dB, 0.0), design.rejection)
+def _is_worth_its_order(better: ShapedController, best: ShapedController) -> bool:
+    """Two more coefficients in R, S and P must buy something."""
+    tightened_dB = max(best.excess_dB, 0.0) - max(better.excess_dB, 0.0)
+    if abs(tightened_dB) > _LEAST_TIGHTENING_dB:
+        return tightened_dB > 0.0
+    return better.rejection < _LEAST_GAIN * best.rejection
 
 
 def _best_placement(

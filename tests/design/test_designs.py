@@ -17,11 +17,11 @@ from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.observer_loop import linear_controller
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import PlantFamily, plant_from_fraction
 from piezoid.design.requirements import unmet
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.shaping import shape
-from piezoid.design.specification import Specification
+from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template
 from piezoid.design.tuning import tune_observer
 from piezoid.design.vertical import design_vertical
@@ -265,6 +265,38 @@ def test_a_limit_no_bandwidth_can_meet_is_said_to_be_one():
     assert "No bandwidth helps" in str(error)
     assert "relax 'wall' by" in str(error)
     assert error.numbers["nearest_bandwidth_Hz"] is None
+
+
+@pytest.mark.parametrize(
+    ("B", "A"),
+    [
+        ((0.0, 0.3), (1.0, -0.7)),  # one lag
+        ((0.0, 0.5, 0.2), (1.0, -0.6, -0.07)),  # a negative pole, as fits give
+        ((0.0, 0.0, 0.1, 0.02), (1.0, -0.9)),  # broken delay
+    ],
+)
+def test_identified_fractions_are_designed_with_their_defaults(B, A):
+    members = [
+        plant_from_fraction(
+            f"gain x{gain}",
+            gain * LATERAL_m_per_V * np.array(B),
+            A,
+            sampling_rate_Hz=RATE_Hz,
+            output_unit="m",
+        )
+        for gain in (1.0, 0.9, 1.1)
+    ]
+    family = PlantFamily(members=tuple(members))
+    asked = default_specification(
+        family.nominal,
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=1e-7,
+    )
+    loop = design_lateral("x", {"inverse": family}, asked).recommended
+    assert not unmet(loop.members, loop.R, loop.S, asked)
+    assert loop.reference.error < 1e-3
 
 
 def test_a_default_nobody_asked_for_gives_way_to_the_nearest_feasible():
