@@ -26,12 +26,19 @@
     const on = curve.getPointAtLength(curve.getTotalLength() / 2).matrixTransform(curve.getScreenCTM());
     send(view, "pointermove", { clientX: on.x, clientY: on.y });
     const readout = figure.querySelector(".readout").textContent;
+    const ring = figure.querySelector(".here").getBoundingClientRect();
+    const astray = Math.hypot(ring.x + ring.width / 2 - on.x, ring.y + ring.height / 2 - on.y);
     send(view, "keydown", { key: "+" });
     const near = plot.getAttribute("viewBox"), ticksNear = figure.querySelector(".ticks-x").textContent;
     view.dispatchEvent(new MouseEvent("dblclick", { bubbles: true }));
     const again = plot.getAttribute("viewBox"), ticksAgain = figure.querySelector(".ticks-x").textContent;
     const unfocused = new WheelEvent("wheel", { deltaY: -1, clientX: box.x + 200, clientY: box.y + 200, cancelable: true });
     view.dispatchEvent(unfocused);
+    view.focus();
+    const focused = new WheelEvent("wheel", { deltaY: -1, clientX: on.x, clientY: on.y, cancelable: true });
+    view.dispatchEvent(focused);
+    const byWheel = plot.getAttribute("viewBox");
+    send(view, "keydown", { key: "0" });
     figure.querySelector(".key").click();
     const hidden = getComputedStyle(figure.querySelector(".layer")).display;
     figure.querySelector(".key").click();
@@ -42,7 +49,7 @@
     const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
     document.body.dataset.probe = JSON.stringify({
       errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
-      stolenWheel: unfocused.defaultPrevented, hidden, flickering, after, wide,
+      astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide,
     });
   });
 })();

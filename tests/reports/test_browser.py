@@ -85,6 +85,8 @@ def test_the_pointer_reads_a_value_with_its_unit(found: dict[str, Any]) -> None:
     assert re.fullmatch(r"(measured|model): drive \S+ V, displacement \S+ µm", found["readout"]), (
         found["readout"]
     )
+    # The ring stands on the curve under the pointer, to a pixel.
+    assert found["astray"] < 1.0
 
 
 def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
@@ -99,6 +101,8 @@ def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
 
 def test_the_wheel_belongs_to_the_page_until_the_figure_is_chosen(found: dict[str, Any]) -> None:
     assert found["stolenWheel"] is False
+    assert found["keptWheel"] is True
+    assert found["byWheel"] != found["whole"]
 
 
 def test_curves_can_be_hidden_and_flickered_one_at_a_time(found: dict[str, Any]) -> None:

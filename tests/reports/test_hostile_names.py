@@ -1,5 +1,6 @@
 """Names come from files and strangers: on the page they are text, whatever they hold."""
 
+import unicodedata
 from dataclasses import replace
 
 import pytest
@@ -56,6 +57,13 @@ def test_a_hostile_name_adds_no_element_and_no_attribute(name: str, tame: list[s
 def test_a_hostile_name_is_shown_as_it_is(name: str) -> None:
     texts = [e.text for e in Anatomy(_hostile_page(name)).all("h1")]
     assert texts == [f"Stage {name}"]
+
+
+def test_no_character_that_turns_or_breaks_a_text_reaches_the_page() -> None:
+    page = _hostile_page("a\u202eb\x00c\x1bd\u2066")
+    harmless = {"\n"}
+    kinds = {c: unicodedata.category(c) for c in set(page)}
+    assert {c for c, kind in kinds.items() if kind in {"Cc", "Cf", "Cs"}} <= harmless
 
 
 def test_characters_that_turn_or_break_a_line_are_shown_as_codes() -> None:
