@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
 from piezoid.identification.dynamics.frequency_response import ComplexArray
@@ -103,6 +103,13 @@ class LinearDynamics:
     def mode_damping_interval(self) -> Array:
         """Return the 95 % intervals of the dampings, (modes, 2)."""
         return self._interval(self.mode_damping, len(self.mode_frequency_Hz))
+
+    def is_resolved(self) -> NDArray[np.bool_]:
+        """Tell which modes the data determine, (modes,); the others stand for what is outside."""
+        frequency = self.mode_frequency_interval_Hz()
+        damping = self.mode_damping_interval()
+        known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
+        return np.asarray(known & (self.mode_damping < 1.0), dtype=np.bool_)
 
     def lag_frequency_interval_Hz(self) -> Array:
         """Return the 95 % intervals of the lags' frequencies, (lags, 2), Hz."""

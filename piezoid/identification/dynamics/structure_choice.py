@@ -54,7 +54,7 @@ def choose_structure(
     measured    from the realisations to fit
     held_out    other realisations of the same lines
 
-    A cost ratio far above one beside a small held-out error means that the variances are too
+    The best error is the smallest of several, hence a little flattering. A cost ratio far above one beside a small held-out error means that the variances are too
     small, or that what is left is not linear.
     """
     trials, models = [], {}

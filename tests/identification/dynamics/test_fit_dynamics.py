@@ -39,6 +39,15 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
 
 
+def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
+    measured = estimate_response(record(rng, noise_m=1e-8))
+    assert fit_dynamics(measured, STRUCTURE, DECLARATION).is_resolved().all()
+    too_many = fit_dynamics(measured, Structure(modes=3), DECLARATION)
+    near = [np.argmin(np.abs(too_many.mode_frequency_Hz - f)) for f in FREQUENCY_HZ]
+    assert too_many.is_resolved()[near].all()
+    assert not np.delete(too_many.is_resolved(), near).any()
+
+
 def test_two_axes_share_their_modes(rng: np.random.Generator) -> None:
     data = record(rng, inputs=("x", "y"), realisations=6, noise_m=5e-9)
     model = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
