@@ -72,7 +72,11 @@ def judge(folder: Path, level: str, modes: list[int], declaration: Declaration) 
     model = choice.chosen
     near = int(np.argmin(np.abs(model.mode_frequency_Hz - 995)))
     low_Hz, high_Hz = model.mode_frequency_interval_Hz()[near]
-    print(f"  chosen: {choice.structure.modes} modes, delay {1e6 * model.delay_s:.1f} us")
+    early_us, late_us = 1e6 * model.delay_interval_s()
+    print(
+        f"  chosen: {choice.structure.modes} modes, {model.is_resolved().sum()} of them resolved"
+    )
+    print(f"  delay {1e6 * model.delay_s:.1f} us [{early_us:.1f}, {late_us:.1f}]")
     print(
         f"  mode near 1 kHz: {model.mode_frequency_Hz[near]:.2f} Hz [{low_Hz:.2f}, {high_Hz:.2f}]"
     )

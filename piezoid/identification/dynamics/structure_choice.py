@@ -54,8 +54,9 @@ def choose_structure(
     measured    from the realisations to fit
     held_out    other realisations of the same lines
 
-    The best error is the smallest of several, hence a little flattering. A cost ratio far above one beside a small held-out error means that the variances are too
-    small, or that what is left is not linear.
+    The best error is the smallest of several, hence a little flattering. A cost ratio far above
+    one beside a small held-out error means that the variances are too small, or that what is left
+    is not linear.
     """
     trials, models = [], {}
     for structure in structures:
