@@ -11,7 +11,8 @@ def render(page: Page) -> Section:
     parts: list[Part] = []
     for axis in page.axes:
         parts.append(axis_heading(axis))
-        parts += [_experiments(axis), *_remarks(axis), _untested(axis)]
+        parts += [_experiments(axis), *_remarks(axis)]
+        parts += [Prose(text="Never tested by these recordings:"), _untested(axis)]
     return Section(
         anchor="limits",
         title="What this data cannot tell, and what to do next",
