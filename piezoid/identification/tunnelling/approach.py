@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.numerics.arrays import Array, frozen, same_length
 
+_SATURATED_RUN = 3  # neighbours in height with exactly the largest current: noise never does that
 FEWEST_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
 
 
@@ -22,7 +23,7 @@ class Direction(Enum):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ApproachCurve:
-    """One sweep of the current over the height, rows without a number already left out.
+    """One sweep of the current over the height, rows that say nothing already left out.
 
     label          for messages: the column or file it came from
     direction      of the tip's travel
@@ -30,6 +31,7 @@ class ApproachCurve:
     height_m       (points,)  grows when the tip retracts; neither start nor order matters
     current_A      (points,)  as measured, offset included
     rows           rows of the recording, with and without numbers
+    saturated      rows left out because the amplifier stood at its limit
     """
 
     label: str
@@ -38,6 +40,7 @@ class ApproachCurve:
     height_m: Array
     current_A: Array
     rows: int
+    saturated: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "height_m", frozen(self.height_m, "height_m"))
@@ -45,7 +48,7 @@ class ApproachCurve:
         same_length([("height_m", self.height_m), ("current_A", self.current_A)])
         if not (math.isfinite(self.bias_V) and abs(self.bias_V) > 0.0):
             raise ValueError(f"{self.label}: bias_V is {self.bias_V}, expected a voltage")
-        if self.rows < self.points:
+        if self.rows < self.points + self.saturated:
             raise ValueError(f"{self.label}: {self.rows} rows hold {self.points} points")
 
     @property
@@ -67,7 +70,7 @@ def read_approach(
     direction: Direction,
     label: str,
 ) -> ApproachCurve:
-    """Take a sweep from two columns, leaving out the rows without a number.
+    """Take a sweep from two columns, leaving out rows without a number and saturated ones.
 
     height_m   (rows,)  m, grows when the tip retracts; NaN where a row is missing
     current_A  (rows,)  A, of either polarity; NaN where a row is missing
@@ -84,15 +87,29 @@ def read_approach(
             remedy="Pass the height and the current of the same sweep.",
         )
     present = np.isfinite(height) & np.isfinite(current)
-    _refuse_too_little(height[present], label)
+    clipped = _saturated(height[present], current[present])
+    used = np.flatnonzero(present)[~clipped]
+    _refuse_too_little(height[used], label)
     return ApproachCurve(
         label=label,
         direction=direction,
         bias_V=bias_V,
-        height_m=height[present],
-        current_A=current[present],
+        height_m=height[used],
+        current_A=current[used],
         rows=len(height),
+        saturated=int(np.count_nonzero(clipped)),
     )
+
+
+def _saturated(height_m: Array, current_A: Array) -> NDArray[np.bool_]:
+    """Which points repeat exactly the largest current while the height moves on."""
+    at_limit = np.abs(current_A) >= np.max(np.abs(current_A), initial=0.0)
+    if at_limit.all():
+        return np.zeros_like(at_limit)
+    in_order = at_limit[np.argsort(height_m, kind="stable")]
+    runs = np.convolve(in_order, np.ones(_SATURATED_RUN), mode="valid")
+    stands = bool(np.any(runs >= _SATURATED_RUN))
+    return at_limit if stands else np.zeros_like(at_limit)
 
 
 def _refuse_too_little(height_m: Array, label: str) -> None:

@@ -206,6 +206,7 @@ def _evidence(
     return SweepEvidence(
         points=sum(curve.points for curve in curves),
         rows=sum(curve.rows for curve in curves),
+        saturated=sum(curve.saturated for curve in curves),
         peak_A=peak_A,
         floor_A=floor_A,
         decades=math.log10(max(peak_A, 1e-30) / (CLEAR_OF_FLOOR * floor_A)),

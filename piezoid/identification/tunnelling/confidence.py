@@ -33,6 +33,7 @@ class SweepEvidence:
 
     points             used in the fit
     rows               of the recording
+    saturated          rows left out because the amplifier stood at its limit
     peak_A             largest modelled current
     floor_A            rms noise without current
     decades            of current above three times that noise, within the heights swept
@@ -49,6 +50,7 @@ class SweepEvidence:
 
     points: int
     rows: int
+    saturated: int
     peak_A: float
     floor_A: float
     decades: float
@@ -86,10 +88,16 @@ class Rule:
 
 RULES: tuple[Rule, ...] = (
     Rule(
-        quantity=lambda e: 1.0 - e.points / e.rows,
+        quantity=lambda e: e.saturated / e.rows,
+        medium=0.0,
+        low=0.5,
+        sentence=lambda e: f"{e.saturated} of {e.rows} rows lie at the amplifier's limit",
+    ),
+    Rule(
+        quantity=lambda e: 1.0 - (e.points + e.saturated) / e.rows,
         medium=0.1,
         low=0.5,
-        sentence=lambda e: f"{e.rows - e.points} of {e.rows} rows hold no number",
+        sentence=lambda e: f"{e.rows - e.points - e.saturated} of {e.rows} rows hold no number",
     ),
     Rule(
         quantity=lambda e: -e.points,

@@ -23,6 +23,7 @@ from piezoid.numerics.arrays import Array
 OUTLIER = 3.0  # standard deviations; a normal residual passes it once in 370
 CLEAR_OF_FLOOR = 3.0  # times the floor: where a log of the current means something
 MOST_JUMPS = 3  # with more of them there is no tip to speak of
+_REPEATED = 0.9  # fewer distinct currents than this share of the points: they are steps
 _ROUNDS = 25
 _SETTLED = 1e-7  # relative change of the decay
 
@@ -99,6 +100,7 @@ def _start(curves: Sequence[ApproachCurve], chain: CurrentChain) -> WeightedFit:
     sweep = np.concatenate([np.full(c.points, float(n)) for n, c in enumerate(curves)])
     height_m = np.concatenate([c.height_m for c in curves])
     current_A = np.concatenate([c.current_A for c in curves])
+    chain = _with_grain(chain, current_A)
     floor_A = max(max(map(_roughness_A, curves)), chain.declared_floor_A, 1e-30)
     noise = CurrentNoise(floor_A=floor_A, relative=0.05, chain=chain)
     weight = 1.0 / noise.variance(current_A - np.median(current_A))
@@ -123,6 +125,14 @@ def _start(curves: Sequence[ApproachCurve], chain: CurrentChain) -> WeightedFit:
         noise=noise,
         jumps=(),
     )
+
+
+def _with_grain(chain: CurrentChain, current_A: Array) -> CurrentChain:
+    """Take an undeclared converter step from the data where currents repeat exactly."""
+    levels = np.unique(current_A)
+    if chain.adc_step_A is not None or not 1 < len(levels) < _REPEATED * len(current_A):
+        return chain
+    return replace(chain, adc_step_A=float(np.min(np.diff(levels))))
 
 
 def _roughness_A(curve: ApproachCurve) -> float:

@@ -183,6 +183,39 @@ def test_the_uncertain_height_calibration_widens_the_interval(rng: np.random.Gen
     assert (high - low) / fit.decay_per_m == pytest.approx(2 * 1.96 * 0.05, rel=0.05)
 
 
+def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) -> None:
+    whole = sweep(rng)
+    clipped = read_approach(
+        whole.height_m,
+        np.maximum(whole.current_A, -200e-12),
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="clipped",
+    )
+    fit = fit_barrier([clipped])
+    assert clipped.saturated == np.count_nonzero(whole.current_A <= -200e-12)
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+    assert fit.confidence is Confidence.MEDIUM
+    assert "at the amplifier's limit" in fit.reasons[0].text
+
+
+def test_an_undeclared_coarse_converter_is_seen_in_the_data(rng: np.random.Generator) -> None:
+    """Steps of 5 pA hide the offset and half of the sweep; the rest still has its decay."""
+    step_A = 5e-12
+    whole = sweep(rng, floor_A=0.0)
+    coarse = read_approach(
+        whole.height_m,
+        np.round(whole.current_A / step_A) * step_A,
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="coarse",
+    )
+    fit = fit_barrier([coarse])
+    assert fit.noise.floor_A == pytest.approx(step_A / np.sqrt(12.0), rel=0.1, abs=0.0)
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+    assert not fit.jumps
+
+
 def test_a_height_of_the_other_sign_is_refused(rng: np.random.Generator) -> None:
     curve = sweep(rng)
     mirrored = read_approach(
