@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from piezoid.identification.dynamics.amplitude import AmplitudeDependence, extrapolate_mode
+from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration
 from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.periodic_data import PeriodicData
@@ -74,9 +75,13 @@ def judge(folder: Path, level: str, modes: list[int], declaration: Declaration) 
     low_Hz, high_Hz = model.mode_frequency_interval_Hz()[near]
     early_us, late_us = 1e6 * model.delay_interval_s()
     print(
-        f"  chosen: {choice.structure.modes} modes, {model.is_resolved().sum()} of them resolved"
+        f"  chosen: {choice.structure.modes} modes, {resolved_modes(model).sum()} of them resolved"
     )
     print(f"  delay {1e6 * model.delay_s:.1f} us [{early_us:.1f}, {late_us:.1f}]")
+    slow_us = 1e6 * np.diag(phase_delay_s(model, 300.0))
+    print(
+        f"  at 300 Hz each axis follows its own drive by {slow_us.round(1)} us, all lags together"
+    )
     print(
         f"  mode near 1 kHz: {model.mode_frequency_Hz[near]:.2f} Hz [{low_Hz:.2f}, {high_Hz:.2f}]"
     )

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from piezoid.identification.dynamics.frequency_response import ComplexArray
@@ -104,19 +104,15 @@ class LinearDynamics:
         """Return the 95 % intervals of the dampings, (modes, 2)."""
         return self._interval(self.mode_damping, len(self.mode_frequency_Hz))
 
-    def is_resolved(self) -> NDArray[np.bool_]:
-        """Tell which modes the data determine, (modes,); the others stand for what is outside."""
-        frequency = self.mode_frequency_interval_Hz()
-        damping = self.mode_damping_interval()
-        known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
-        return np.asarray(known & (self.mode_damping < 1.0), dtype=np.bool_)
-
     def lag_frequency_interval_Hz(self) -> Array:
         """Return the 95 % intervals of the lags' frequencies, (lags, 2), Hz."""
         return self._interval(self.lag_frequency_Hz, 2 * len(self.mode_frequency_Hz))
 
     def delay_interval_s(self) -> Array:
-        """Return the 95 % interval of the delay, (2,), s; it does not reach below zero."""
+        """Return the 95 % interval of the delay, (2,), s, for this structure.
+
+        See ``phase_delay_s``: what the delay is not given, terms outside the band take.
+        """
         half = NORMAL_95 * np.sqrt(self.shape_covariance[-1, -1])
         return np.maximum([self.delay_s - half, self.delay_s + half], 0.0)
 

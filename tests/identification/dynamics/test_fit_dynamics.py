@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.interchange import from_control, to_control
 from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
@@ -41,11 +42,19 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
 
 def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
     measured = estimate_response(record(rng, noise_m=1e-8))
-    assert fit_dynamics(measured, STRUCTURE, DECLARATION).is_resolved().all()
+    assert resolved_modes(fit_dynamics(measured, STRUCTURE, DECLARATION)).all()
     too_many = fit_dynamics(measured, Structure(modes=3), DECLARATION)
     near = [np.argmin(np.abs(too_many.mode_frequency_Hz - f)) for f in FREQUENCY_HZ]
-    assert too_many.is_resolved()[near].all()
-    assert not np.delete(too_many.is_resolved(), near).any()
+    assert resolved_modes(too_many)[near].all()
+    assert not np.delete(resolved_modes(too_many), near).any()
+
+
+def test_the_slow_delay_is_the_sum_of_all_lags() -> None:
+    """Delay, amplifier, and 2 zeta / w of each mode by its share of the gain."""
+    shares = np.array([1.0, 0.2]) / 1.2
+    modes_s = shares * 2 * np.array(DAMPING) / (2 * np.pi * np.array(FREQUENCY_HZ))
+    expected_s = DELAY_S + 1 / (2 * np.pi * 4000) + modes_s.sum()
+    assert phase_delay_s(truth(), 1.0)[0, 0] == pytest.approx(expected_s, rel=1e-4)
 
 
 def test_two_axes_share_their_modes(rng: np.random.Generator) -> None:
