@@ -2,7 +2,7 @@
 
     python benchmarks/interval_coverage.py [DRAWS]
 
-A stage made of four plays, two kinks and a lag is fitted in its own class again and again, each
+A stage made of four plays, two kinks and a lag is fitted with six plays again and again, each
 time with new noise; the intervals of the loading curve, the loop's width and the lag are counted.
 """
 
@@ -71,7 +71,9 @@ def hits(rng: np.random.Generator, memory: float, noise_m: float) -> Array:
     one = recording(u, y + noise_m * coloured(rng, len(u), memory))
     scales = scales_of([one], "x")
     settings = Settings(longest_lag_s=0.02, follow_zero=False)
-    fitted = search(pieces_of([one], "x", scales, Rig()), Shape(plays=4, below=1, above=1), settings)
+    fitted = search(
+        pieces_of([one], "x", scales, Rig()), Shape(plays=6, below=1, above=1), settings
+    )
     coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
     found = jackknife(theta, fitted.task)
 

@@ -1,8 +1,13 @@
 """`piezoid` and the order of its verbs; the only place where errors become messages."""
 
+import os
 import sys
 
 import typer
+
+# Our matrices are small: a second thread of the linear algebra costs more than it brings, and one
+# thread gives the same bits on every machine. Whoever sets another number keeps it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from piezoid_cli.fit import fit
 from piezoid_cli.inspect import inspect

@@ -1,6 +1,10 @@
 """Fixtures shared by every folder: a seeded generator, and other people's recordings."""
 
+import os
 from pathlib import Path
+
+# As the command line does, before numpy is loaded: small matrices, one thread, the same bits.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest

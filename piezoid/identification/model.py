@@ -120,8 +120,8 @@ class Uncertainty:
     values            (parameters,)
     covariance        (parameters, parameters)
     upper_limit       one-sided limit by name, of weights that lie on 0
-    reach_V           (points,)  argument of the loading curve
-    loading_m         (points,)  loading curve phi
+    reach_V           (points,)  rise of the drive from the middle of its range
+    loading_m         (points,)  loading curve: what the de-poled model answers to that rise
     loading_half_m    (points,)  half its interval
     loop_width_m      opening of the full loop in its middle, and half its interval
     """

@@ -22,8 +22,8 @@ def render(page: Page) -> Section:
     return Section(
         anchor="loading-curve",
         title="Loading curve",
-        lead="What the plays answer to a drive that only rises from the de-poled state. It holds "
-        "all weights and thresholds in one line, and its interval is better known than theirs.",
+        lead="What the model answers to a drive that only rises from the de-poled state. It holds "
+        "all weights and thresholds in one line, and is far better known than any of them.",
         parts=tuple(
             figure
             for axis in page.axes

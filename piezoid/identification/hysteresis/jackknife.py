@@ -92,7 +92,9 @@ def jackknife(theta: Array, task: Task) -> Jackknife:
     for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
         rest = (whole - normal)[np.ix_(free, free)]
         scale = np.sqrt(np.diag(whole)[free])
-        step = np.linalg.lstsq(rest / np.outer(scale, scale), gradient[free] / scale, rcond=TRUNCATED)
+        step = np.linalg.lstsq(
+            rest / np.outer(scale, scale), gradient[free] / scale, rcond=TRUNCATED
+        )
         replicates[block, free] += step[0] / scale
     replicates = np.clip(replicates, lower, upper)
     return Jackknife(

@@ -15,10 +15,12 @@ from piezoid.identification.hysteresis.coordinates import (
 )
 from piezoid.identification.hysteresis.gauss_newton import Minimum, Task, minimise
 from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.placement import gathered_thresholds
 from piezoid.identification.hysteresis.rows import simulate
-from piezoid.identification.hysteresis.start import find_lag, kuhnen_start, linear_start
+from piezoid.identification.hysteresis.start import Start, find_lag, kuhnen_start, linear_start
 from piezoid.numerics.arrays import Array
 
+FEW = 6
 THRESHOLDS = ("gap", "below_gap", "above_gap")
 
 
@@ -71,15 +73,44 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
     lag_s = settings.lag_s
     if lag_s is None:
         lag_s = find_lag(pieces, shape.lag, settings.longest_lag_s)
-    begin = kuhnen_start(pieces, shape, lag_s) if shape.plays else linear_start(pieces, lag_s)
-    task = task_for(pieces, bent(begin.operator, shape.bends), shape.lag, settings)
-    theta = vector_of(bent(begin.operator, shape.bends), task.coordinates)
-    for index in range(len(pieces)):
-        theta[task.coordinates.offset_slice(index)] = begin.offset
+    held = replace(settings, iterations=settings.iterations // 3)
     # Kinks move the cost in jumps: weights first, thresholds once the rest is in place.
-    settled = minimise(theta, replace(task, held=THRESHOLDS), iterations=settings.iterations // 3)
-    minimum = minimise(settled.theta, task, iterations=settings.iterations)
-    return Fitted(task=task, minimum=minimum, kkt_gap=begin.kkt_gap)
+    begun = sorted(
+        (_settled(pieces, shape, start, held) for start in _starts(pieces, shape, lag_s)),
+        key=lambda fitted: fitted.minimum.rms,
+    )
+    # Few plays have few good places, and the better start may lie beside them: search from both.
+    tried = begun if shape.plays <= FEW else begun[:1]
+    return min(
+        (_searched(fitted, settings) for fitted in tried),
+        key=lambda fitted: fitted.minimum.rms,
+    )
+
+
+def _searched(begun: Fitted, settings: Settings) -> Fitted:
+    minimum = minimise(begun.minimum.theta, begun.task, iterations=settings.iterations)
+    return replace(begun, minimum=minimum)
+
+
+def _starts(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> tuple[Start, ...]:
+    if not shape.plays:
+        return (linear_start(pieces, lag_s),)
+    gathered = gathered_thresholds(pieces, shape, lag_s)
+    return (
+        kuhnen_start(pieces, shape, lag_s),
+        kuhnen_start(pieces, shape, lag_s, gathered),
+    )
+
+
+def _settled(pieces: Sequence[Piece], shape: Shape, start: Start, settings: Settings) -> Fitted:
+    """Let everything but the thresholds find its place."""
+    operator = bent(start.operator, shape.bends)
+    task = task_for(pieces, operator, shape.lag, settings)
+    theta = vector_of(operator, task.coordinates)
+    for index in range(len(pieces)):
+        theta[task.coordinates.offset_slice(index)] = start.offset
+    settled = minimise(theta, replace(task, held=THRESHOLDS), iterations=settings.iterations)
+    return Fitted(task=task, minimum=settled, kkt_gap=start.kkt_gap)
 
 
 def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings) -> Task:

@@ -92,15 +92,20 @@ def _quick_error(
     return total
 
 
-def kuhnen_start(pieces: Sequence[Piece], shape: Shape, lag_s: float) -> Start:
+def kuhnen_start(
+    pieces: Sequence[Piece], shape: Shape, lag_s: float, threshold: Array | None = None
+) -> Start:
     """Solve Kuhnen's quadratic program on the lag-corrected pieces.
+
+    threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the range of the drive
 
         E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
         w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
 
     with an offset c_p for every piece; Psi is the inverse of the Psi' found.
     """
-    threshold = np.arange(shape.plays + 1) / (shape.plays + 1)
+    if threshold is None:
+        threshold = np.arange(shape.plays + 1) / (shape.plays + 1)
     zones = _placed_zones(pieces, shape)
     optimum = _solve(pieces, shape, threshold, zones, lag_s)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)

@@ -25,7 +25,8 @@ def summarise(found: Jackknife, coordinates: Coordinates, scales: Scales) -> Unc
         return parameter_values(theta, coordinates, scales)
 
     def loading(theta: Array) -> Array:
-        return physical(operator_of(theta, coordinates), scales).plays.loading_curve(reach_V)
+        model = physical(operator_of(theta, coordinates), scales)
+        return model.run(model.voltage_offset_V + reach_V, model.virgin_memory())[0]
 
     def width(theta: Array) -> Array:
         return np.array([loop_width_m(theta, coordinates, scales)])

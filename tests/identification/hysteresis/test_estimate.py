@@ -60,11 +60,10 @@ def test_the_lag_is_the_lag_of_the_stage() -> None:
 
 def test_loading_curve_lies_within_its_interval_of_the_truth() -> None:
     found = fitted().uncertainty
-    true_m = np.maximum(found.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT
-    # Psi's slope at the origin is 1 in both, so the curves may be compared.
-    inside = np.abs(found.loading_m - true_m) <= found.loading_half_m + 2e-3 * true_m
+    true_m = psi(np.maximum(found.reach_V[:, None] - THRESHOLD, 0.0) @ WEIGHT)
+    inside = np.abs(found.loading_m - true_m) <= found.loading_half_m + 1e-3 * true_m
     assert inside.mean() > 0.9
-    assert (found.loading_half_m[1:] < 0.1 * found.loading_m[1:]).all()
+    assert (found.loading_half_m[1:] < 0.01 * found.loading_m[-1]).all()
 
 
 def test_the_fitted_model_has_an_exact_inverse_from_its_own_memory() -> None:
@@ -145,7 +144,7 @@ def test_slow_motion_of_the_zero_does_not_bend_the_loop() -> None:
     )
     assert any("zero moves" in remark for remark in moving.verdict.remarks)
     width = [model.uncertainty.loop_width_m[0] for model in (still, moving)]
-    assert abs(width[1] - width[0]) < 0.01 * width[0]
+    assert abs(width[1] - width[0]) < 0.03 * width[0]  # the drift is 7 % of the width
 
 
 def test_a_drive_that_never_moves_is_refused() -> None:
