@@ -3,27 +3,59 @@
 #include <math.h>
 #include <string.h>
 
-/* Samples of a tile: small enough that tile and state stay in the first cache. */
+/* Samples and plays of a tile of tangents: small enough to stay in the first cache. */
 #define TILE 32
-/* Plays handled together; a longer bank is processed in groups. */
 #define GROUP 32
+/* Plays followed side by side: enough independent chains of min and max to keep a core busy, few
+ * enough for their states to stay in registers. */
+#define LANES 8
+#define RUN 256
 
 static inline double clamp(double value, double low, double high) {
     const double raised = value > low ? value : low;
     return raised < high ? raised : high;
 }
 
-/* One tile of one group, row-major, so that the plays of a sample fill the vector lanes. */
-static void tile_of_plays(size_t samples, const double *input_V, size_t plays,
-                          const double *threshold_V, double *state_V, double *tile) {
+/* Eight plays over a run of samples, each into its own column. */
+static void run_of_lanes(size_t samples, const double *restrict input_V,
+                         const double *restrict threshold_V, double *restrict state_V,
+                         double *const *column_V) {
+    double z[LANES];
+    double r[LANES];
+    double *restrict out[LANES];
+    for (size_t i = 0; i < LANES; ++i) {
+        z[i] = state_V[i];
+        r[i] = threshold_V[i];
+        out[i] = column_V[i];
+    }
     for (size_t k = 0; k < samples; ++k) {
         const double u = input_V[k];
-        double *row = tile + k * GROUP;
-        for (size_t i = 0; i < plays; ++i) {
-            const double z = clamp(state_V[i], u - threshold_V[i], u + threshold_V[i]);
-            state_V[i] = z;
-            row[i] = z;
+        for (size_t i = 0; i < LANES; ++i) {
+            z[i] = clamp(z[i], u - r[i], u + r[i]);
+            out[i][k] = z[i];
         }
+    }
+    memcpy(state_V, z, sizeof z);
+}
+
+void pk_play_columns(size_t samples, const double *input_V, size_t plays,
+                     const double *threshold_V, double *state_V, size_t stride, double *column_V) {
+    double unused[LANES * RUN]; /* where lanes without a play write, each its own part */
+    for (size_t first = 0; first < plays; first += LANES) {
+        const size_t group = plays - first < LANES ? plays - first : LANES;
+        double state[LANES] = {0.0};
+        double threshold[LANES] = {0.0};
+        memcpy(state, state_V + first, group * sizeof(double));
+        memcpy(threshold, threshold_V + first, group * sizeof(double));
+        for (size_t start = 0; start < samples; start += RUN) {
+            const size_t count = samples - start < RUN ? samples - start : RUN;
+            double *column[LANES];
+            for (size_t i = 0; i < LANES; ++i) {
+                column[i] = i < group ? column_V + (first + i) * stride + start : unused + i * RUN;
+            }
+            run_of_lanes(count, input_V + start, threshold, state, column);
+        }
+        memcpy(state_V + first, state, group * sizeof(double));
     }
 }
 
@@ -33,22 +65,6 @@ static void transpose(size_t samples, size_t plays, const double *tile, size_t s
         for (size_t k = 0; k < samples; ++k) {
             column[i * stride + k] = tile[k * GROUP + i];
         }
-    }
-}
-
-void pk_play_columns(size_t samples, const double *input_V, size_t plays,
-                     const double *threshold_V, double *state_V, size_t stride, double *column_V) {
-    double tile[TILE * GROUP];
-    for (size_t first = 0; first < plays; first += GROUP) {
-        const size_t group = plays - first < GROUP ? plays - first : GROUP;
-        double state[GROUP];
-        memcpy(state, state_V + first, group * sizeof(double));
-        for (size_t start = 0; start < samples; start += TILE) {
-            const size_t count = samples - start < TILE ? samples - start : TILE;
-            tile_of_plays(count, input_V + start, group, threshold_V + first, state, tile);
-            transpose(count, group, tile, stride, column_V + first * stride + start);
-        }
-        memcpy(state_V + first, state, group * sizeof(double));
     }
 }
 
