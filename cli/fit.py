@@ -35,15 +35,15 @@ def fit(
         told("reading recordings")
         from piezoid.identification.fit import fit as fit_model
         from piezoid.identification.store import write_model
-        from piezoid.records.ingest import ingest_all
+        from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
         from piezoid_reports.render import render
 
         declared = None if lab is None else read_lab(lab)
-        recordings = ingest_all(files, declared)
-        model = fit_model(recordings, lab=declared, progress=told)
+        held = collect(files, declared)
+        model = fit_model(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
         told("writing the report")
-        page = render(model, recordings)
+        page = render(model, held.recordings, held.sweeps)
         write_folder(out, {"model.json": write_model(model), "report.html": page.encode()})
     if not quiet:
         _show(model, out)
@@ -72,8 +72,18 @@ def _show(model: "ActuatorModel", out: Path) -> None:
     from rich.console import Console
     from rich.text import Text
 
+    from piezoid_reports.junction_words import barrier_sentence
+
     console = Console()
-    console.print(_table(model))
+    if model.axes:
+        console.print(_table(model))
+    law = None if model.tunnelling is None else model.tunnelling.gap_law
+    if law is not None:
+        console.print(Text(f"tunnelling: {barrier_sentence(law)}"))
+        for reason in law.reasons:
+            console.print(Text(f"tunnelling: {reason}", style="dim"))
+    for remark in model.remarks:
+        console.print(Text(remark, style="dim"))
     for axis in model.axes.values():
         if not axis.verdict.applies:
             reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."

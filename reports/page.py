@@ -6,6 +6,7 @@ from typing import ClassVar
 
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
 from piezoid_reports.chart import Axis, Canvas, Layer
 from piezoid_reports.traces import Trace
 
@@ -20,12 +21,14 @@ class Page:
     recordings    what it was found in
     traces        measurement beside model, by axis, worst fitted first
     model_digest  of model.json
+    sweeps        Z spectroscopies the junction was fitted to
     """
 
     model: ActuatorModel
     recordings: tuple[Recording, ...]
     traces: Mapping[str, tuple[Trace, ...]]
     model_digest: str
+    sweeps: tuple[RawTable, ...] = ()
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:

@@ -12,25 +12,31 @@ from markupsafe import Markup
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
 from piezoid_reports.page import Page
 from piezoid_reports.plain_text import printable
-from piezoid_reports.sections import SECTIONS
+from piezoid_reports.sections import OF_STAGE, SECTIONS
 from piezoid_reports.traces import all_traces
 
 
-def render(model: ActuatorModel, recordings: Sequence[Recording]) -> str:
+def render(
+    model: ActuatorModel, recordings: Sequence[Recording], sweeps: Sequence[RawTable] = ()
+) -> str:
     """Return report.html.
 
     model       what was found
     recordings  what it was fitted on; more are listed, but not drawn
+    sweeps      Z spectroscopies its junction was fitted to
     """
     page = Page(
         model=model,
         recordings=tuple(recordings),
         traces=all_traces(model, recordings),
         model_digest=json.loads(write_model(model))["digest"],
+        sweeps=tuple(sweeps),
     )
-    sections = [section for make in SECTIONS if (section := make(page)) is not None]
+    chapters = SECTIONS if model.axes else OF_STAGE
+    sections = [section for make in chapters if (section := make(page)) is not None]
     style, script = _text("style.css"), _text("figures.js")
     return (
         _environment()

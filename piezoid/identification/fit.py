@@ -1,15 +1,18 @@
 """Recordings in, one ActuatorModel of the whole stage out."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from piezoid.errors import ExcitationError
+from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel
+from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
+from piezoid.records.table import RawTable
 
 STILL = 0.01  # of the widest drive: a recording that moves less says nothing of hysteresis
 
@@ -18,18 +21,22 @@ def fit(
     recordings: Sequence[Recording],
     *,
     lab: Lab | None = None,
+    sweeps: Sequence[RawTable] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActuatorModel:
-    """Fit every axis that has a drive and a displacement.
+    """Fit every axis that has a drive and a displacement, and the junction of a tunnelling tip.
 
-    recordings  of one stage, any number of axes
+    recordings  of one stage, any number of axes; no two of one name
     lab         what the laboratory declares; its poles are not fitted again
+    sweeps      Z spectroscopies: the current over the height
     progress    told what is being done
 
-    Raises ``ExcitationError`` where no recording has both a drive and a displacement.
+    Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
+    both a drive and a displacement and there are no sweeps.
     """
+    refuse_one_name_twice(recordings, sweeps)
     axes = axes_of(recordings)
-    if not axes:
+    if not axes and not sweeps:
         held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
         raise ExcitationError(
             f"{', '.join(r.name for r in recordings)}: only {', '.join(held)} is recorded",
@@ -37,8 +44,11 @@ def fit(
             remedy="Record both, or name the columns in lab.toml.",
         )
     declared = lab or Lab()
+    files: list[Recording | RawTable] = [*recordings, *sweeps]
+    progress("tunnelling: fitting the current over the height" if sweeps else "fitting axes")
+    tunnelling = fit_junction(sweeps) if sweeps else None
     return ActuatorModel(
-        stage=declared.name or recordings[0].name.partition(".")[0],
+        stage=declared.name or files[0].name.partition(".")[0],
         axes={
             axis: estimate_axis(
                 moving(recordings, axis),
@@ -48,9 +58,32 @@ def fit(
             )
             for axis in axes
         },
-        sources={recording.name: recording.digest for recording in recordings},
+        sources={held.name: held.digest for held in files},
         lab=declared.digest or None,
+        tunnelling=tunnelling,
+        remarks=remarks_on_currents(recordings),
     )
+
+
+def refuse_one_name_twice(
+    recordings: Sequence[Recording], sweeps: Sequence[RawTable] = ()
+) -> None:
+    """Refuse names that stand for two things: digests and memories are kept by name.
+
+    One file may hold several recordings, if each is of its own axis.
+    """
+    keys = Counter((r.name, axis) for r in recordings for axis in axes_of([r]))
+    keys.update((table.name, "") for table in sweeps)
+    digests = {(r.name, r.digest) for r in recordings} | {(t.name, t.digest) for t in sweeps}
+    files = Counter(name for name, _ in digests)
+    twice = {name for (name, _), count in keys.items() if count > 1}
+    twice |= {name for name, count in files.items() if count > 1}
+    if twice:
+        raise RecordingError(
+            f"more than one recording is named {', '.join(sorted(twice))}",
+            needed="a name of its own for each recording of an axis: results are kept by name",
+            remedy="Rename one of the files, or leave out what is there twice.",
+        )
 
 
 def rig_of(lab: Lab, axis: str) -> Rig:

@@ -8,6 +8,7 @@ import numpy as np
 from piezoid.errors import IdentificationError
 from piezoid.identification.hysteresis.filters import filter_columns, first_order, lag_of
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
@@ -225,16 +226,20 @@ class AxisModel:
 class ActuatorModel:
     """A whole stage.
 
-    stage    its name
-    axes     by name
-    sources  digest of every recording by name
-    lab      digest of what lab.toml declared, or None
+    stage       its name
+    axes        by name; none where only the tunnelling current was recorded
+    sources     digest of every recording by name
+    lab         digest of what lab.toml declared, or None
+    tunnelling  the junction, where its current was recorded
+    remarks     what was recorded and could not be used
     """
 
     stage: str
     axes: Mapping[str, AxisModel]
     sources: Mapping[str, str]
     lab: str | None = None
+    tunnelling: TunnellingModel | None = None
+    remarks: tuple[str, ...] = ()
 
     def __getitem__(self, axis: str) -> AxisModel:
         """Return one axis, or refuse naming those there are."""

@@ -20,6 +20,7 @@ from piezoid.identification.model import (
     Uncertainty,
     Verdict,
 )
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
@@ -38,6 +39,8 @@ def write_model(model: ActuatorModel) -> bytes:
             "sources": dict(model.sources),
             "lab": model.lab,
             "axes": {name: _axis_to_json(axis) for name, axis in model.axes.items()},
+            "tunnelling": None if model.tunnelling is None else model.tunnelling.to_json(),
+            "remarks": list(model.remarks),
         },
     )
 
@@ -55,6 +58,8 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
             axes={name: _axis_from_json(axis) for name, axis in record["axes"].items()},
             sources=record["sources"],
             lab=record["lab"],
+            tunnelling=_tunnelling_from_json(record["tunnelling"]),
+            remarks=tuple(record["remarks"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ParameterFileError(
@@ -62,6 +67,10 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
             needed=f"every entry of schema {SCHEMA}, of its own kind",
             remedy="Fit the recordings again with this version.",
         ) from error
+
+
+def _tunnelling_from_json(content: Mapping[str, Any] | None) -> TunnellingModel | None:
+    return None if content is None else TunnellingModel.from_json(content)
 
 
 def _axis_to_json(axis: AxisModel) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from piezoid_reports.sections import (
     provenance,
     residual_over_drive,
     residual_over_time,
+    tunnelling,
     verdict,
 )
 
@@ -27,6 +28,10 @@ SECTIONS: tuple[Render, ...] = (
     parameters.render,
     orders.render,
     certificate.render,
+    tunnelling.render,
     limits.render,
     provenance.render,
 )
+
+# What a stage without a single fitted axis still has to say, for example of its tunnelling tip.
+OF_STAGE: tuple[Render, ...] = (verdict.render, tunnelling.render, provenance.render)

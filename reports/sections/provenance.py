@@ -2,14 +2,20 @@
 
 from piezoid.identification.model import ActuatorModel
 from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
 from piezoid_reports.page import Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import told
 
 
 def render(page: Page) -> Section:
     """Return the chain of digests, and what was odd about the files."""
-    odd = [f"{r.name}: {problem.text}" for r in page.recordings for problem in r.problems]
-    parts: list[Part] = [_recordings(page), _chain(page)]
+    read: list[Recording | RawTable] = [*page.recordings, *page.sweeps]
+    odd = [f"{held.name}: {problem.text}" for held in read for problem in held.problems]
+    parts: list[Part] = [_recordings(page)] if page.recordings else []
+    parts += [_sweeps(page)] if page.sweeps else []
+    parts.append(_chain(page))
+    if page.model.remarks:
+        parts += [Prose(text="Recorded, but not used:"), Listing(items=page.model.remarks)]
     if odd:
         parts += [Prose(text="Noticed while reading the files:"), Listing(items=tuple(odd))]
     return Section(
@@ -41,7 +47,19 @@ def _recordings(page: Page) -> Table:
     )
 
 
-def _agreement(model: ActuatorModel, recording: Recording) -> str:
+def _sweeps(page: Page) -> Table:
+    return Table(
+        caption="Tables over a height.",
+        columns=("file", "over", "rows", "in the model", "digest"),
+        rows=tuple(
+            (t.name, t.independent, str(t.rows), _agreement(page.model, t), t.digest)
+            for t in page.sweeps
+        ),
+        digests=(4,),
+    )
+
+
+def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
     if recording.name not in model.sources:
         return "no"
     return "yes" if model.sources[recording.name] == recording.digest else "another file"

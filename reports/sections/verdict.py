@@ -1,6 +1,7 @@
 """The verdict in three sentences, and a card for each axis."""
 
 from piezoid.identification.model import AxisModel
+from piezoid_reports.junction_words import judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.score import judgement_of, line_rms_m, score_of
@@ -10,6 +11,8 @@ from piezoid_reports.weaknesses import Weakness, weaknesses_of
 
 def render(page: Page) -> Section:
     """Return what a reader must know if nothing else is read."""
+    if not page.axes:
+        return _of_junction(page)
     tones = [judgement_of(axis, score_of(axis, page.traces[axis.axis]))[0] for axis in page.axes]
     worst = "bad" if "bad" in tones else "middling" if "middling" in tones else "good"
     return Section(
@@ -19,6 +22,24 @@ def render(page: Page) -> Section:
         parts=(
             Prose(text=" ".join(sentences(page)), tone=worst),
             Cards(cards=tuple(_card(page, axis) for axis in page.axes)),
+        ),
+    )
+
+
+def _of_junction(page: Page) -> Section:
+    """Return the verdict on a stage of which only the tunnelling current was recorded."""
+    law = None if page.model.tunnelling is None else page.model.tunnelling.gap_law
+    known = () if law is None else (judged(law),)
+    return Section(
+        anchor="verdict",
+        title="Verdict",
+        lead="",
+        parts=(
+            *known,
+            Prose(
+                text="No axis with drive and displacement was recorded: nothing is said of "
+                "hysteresis, and no lateral controller can be designed from this."
+            ),
         ),
     )
 

@@ -8,6 +8,7 @@ from typing import Any
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.directions import DirectionShift
 from piezoid.identification.tunnelling.family import PlantFamily
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 
@@ -24,6 +25,7 @@ class GapLaw:
     offset_A                  of the amplifier, with its sign
     floor_A                   rms noise without current
     gap_jitter_m              what the noise in proportion to the current amounts to
+    sweep_decay_per_m         k of each sweep alone
     confidence, reasons       how far to trust it
     """
 
@@ -36,6 +38,7 @@ class GapLaw:
     offset_A: float
     floor_A: float
     gap_jitter_m: float
+    sweep_decay_per_m: tuple[float, ...]
     confidence: Confidence
     reasons: tuple[str, ...]
 
@@ -74,12 +77,16 @@ class LoopPlant:
 class TunnellingModel:
     """The tunnelling junction: from sweeps, from the closed loop, or from both.
 
-    gap_law     None where no sweep was recorded
+    gap_law     None where no sweep was recorded; of the forward sweeps where there are both
     loop_plant  None where no loop was recorded
+    backward    of the backward sweeps; None unless there are both
+    shift       between both; None too where no current stands clear of the noise in both
     """
 
     gap_law: GapLaw | None
     loop_plant: LoopPlant | None
+    backward: GapLaw | None = None
+    shift: DirectionShift | None = None
 
     def __post_init__(self) -> None:
         if self.gap_law is None and self.loop_plant is None:
@@ -94,9 +101,12 @@ class TunnellingModel:
     def from_json(content: Mapping[str, Any]) -> "TunnellingModel":
         """Return the record that ``to_json`` wrote, number for number."""
         law, loop = content["gap_law"], content["loop_plant"]
+        backward, shift = content["backward"], content["shift"]
         return TunnellingModel(
             gap_law=None if law is None else _law_from_json(law),
             loop_plant=None if loop is None else _loop_from_json(loop),
+            backward=None if backward is None else _law_from_json(backward),
+            shift=None if shift is None else _shift_from_json(shift),
         )
 
 
@@ -112,6 +122,7 @@ def describe_gap_law(fit: BarrierFit) -> GapLaw:
         offset_A=fit.offset_A,
         floor_A=fit.noise.floor_A,
         gap_jitter_m=fit.gap_jitter_m,
+        sweep_decay_per_m=fit.sweep_decay_per_m,
         confidence=fit.confidence,
         reasons=tuple(reason.text for reason in fit.reasons),
     )
@@ -154,7 +165,13 @@ def _interval(content: list[Any]) -> Interval:
 
 def _law_from_json(content: Mapping[str, Any]) -> GapLaw:
     intervals = {n: _interval(content[n]) for n in ("decay_interval_per_m", "barrier_interval_eV")}
-    return GapLaw(**{**content, **intervals, **_judgement(content)})
+    alone = {"sweep_decay_per_m": tuple(content["sweep_decay_per_m"])}
+    return GapLaw(**{**content, **intervals, **alone, **_judgement(content)})
+
+
+def _shift_from_json(content: Mapping[str, Any]) -> DirectionShift:
+    names = ("shift_interval_m", "decay_change_interval")
+    return DirectionShift(**{**content, **{name: _interval(content[name]) for name in names}})
 
 
 def _loop_from_json(content: Mapping[str, Any]) -> LoopPlant:

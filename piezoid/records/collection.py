@@ -1,0 +1,49 @@
+"""The files of a stage, sorted: recordings over time, and tables over a height."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from piezoid.records.ingest import ingest_table
+from piezoid.records.lab import Lab
+from piezoid.records.readers import read_table
+from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
+from piezoid.records.units import Dimension
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collection:
+    """What files of one stage hold.
+
+    recordings  samples over time
+    sweeps      tables over a height that name no clock, as a Z spectroscopy is
+    """
+
+    recordings: tuple[Recording, ...]
+    sweeps: tuple[RawTable, ...]
+
+
+def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
+    """Read files of either kind; a table whose columns lab.toml names is a recording.
+
+    Raises what ``ingest`` raises.
+    """
+    declared = Lab() if lab is None else lab
+    recordings: list[Recording] = []
+    sweeps: list[RawTable] = []
+    for path in paths:
+        table = read_table(path)
+        entries = declared.entries_of(path)
+        if is_over_height(table) and not any(entry.columns for entry in entries):
+            sweeps.append(table)
+        else:
+            recordings += [ingest_table(table, declared, entry) for entry in entries or (None,)]
+    return Collection(recordings=tuple(recordings), sweeps=tuple(sweeps))
+
+
+def is_over_height(table: RawTable) -> bool:
+    """Whether the table's rows follow a length instead of a time."""
+    swept = table.find(table.independent) if table.independent else None
+    unit = None if swept is None else swept.heading.unit
+    return unit is not None and unit.dimension is Dimension.LENGTH

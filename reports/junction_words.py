@@ -1,0 +1,42 @@
+"""What is said of a junction, in the verdict and in its chapter."""
+
+import math
+
+from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.model import GapLaw
+from piezoid_reports.page import Prose
+from piezoid_reports.quantities import NARROW, significant, told
+
+TONES = {Confidence.HIGH: "good", Confidence.MEDIUM: "middling", Confidence.LOW: "bad"}
+
+
+def judged(law: GapLaw) -> Prose:
+    """Return barrier, interval and confidence as one paragraph."""
+    return Prose(text=barrier_sentence(law), tone=TONES[law.confidence])
+
+
+def barrier_sentence(law: GapLaw) -> str:
+    """Return barrier, interval and confidence as a sentence."""
+    barrier = told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
+    broken = len(law.reasons)
+    why = (
+        f"{broken} of the rules it is judged by are not met"
+        if broken
+        else "every rule it is judged by is met"
+    )
+    return f"Apparent barrier {barrier}, {confidence_of(law)} confidence: {why}."
+
+
+def confidence_of(law: GapLaw) -> str:
+    """Return the confidence as a word."""
+    return law.confidence.value
+
+
+def told_interval(value: float, interval: tuple[float, float], unit: str) -> str:
+    """Return a value and its 95 % interval, which need not be symmetric or bounded."""
+    low, high = interval
+    if unit in ("", "eV"):
+        ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
+        shown = f"{significant(value, 4)}{NARROW}{unit}" if unit else significant(value, 4)
+        return f"{shown} ({ends[0]} to {ends[1]})"
+    return f"{told(value, unit)} ({told(low, unit)} to {told(high, unit)})"

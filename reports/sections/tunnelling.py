@@ -1,0 +1,176 @@
+"""The tunnelling junction: current over height in logarithmic scale, barrier, both directions."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
+from piezoid.identification.tunnelling.junction import curves_of
+from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
+from piezoid.numerics.arrays import Array
+from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.junction_words import confidence_of, judged, told_interval
+from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.quantities import percent, told
+
+LOOK_CURVE = (
+    "Good: measured points on the straight line over three decades or more, and a bend only where "
+    "the current sinks into the noise. Bad: two slopes, a step, or a line that only touches."
+)
+LOOK_RESIDUAL = (
+    "Good: a band without shape about zero, widening only where the current is weak. Bad: a bow, "
+    "which is creep of the height or not one exponential; a step, which is a changed tip."
+)
+POLARITY = {1.0: "positive", -1.0: "negative"}
+
+
+def render(page: Page) -> Section | None:
+    """Return the gap law with its curves, where a junction was recorded."""
+    junction = page.model.tunnelling
+    if junction is None or junction.gap_law is None:
+        return None
+    parts: list[Part] = []
+    for law, direction in _laws(junction, page):
+        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
+        parts.append(Heading(text=f"{direction.value.capitalize()} sweeps"))
+        parts.append(judged(law))
+        parts += [Listing(items=law.reasons)] if law.reasons else []
+        parts += [_curve(law, curves), _residual(law, curves)] if curves else []
+    return Section(
+        anchor="tunnelling",
+        title="Tunnelling junction",
+        lead="The current falls exponentially with the height of the tip; its decay gives the "
+        "apparent barrier, and the gain of the height loop goes with the barrier's root.",
+        parts=(_table(junction, page), *_shift(junction), *parts),
+    )
+
+
+def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
+    """The laws beside the direction each was found in; a lone law is of the only direction."""
+    first = junction.gap_law
+    if first is None:
+        return ()
+    if junction.backward is not None:
+        return (first, Direction.FORWARD), (junction.backward, Direction.BACKWARD)
+    held = {curve.direction for curve in curves_of(page.sweeps)}
+    return ((first, Direction.BACKWARD if held == {Direction.BACKWARD} else Direction.FORWARD),)
+
+
+def _decay(law: GapLaw) -> str:
+    low, high = law.decay_interval_per_m
+    return told_interval(1e-9 * law.decay_per_m, (1e-9 * low, 1e-9 * high), "")
+
+
+ROWS: tuple[tuple[str, Callable[[GapLaw], str]], ...] = (
+    ("barrier", lambda law: told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")),
+    ("decay k [1/nm]", _decay),
+    (
+        "k of each sweep alone [1/nm]",
+        lambda law: ", ".join(f"{1e-9 * k:.3f}" for k in law.sweep_decay_per_m),
+    ),
+    ("current at z = 0", lambda law: told(law.current_at_zero_height_A, "A")),
+    ("polarity", lambda law: POLARITY[law.polarity]),
+    ("offset", lambda law: told(law.offset_A, "A")),
+    ("noise without current, rms", lambda law: told(law.floor_A, "A")),
+    ("jitter of the gap, rms at most", lambda law: told(law.gap_jitter_m, "m")),
+    ("confidence", confidence_of),
+)
+
+
+def _table(junction: TunnellingModel, page: Page) -> Table:
+    laws = _laws(junction, page)
+    return Table(
+        caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
+        "retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.",
+        columns=("", *(direction.value for _, direction in laws)),
+        rows=tuple((name, *(text(law) for law, _ in laws)) for name, text in ROWS),
+    )
+
+
+def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
+    shift = junction.shift
+    if shift is None:
+        return ()
+    both = "one decay fits both ways" if shift.is_one_decay else "the decays of both ways differ"
+    low, high = shift.decay_change_interval
+    return (
+        Prose(
+            text=f"Backward, a current of {told(shift.reference_current_A, 'A')} is met "
+            f"{told_interval(shift.shift_m, shift.shift_interval_m, 'm')} higher than forward "
+            f"(hysteresis, creep and drift of the height). The decay is larger by "
+            f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {both}.",
+            tone="plain" if shift.is_one_decay else "middling",
+        ),
+    )
+
+
+def _modelled(law: GapLaw, height_m: Array) -> Array:
+    current_A = law.current_at_zero_height_A * np.exp(-law.decay_per_m * height_m)
+    return np.asarray(current_A)
+
+
+def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
+    """Height in order, and the current without offset, upright."""
+    order = np.argsort(curve.height_m, kind="stable")
+    return curve.height_m[order], law.polarity * (curve.current_A[order] - law.offset_A)
+
+
+def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
+    """Decades of the current over one picoampere; what is not positive has no logarithm."""
+    rows = [_measured(law, curve) for curve in curves]
+    heights = np.unique(np.concatenate([height for height, _ in rows]))
+    floor = np.log10(law.floor_A / 1e-12)
+    logs = [np.log10(np.where(i > 0.0, i, np.nan) / 1e-12) for _, i in rows]
+    line = np.log10(_modelled(law, heights) / 1e-12)
+    x = axis_over("height", [heights], "m")
+    y = axis_over("log10 of the current over 1 pA", [*logs, np.array([floor])], "")
+    canvas = Canvas(x=x, y=y)
+    seen = line > floor - 1.0  # far below the noise the law has nothing to be compared with
+    layers: list[Layer] = [
+        canvas.line("measured", f"sweep {k + 1}", height, log, points=400)[0]
+        for k, ((height, _), log) in enumerate(zip(rows, logs, strict=True))
+    ]
+    layers.append(canvas.line("model", "gap law", heights[seen], line[seen])[0])
+    layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor))[0])
+    return Figure(
+        title=f"Current over height, {len(curves)} sweeps",
+        numbers=(
+            f"Offset of {told(law.offset_A, 'A')} taken off, polarity {POLARITY[law.polarity]}. "
+            f"The fit weighs every point by its own noise and takes no logarithm; points at or "
+            f"below zero after taking off the offset are used but cannot be drawn here."
+        ),
+        look=LOOK_CURVE,
+        x=x,
+        y=y,
+        layers=tuple(layers),
+    )
+
+
+def _residual(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
+    rows = [_measured(law, curve) for curve in curves]
+    left = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
+    x = axis_over("height", [height for height, _ in left], "m")
+    y = axis_over("measured minus gap law", [residual for _, residual in left], "A", even=True)
+    canvas = Canvas(x=x, y=y, height=260)
+    rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in left]) ** 2)))
+    zero, _ = canvas.line(
+        "zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2)
+    )
+    return Figure(
+        title="What the gap law leaves",
+        numbers=(
+            f"{told(rms_A, 'A')} rms over all points; the noise without current is "
+            f"{told(law.floor_A, 'A')}, and the rest grows with the current."
+        ),
+        look=LOOK_RESIDUAL,
+        x=x,
+        y=y,
+        height=canvas.height,
+        layers=(
+            zero,
+            *(
+                canvas.line("measured", f"sweep {k + 1}", height, residual, points=400)[0]
+                for k, (height, residual) in enumerate(left)
+            ),
+        ),
+    )
