@@ -6,6 +6,7 @@ A stage made of four plays, two kinks and a lag is fitted with six plays again a
 time with new noise; the intervals of the loading curve, the loop's width and the lag are counted.
 """
 
+import itertools
 import sys
 
 import numpy as np
@@ -37,10 +38,7 @@ def drive() -> Array:
     """Thirty cycles of falling and rising size, with minor loops among them."""
     sizes = 5.0 * np.concatenate([np.linspace(1, 0.1, 30), np.linspace(0.1, 1, 30)])
     levels = np.concatenate([[0.0], sizes * (-1.0) ** np.arange(60)])
-    runs = [
-        np.linspace(a, b, int(30 * abs(b - a)) + 2)[1:]
-        for a, b in zip(levels[:-1], levels[1:], strict=True)
-    ]
+    runs = [np.linspace(a, b, int(30 * abs(b - a)) + 2)[1:] for a, b in itertools.pairwise(levels)]
     return np.concatenate(runs)
 
 

@@ -1,0 +1,98 @@
+"""A folder of results is whole or not there; what was there before is never half gone."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import typer
+
+from piezoid_cli.output_folder import check_free, write_folder
+
+NEW = {"model.json": b"new", "bundle/a.h": b"header"}
+
+
+def held(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_a_new_folder_holds_every_file(tmp_path: Path) -> None:
+    write_folder(tmp_path / "deep" / "stage", NEW)
+    assert held(tmp_path / "deep" / "stage") == NEW
+    assert os.listdir(tmp_path / "deep") == ["stage"]
+
+
+def test_an_old_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
+    write_folder(tmp_path / "stage", {"model.json": b"old", "left.over": b"old"})
+    write_folder(tmp_path / "stage", NEW)
+    assert held(tmp_path / "stage") == NEW
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_a_failure_while_writing_leaves_the_old_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_folder(tmp_path / "stage", {"model.json": b"old"})
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_folder(tmp_path / "stage", NEW)
+    assert held(tmp_path / "stage") == {"model.json": b"old"}
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_without_an_atomic_exchange_the_folder_is_still_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("piezoid_cli.output_folder._exchanged", lambda *_: False)
+    write_folder(tmp_path / "stage", {"model.json": b"old"})
+    write_folder(tmp_path / "stage", NEW)
+    assert held(tmp_path / "stage") == NEW
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_killed_at_any_moment_the_folder_is_old_or_new(tmp_path: Path) -> None:
+    target = tmp_path / "stage"
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from piezoid_cli.output_folder import write_folder\n"
+        "print('ready', flush=True)\n"
+        "n = 0\n"
+        "while True:\n"
+        "    n += 1\n"
+        "    write_folder(Path(sys.argv[1]), {f'{i}.bin': b'%d' % n * 20000 for i in range(8)})\n"
+    )
+    for round_ in range(8):
+        process = subprocess.Popen(
+            [sys.executable, "-c", code, str(target)], stdout=subprocess.PIPE
+        )
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.02 + 0.013 * round_)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        process.stdout.close()
+        if target.exists():
+            contents = held(target)
+            assert sorted(contents) == [f"{i}.bin" for i in range(8)]
+            assert len(set(contents.values())) == 1
+
+
+def test_a_folder_that_holds_something_is_refused_without_force(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("precious")
+    with pytest.raises(typer.BadParameter, match="--force"):
+        check_free(tmp_path, force=False)
+    check_free(tmp_path, force=True)
+    check_free(tmp_path / "new", force=False)
+    with pytest.raises(typer.BadParameter, match="is a file"):
+        check_free(tmp_path / "mine.txt", force=True)

@@ -1,0 +1,98 @@
+"""Rules that hold for the whole house, tested over all of it."""
+
+import ast
+import dataclasses
+import importlib
+import pkgutil
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+import piezoid
+from piezoid import errors
+
+ROOT = Path(__file__).resolve().parents[2]
+FACES = {"piezoid": "piezoid", "cli": "piezoid_cli", "reports": "piezoid_reports"}
+FACES |= {"datasets": "piezoid_datasets"}
+FORBIDDEN = {"utils", "common", "helpers", "core", "base", "manager"}
+
+
+def modules() -> list[ModuleType]:
+    found = pkgutil.walk_packages(piezoid.__path__, "piezoid.")
+    return [
+        importlib.import_module(info.name)
+        for info in found
+        if not info.name.rpartition(".")[2].startswith("_")
+    ]
+
+
+def sources() -> list[Path]:
+    return [path for folder in FACES for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def test_every_package_folder_is_installed() -> None:
+    configuration = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    installed = set(configuration["tool"]["setuptools"]["packages"])
+    present = {
+        ".".join([FACES[folder], *path.parent.relative_to(ROOT / folder).parts])
+        for folder in FACES
+        for path in (ROOT / folder).rglob("__init__.py")
+    }
+    assert installed == present
+
+
+def test_every_record_is_frozen_and_keyword_only() -> None:
+    for module in modules():
+        for value in vars(module).values():
+            if not (isinstance(value, type) and dataclasses.is_dataclass(value)):
+                continue
+            if value.__module__ != module.__name__ or value.__name__.startswith("_"):
+                continue
+            parameters = value.__dataclass_params__  # type: ignore[attr-defined]
+            if not parameters.frozen:
+                # A filter or a row maker carries state from chunk to chunk; it says so by `run`.
+                assert hasattr(value, "run"), f"{module.__name__}.{value.__name__} is mutable"
+                continue
+            fields = dataclasses.fields(value)
+            assert all(field.kw_only for field in fields), f"{value.__name__} is positional"
+
+
+def test_every_module_begins_with_what_it_knows() -> None:
+    for path in sources():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        assert ast.get_docstring(tree), path
+
+
+def test_no_file_is_named_for_nothing() -> None:
+    assert not [
+        path for path in sources() if path.stem in FORBIDDEN or path.parent.name in FORBIDDEN
+    ]
+
+
+@pytest.mark.parametrize("folder", ["piezoid"])
+def test_the_library_neither_prints_nor_reads_clock_or_environment(folder: str) -> None:
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                names = {alias.name for alias in node.names} | {getattr(node, "module", "") or ""}
+                assert not names & {"time", "datetime", "os.environ", "matplotlib"}, path
+            if isinstance(node, ast.Attribute):
+                assert node.attr != "environ", path
+
+
+def test_every_error_has_three_parts_and_a_status() -> None:
+    classes = [
+        value
+        for value in vars(errors).values()
+        if isinstance(value, type) and issubclass(value, errors.PiezoidError)
+    ]
+    assert len(classes) > 10
+    for kind in classes:
+        error = kind("found 3 V", needed="at least 5 V", remedy="Turn the knob.", found_V=3.0)
+        assert str(error) == "found 3 V; at least 5 V. Turn the knob."
+        assert error.exit_status in {3, 4}
+        assert error.numbers == {"found_V": 3.0}
+        assert kind.__name__ in (errors.__doc__ or "") or kind is errors.PiezoidError

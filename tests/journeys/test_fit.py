@@ -1,0 +1,126 @@
+"""What a lab types first: recordings in, a folder with model and report out."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid_datasets
+from piezoid.identification.store import read_model
+
+PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+LOOP = 10 * (1 - np.cos(2 * np.pi * np.arange(1200) / 300)) / 2
+
+
+def piezoid(*arguments: str | Path, place: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*PIEZOID, *map(str, arguments)], cwd=place, capture_output=True, text=True, check=False
+    )
+
+
+def write_sweep(path: Path, displacement_um: np.ndarray, heading: str = "pos [um]") -> None:  # type: ignore[type-arg]
+    lines = [f"time [s],voltage [V],{heading}"]
+    lines += [
+        f"{k / 500:.3f},{u:.5f},{y:.5f}"
+        for k, (u, y) in enumerate(zip(LOOP, displacement_um, strict=True))
+    ]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
+    done = piezoid("fit", piezoid_datasets.recordings()[0], "--out", "stage", place=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "held-out rms" in done.stdout
+    model = read_model((tmp_path / "stage" / "model.json").read_bytes())
+    assert model["x"].quality.held_out_rms_percent < 0.35
+    assert model["x"].hysteresis.is_invertible
+    page = (tmp_path / "stage" / "report.html").read_text()
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_stage_of_two_axes_is_one_model_and_one_report(tmp_path: Path) -> None:
+    for axis, gain in (("x", 2.0), ("y", 3.0)):
+        late = np.concatenate([np.repeat(LOOP[:1], 9), LOOP[:-9]])
+        shape = gain * (LOOP + 0.05 * late) + 0.2 * np.tanh(late - 5)
+        write_sweep(tmp_path / f"{axis}.csv", shape)
+    (tmp_path / "lab.toml").write_text(
+        '[rig]\nname = "two axes"\n'
+        '[[recording]]\nfile = "x.csv"\naxis = "x"\n'
+        'columns = { time = "time [s]", voltage = "voltage [V]", displacement = "pos [um]" }\n'
+        '[[recording]]\nfile = "y.csv"\naxis = "y"\n'
+        'columns = { time = "time [s]", voltage = "voltage [V]", displacement = "pos [um]" }\n'
+    )
+    done = piezoid(
+        "fit", "x.csv", "y.csv", "--lab", "lab.toml", "--out", "stage", "--quiet", place=tmp_path
+    )
+    assert done.returncode in (0, 1), done.stderr
+    assert done.stdout == ""
+    record = json.loads((tmp_path / "stage" / "model.json").read_text())
+    assert record["stage"] == "two axes"
+    assert sorted(record["axes"]) == ["x", "y"]
+
+
+def test_a_class_that_does_not_apply_ends_with_status_1_and_a_report(tmp_path: Path) -> None:
+    write_sweep(tmp_path / "butterfly.csv", 0.1 * (LOOP - 5) ** 2)
+    done = piezoid("fit", "butterfly.csv", "--out", "stage", place=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert "does not apply" in done.stdout
+    assert (tmp_path / "stage" / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("heading", "status", "said"),
+    [
+        ("pos", 3, "lab.toml"),  # a displacement without a unit
+        ("comment", 3, "voltage"),  # nothing that could be a displacement
+    ],
+)
+def test_what_is_ambiguous_is_refused_with_the_line_to_write(
+    tmp_path: Path, heading: str, status: int, said: str
+) -> None:
+    write_sweep(tmp_path / "sweep.csv", LOOP, heading)
+    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
+    assert done.returncode == status
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "stage").exists()
+
+
+def test_a_missing_file_is_one_message_and_debug_brings_the_traceback(tmp_path: Path) -> None:
+    done = piezoid("fit", "nowhere.csv", "--out", "stage", place=tmp_path)
+    assert done.returncode == 3
+    assert "nowhere.csv" in done.stderr
+    assert "Traceback" not in done.stderr
+    again = piezoid("fit", "nowhere.csv", "--out", "stage", "--debug", place=tmp_path)
+    assert "Traceback" in again.stderr
+
+
+def test_a_folder_with_results_is_kept_unless_forced(tmp_path: Path) -> None:
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "stage" / "model.json").write_text("precious")
+    done = piezoid("fit", "sweep.csv", "--out", "stage", place=tmp_path)
+    assert done.returncode == 2
+    assert "--force" in done.stderr
+    assert (tmp_path / "stage" / "model.json").read_text() == "precious"
+
+
+def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path: Path) -> None:
+    done = piezoid("--help", place=tmp_path)
+    assert done.returncode == 0
+    assert "fit" in done.stdout
+    code = (
+        "import sys; sys.argv = ['piezoid', '--help']\n"
+        "from piezoid_cli.main import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'pandas', 'matplotlib', 'cvxpy', 'jinja2'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
+    )
+    checked = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    assert checked.returncode == 0, checked.stderr
