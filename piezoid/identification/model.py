@@ -156,6 +156,8 @@ class Certificate:
     plays_m       Lip(Psi) * integral |W_b - W| dr, 95 % quantile over refits
     dead_zones_m  sup |Psi_b - Psi|, 95 % quantile over refits
     remainder_m   99.9 % quantile of the held-out residual
+    found_m       largest model difference an adversarial search of drives reached, 95 % quantile
+                  over the same refits: how far the sum of the first two terms is from attained
     reach_V       valid for |u - u_off| <= reach_V
     slew_V_per_s  fastest drive in the data: valid up to there
     """
@@ -163,6 +165,7 @@ class Certificate:
     plays_m: float
     dead_zones_m: float
     remainder_m: float
+    found_m: float
     reach_V: float
     slew_V_per_s: float
 
@@ -232,6 +235,7 @@ class ActuatorModel:
     lab         digest of what lab.toml declared, or None
     tunnelling  the junction, where its current was recorded
     remarks     what was recorded and could not be used
+    controller_rate_Hz  at which a controller will run, as the laboratory declares; None: unknown
     """
 
     stage: str
@@ -240,6 +244,7 @@ class ActuatorModel:
     lab: str | None = None
     tunnelling: TunnellingModel | None = None
     remarks: tuple[str, ...] = ()
+    controller_rate_Hz: float | None = None
 
     def __getitem__(self, axis: str) -> AxisModel:
         """Return one axis, or refuse naming those there are."""

@@ -41,6 +41,7 @@ def write_model(model: ActuatorModel) -> bytes:
             "axes": {name: _axis_to_json(axis) for name, axis in model.axes.items()},
             "tunnelling": None if model.tunnelling is None else model.tunnelling.to_json(),
             "remarks": list(model.remarks),
+            "controller_rate_Hz": model.controller_rate_Hz,
         },
     )
 
@@ -60,6 +61,7 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
             lab=record["lab"],
             tunnelling=_tunnelling_from_json(record["tunnelling"]),
             remarks=tuple(record["remarks"]),
+            controller_rate_Hz=record["controller_rate_Hz"],
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ParameterFileError(
@@ -105,6 +107,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
             "plays_m": axis.certificate.plays_m,
             "dead_zones_m": axis.certificate.dead_zones_m,
             "remainder_m": axis.certificate.remainder_m,
+            "found_m": axis.certificate.found_m,
             "reach_V": axis.certificate.reach_V,
             "slew_V_per_s": axis.certificate.slew_V_per_s,
         },

@@ -88,7 +88,12 @@ def axis_model(
             loop_width_m=(1.6e-6, 4e-8),
         ),
         certificate=Certificate(
-            plays_m=3e-8, dead_zones_m=2e-8, remainder_m=9e-8, reach_V=5.0, slew_V_per_s=40.0
+            plays_m=3e-8,
+            dead_zones_m=2e-8,
+            remainder_m=9e-8,
+            found_m=1e-8,
+            reach_V=5.0,
+            slew_V_per_s=40.0,
         ),
     )
 

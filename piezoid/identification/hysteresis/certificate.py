@@ -21,6 +21,9 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.worst_case import worst_case
 
 DRAWS = 200
+DRIVES = 12  # of each arbitrary kind
+TURNS = 24
+STEPS = 6  # samples from one turning point to the next
 SEED = 1
 
 
@@ -47,18 +50,53 @@ def certify(
     """Return the bound for drives within the range of the data."""
     model = physical(operator_of(found.theta, coordinates), scales)
     reach_V = scales.voltage_V
-    terms = [
-        apart(model, physical(operator_of(theta, coordinates), scales), reach_V)
-        for theta in drawn_vectors(found, coordinates.bounds(longest_lag_s), DRAWS, SEED)
-    ]
+    vectors = drawn_vectors(found, coordinates.bounds(longest_lag_s), DRAWS, SEED)
+    others = [physical(operator_of(theta, coordinates), scales) for theta in vectors]
+    terms = [apart(model, other, reach_V) for other in others]
     plays_m, zones_m = np.quantile(np.array(terms), 0.95, axis=0)
+    drives_V = adversarial_drives(reach_V, SEED)
+    reached = [reached_difference(model, other, drives_V, reach_V) for other in others]
     return Certificate(
         plays_m=float(plays_m),
         dead_zones_m=float(zones_m),
         remainder_m=float(np.quantile(np.abs(residual_m), 0.999)),
+        found_m=float(np.quantile(reached, 0.95)),
         reach_V=reach_V,
         slew_V_per_s=slew_V_per_s,
     )
+
+
+def adversarial_drives(reach_V: float, seed: int) -> Array:
+    """Return drives through decaying, growing and arbitrary turning points, (samples,) in V.
+
+    Each of them begins with a full swing, so that what came before is forgotten.
+    """
+    rng = np.random.default_rng(seed)
+    sign = (-1.0) ** np.arange(TURNS)
+    sizes = [np.linspace(1.0, 0.02, TURNS), np.linspace(0.02, 1.0, TURNS)]
+    sizes += [np.sort(rng.uniform(0.02, 1.0, TURNS))[::-1] for _ in range(DRIVES)]
+    levels = [sign * size for size in sizes]
+    levels += [rng.uniform(-1.0, 1.0, TURNS) for _ in range(DRIVES)]
+    turns = np.concatenate([np.concatenate([[1.0, -1.0], level]) for level in levels])
+    steps = np.linspace(0.0, 1.0, STEPS, endpoint=False)
+    return np.asarray(reach_V * (turns[:-1, None] + np.diff(turns)[:, None] * steps).ravel())
+
+
+def reached_difference(
+    model: ModifiedPrandtlIshlinskii,
+    other: ModifiedPrandtlIshlinskii,
+    drives_V: Array,
+    reach_V: float,
+) -> float:
+    """Return the largest difference two models show over many drives and their own worst one.
+
+    A common zero is taken away: it is fitted for every recording.
+    """
+    own = worst_case(other.plays, model.plays, reach_V).extrema
+    voltage_V = model.voltage_offset_V + np.concatenate([drives_V, [reach_V, -reach_V], own])
+    first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, other))
+    difference = second - first
+    return float(np.ptp(difference) / 2)
 
 
 def apart(

@@ -83,6 +83,9 @@ def test_certificate_is_not_smaller_than_the_error_to_the_truth() -> None:
     error = own - truth
     assert np.abs(error - np.median(error)).max() < model.certificate.bound_m
     assert model.certificate.bound_m < 0.1 * model.quality.range_m
+    assert (
+        0 < model.certificate.found_m < model.certificate.plays_m + model.certificate.dead_zones_m
+    )
 
 
 def test_model_json_comes_back_with_every_bit() -> None:
