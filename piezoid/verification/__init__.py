@@ -1,0 +1,11 @@
+"""From the parameter file to a verdict: what ships is run against what was identified.
+
+plant.py         an axis between its converters: amplifier, response, mechanics, sensor
+uncertainty.py   other plants the recordings allow as well
+closed_loop.py   the plant and the compiled runtime, sample by sample
+trajectories.py  spirals, rasters, steps;  scenarios.py  the tuple SCENARIOS of what is run
+surface.py       what is under the tip
+tracking.py      records to numbers;       criteria.py   numbers to verdicts with limits
+verify.py        all of it;                verification.py  the record that leaves this floor
+proof.py         the same bits from a rebuilt bundle and from an emulated Cortex-M4F
+"""

@@ -1,0 +1,192 @@
+"""Numbers to verdicts: what was measured, what was allowed, and what it means."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.numerics.arrays import Array
+from piezoid.runtime.controller import Status
+from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.tracking import Tracking
+
+_SETTLED = 0.02  # of the largest step
+_BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
+_AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What is allowed; every number may be replaced by what the application needs.
+
+    aligned_percent     of the diameter, shape error of what ships, up to judged_Hz
+    judged_Hz           above it, spirals are compared with no compensation only
+    settling_s          after the largest step, to 2 % of it
+    overshoot_percent   of the largest step
+    varied_percent      of the diameter, shape error with any plant the uncertainty allows
+    fault_percent       of the diameter, furthest from the path with a failed sensor
+    ln_current          standard deviation of ln i, up to judged_Hz
+    """
+
+    aligned_percent: float = 1.0
+    judged_Hz: float = 10.0
+    settling_s: float = 0.05
+    overshoot_percent: float = 40.0
+    varied_percent: float = 1.0
+    fault_percent: float = 15.0
+    ln_current: float = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One number against its limit.
+
+    name      what was judged
+    scenario  in which scenario, or in all
+    value     measured, not more than the limit if passed
+    limit     allowed
+    unit      of both
+    passed    value <= limit
+    """
+
+    name: str
+    scenario: str
+    value: float
+    limit: float
+    unit: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within its limit."""
+        return self.value <= self.limit
+
+
+def shape(scenario: str, found: Tracking, radius_m: float, limit_percent: float) -> Verdict:
+    """Judge the error that remains after the best common delay."""
+    return Verdict(
+        name="shape error of what ships",
+        scenario=scenario,
+        value=100.0 * found.aligned_rms_m / (2.0 * radius_m),
+        limit=limit_percent,
+        unit="% of the diameter",
+    )
+
+
+def against_none(scenario: str, shipped: Tracking, none: Tracking) -> Verdict:
+    """Judge what ships against a static gain without feedback."""
+    return Verdict(
+        name="shape error, against no compensation",
+        scenario=scenario,
+        value=shipped.aligned_rms_m / none.aligned_rms_m,
+        limit=1.0,
+        unit="1",
+    )
+
+
+def drive(
+    records: Mapping[str, Sequence[LoopRecord]], axes: Mapping[str, AxisParameters]
+) -> Verdict:
+    """Judge that every voltage of every run is finite and inside the converter's limits."""
+    outside = 0
+    for axis, runs in records.items():
+        values = axes[axis].values
+        low, high = (float(values[f"voltage_{end}_V"]) for end in ("minimum", "maximum"))
+        for run in runs:
+            good = np.isfinite(run.voltage_V) & (run.voltage_V >= low) & (run.voltage_V <= high)
+            outside += int(np.sum(~good))
+    return _count("voltages not finite or outside the limits", "all", outside)
+
+
+def reserve(scenario: str, records: Sequence[LoopRecord]) -> Verdict:
+    """Judge that the drive never met its limits."""
+    return _samples_with(scenario, records, Status.VOLTAGE_LIMITED, "samples at a voltage limit")
+
+
+def settling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
+    """Judge overshoot and settling time of one axis after its largest step.
+
+    The last 5 ms before the next step do not count.
+    """
+    jumps = np.diff(record.reference)
+    at = int(np.abs(jumps).argmax()) + 1
+    size = float(jumps[at - 1])
+    later = np.flatnonzero(jumps[at:])
+    end = at + int(later[0]) + 1 if len(later) else len(jumps) + 1
+    end -= int(_BEFORE_NEXT_s * record.sampling_rate_Hz)
+    progress = 1.0 + (record.position[at:end] - record.reference[at:end]) / size
+    outside = np.flatnonzero(np.abs(progress - 1.0) > _SETTLED)
+    settled_s = (int(outside[-1]) + 1 if len(outside) else 0) / record.sampling_rate_Hz
+    return (
+        Verdict(
+            name=f"overshoot of axis {record.axis}",
+            scenario=scenario,
+            value=max(100.0 * (float(progress.max()) - 1.0), 0.0),
+            limit=limits.overshoot_percent,
+            unit="% of the step",
+        ),
+        Verdict(
+            name=f"settling of axis {record.axis} to 2 %",
+            scenario=scenario,
+            value=settled_s,
+            limit=limits.settling_s,
+            unit="s",
+        ),
+    )
+
+
+def survived(
+    scenario: str, error_m: Array, healthy: Tracking, radius_m: float, limits: Limits
+) -> tuple[Verdict, Verdict]:
+    """Judge how far a failed sensor led the stage away, and that it came back.
+
+    error_m  (samples,)  distance from the path
+    healthy  the same path with a sound sensor
+    """
+    rest = error_m[-int(_AFTERWARDS * len(error_m)) :]
+    return (
+        Verdict(
+            name="furthest from the path",
+            scenario=scenario,
+            value=100.0 * float(error_m.max()) / (2.0 * radius_m),
+            limit=limits.fault_percent,
+            unit="% of the diameter",
+        ),
+        Verdict(
+            name="largest error after the fault, against none",
+            scenario=scenario,
+            value=float(rest.max()) / healthy.max_m,
+            limit=1.5,
+            unit="1",
+        ),
+    )
+
+
+def noticed(scenario: str, records: Sequence[LoopRecord], flag: Status) -> Verdict:
+    """Judge that every axis said in its status what happened to its sensor."""
+    silent = [r for r in records if not bool(np.any(r.status & np.uint32(flag)))]
+    return _count("axes whose status did not say so", scenario, len(silent))
+
+
+def tunnelling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdict, Verdict]:
+    """Judge the current of a tunnelling axis: how steady, and that the tip never had to flee."""
+    return (
+        Verdict(
+            name="standard deviation of ln i",
+            scenario=scenario,
+            value=float(np.std(np.log(record.position))),
+            limit=limits.ln_current,
+            unit="1",
+        ),
+        _samples_with(scenario, [record], Status.RETRACTED, "samples with the tip retracted"),
+    )
+
+
+def _samples_with(
+    scenario: str, records: Sequence[LoopRecord], flag: Status, name: str
+) -> Verdict:
+    return _count(name, scenario, sum(int(np.sum((r.status & flag) != 0)) for r in records))
+
+
+def _count(name: str, scenario: str, found: int) -> Verdict:
+    return Verdict(name=name, scenario=scenario, value=float(found), limit=0.0, unit="1")

@@ -1,0 +1,102 @@
+"""plant_loop.c, seen from Python: its structures, opened once."""
+
+import ctypes
+from functools import cache
+from importlib.util import find_spec
+from typing import Any
+
+from piezoid.errors import RuntimeLibraryError
+from piezoid.numerics.arrays import Array
+
+MAX_STATES = 32
+_MODULE = "piezoid.verification._plant_loop"
+
+RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
+
+
+class Linear(ctypes.Structure):
+    """``pl_linear``."""
+
+    _fields_ = (
+        ("states", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("A", "B_old", "B_new", "C")),
+        ("D", ctypes.c_double * 2),
+        ("x", ctypes.c_void_p),
+    )
+
+
+class Map(ctypes.Structure):
+    """``pl_map``."""
+
+    _fields_ = (
+        ("knots", ctypes.c_size_t),
+        ("knot", ctypes.c_void_p),
+        ("slope", ctypes.c_void_p),
+        ("zero", ctypes.c_size_t),
+    )
+
+
+class LoopPlant(ctypes.Structure):
+    """``pl_plant``."""
+
+    _fields_ = (
+        ("substeps", ctypes.c_size_t),
+        ("before", Linear),
+        ("after", Linear),
+        ("kind", ctypes.c_int64),
+        ("plays", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("threshold_V", "weight", "play_V")),
+        ("envelope", Map),
+        ("zones", Map),
+        *(
+            (name, ctypes.c_double)
+            for name in ("polarity", "voltage_offset_V", "displacement_offset_m", "current_A")
+        ),
+        ("respond", RESPOND),
+        *(
+            (name, ctypes.c_double)
+            for name in ("w", "reading_lsb", "reading_least", "reading_most")
+        ),
+    )
+
+
+class LoopRun(ctypes.Structure):
+    """``pl_run``."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("step_double", "step_float")),
+        *((name, ctypes.c_void_p) for name in ("state", "parameters")),
+        ("samples", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("reference", "disturbance", "noise", "fault")),
+        *((name, ctypes.c_void_p) for name in ("position", "measured", "voltage_V", "status")),
+    )
+
+
+@cache
+def loop_library() -> ctypes.CDLL:
+    """Open the compiled plant loop, or say that it is missing."""
+    module = find_spec(_MODULE)
+    if module is None or module.origin is None:
+        raise RuntimeLibraryError(
+            f"the compiled plant loop {_MODULE} is not beside the package",
+            needed="an installation that compiled it",
+            remedy="Install piezoid with a C compiler present: pip install .",
+        )
+    code = ctypes.CDLL(module.origin)
+    code.pl_response.restype = ctypes.c_double
+    code.pl_response.argtypes = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
+    code.pl_loop.restype = None
+    code.pl_loop.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
+    return code
+
+
+class Kept:
+    """Arrays a structure points to, kept alive with it."""
+
+    def __init__(self) -> None:
+        self.arrays: list[Any] = []
+
+    def address(self, array: Array) -> int:
+        """Return the address of an array, and hold it."""
+        self.arrays.append(array)
+        return int(array.ctypes.data)

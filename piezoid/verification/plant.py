@@ -1,0 +1,192 @@
+"""What is controlled, between the converters: one axis as it was identified."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.design.chain import Section
+from piezoid.identification.model import AxisModel
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.numerics.arrays import Array
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+
+Respond = Callable[[float], float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Hysteresis:
+    """The identified operator as the response of a lateral axis, de-poled before every run.
+
+    operator  rising with the drive
+    polarity  -1 where the displacement falls as the drive rises
+    """
+
+    operator: ModifiedPrandtlIshlinskii
+    polarity: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Junction:
+    """A tunnelling gap: i = current_A exp(gain (u - rest) - k height).
+
+    current_A          at rest
+    gain_nepers_per_V  > 0: positive drive extends the tip
+    decay_per_m        k: what a metre of height takes from ln i
+    """
+
+    current_A: float
+    gain_nepers_per_V: float
+    decay_per_m: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plugged:
+    """Any other response, for example a laboratory's truth.
+
+    begin  called before every run with the voltage at which the axis rests; returns what answers
+           each drive voltage, one after the other, with a displacement in metres
+    """
+
+    begin: Callable[[float], Respond]
+
+
+Response = Hysteresis | Junction | Plugged
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AxisPlant:
+    """One axis from the drive's converter to the measuring one.
+
+        u, held -> delay -> amplifier -> response -> mechanics -> position
+        position -> sensor -> + noise -> converter -> measured
+
+    axis              its name
+    label             which plant this is: ``identified``, ``draw 3``, ...
+    sampling_rate_Hz  of both converters
+    rest_voltage_V    where every run begins, settled
+    delay_s           converters and computation, >= 0, any fraction of a sample
+    amplifier         sections in front of the response; none: as quick as a substep
+    mechanics, sensor sections behind it
+    noise_rms         of one reading, m (junction: A)
+    noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
+    reading_step      of the measuring converter, 0 rounds nothing
+    reading_range     its ends
+    """
+
+    axis: str
+    label: str
+    sampling_rate_Hz: float
+    response: Response
+    rest_voltage_V: float = 0.0
+    delay_s: float = 0.0
+    amplifier: tuple[Section, ...] = ()
+    mechanics: tuple[Section, ...] = ()
+    sensor: tuple[Section, ...] = ()
+    noise_rms: float = 0.0
+    noise_bandwidth_Hz: float | None = None
+    reading_step: float = 0.0
+    reading_range: tuple[float, float] = (-np.inf, np.inf)
+
+    def __post_init__(self) -> None:
+        if not self.sampling_rate_Hz > 0 or not self.delay_s >= 0 or not self.noise_rms >= 0:
+            raise ValueError(
+                f"axis {self.axis}: rate {self.sampling_rate_Hz} Hz, delay {self.delay_s} s, "
+                f"noise {self.noise_rms}; expected > 0, >= 0, >= 0"
+            )
+
+    def noise(self, samples: int, rng: np.random.Generator) -> Array:
+        """Return the sensor's noise as its converter sees it, (samples,).
+
+            n[k+1] = p n[k] + sqrt(1 - p^2) s e[k],   p = exp(-2 pi f / fs)
+
+        First-order noise sampled exactly: all of its power is there, also what a sensor faster
+        than half the sampling rate folds down.
+        """
+        from scipy.signal import lfilter
+
+        white = rng.standard_normal(samples)
+        if self.noise_bandwidth_Hz is None:
+            return np.asarray(self.noise_rms * white)
+        pole = float(np.exp(-2.0 * np.pi * self.noise_bandwidth_Hz / self.sampling_rate_Hz))
+        kicks = np.sqrt(1.0 - pole**2) * white
+        kicks[:1] = white[:1]
+        return np.asarray(self.noise_rms * lfilter([1.0], [1.0, -pole], kicks))
+
+
+def lateral_plant(
+    model: AxisModel, *, sampling_rate_Hz: float, mechanics: tuple[Section, ...] = ()
+) -> AxisPlant:
+    """Return the identified plant of one lateral axis, resting in the middle of its model.
+
+    mechanics  sections that were identified apart from the hysteresis
+
+    The model's own lag is a delay or a section, as it was fitted; the noise of its recordings is
+    taken for that of every reading.
+    """
+    lag = model.lag
+    own = (_of_time(lag.time_s),) if lag.kind == "first_order" and lag.time_s > 0 else ()
+    sensor_Hz = model.rig.sensor_bandwidth_Hz
+    amplifier_Hz = model.rig.amplifier_bandwidth_Hz
+    return AxisPlant(
+        axis=model.axis,
+        label="identified",
+        sampling_rate_Hz=sampling_rate_Hz,
+        response=Hysteresis(operator=model.hysteresis, polarity=model.polarity),
+        rest_voltage_V=model.hysteresis.voltage_offset_V,
+        delay_s=lag.time_s if lag.kind == "delay" else 0.0,
+        amplifier=() if amplifier_Hz is None else (Section(frequency_Hz=amplifier_Hz),),
+        mechanics=(*mechanics, *own),
+        sensor=() if sensor_Hz is None else (Section(frequency_Hz=sensor_Hz),),
+        noise_rms=model.quality.noise_rms_m,
+        noise_bandwidth_Hz=sensor_Hz,
+    )
+
+
+def junction_axis_plant(
+    plant: JunctionPlant,
+    *,
+    axis: str = "z",
+    set_point_A: float,
+    decay_per_m: float,
+    noise_rms_A: float = 0.0,
+) -> AxisPlant:
+    """Return the identified plant of a tunnelling axis, resting at its set point and 0 V."""
+    return AxisPlant(
+        axis=axis,
+        label="identified",
+        sampling_rate_Hz=plant.sampling_rate_Hz,
+        response=Junction(
+            current_A=set_point_A,
+            gain_nepers_per_V=plant.gain_nepers_per_V,
+            decay_per_m=decay_per_m,
+        ),
+        delay_s=plant.delay_s,
+        amplifier=(Section(frequency_Hz=plant.amplifier_pole_Hz),),
+        sensor=(Section(frequency_Hz=plant.sensor_pole_Hz),),
+        noise_rms=noise_rms_A,
+        noise_bandwidth_Hz=plant.sensor_pole_Hz,
+    )
+
+
+def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
+    """Return a plant that moves, or multiplies its current, by a factor more.
+
+    Raises ``TypeError`` for a plugged response: its gain is its own.
+    """
+    response = plant.response
+    if isinstance(response, Junction):
+        changed: Response = replace(
+            response, gain_nepers_per_V=response.gain_nepers_per_V * factor
+        )
+    elif isinstance(response, Hysteresis):
+        zones = response.operator.dead_zones
+        scaled = replace(zones, weight=zones.weight * factor)
+        changed = replace(response, operator=replace(response.operator, dead_zones=scaled))
+    else:
+        raise TypeError("a plugged response has no gain to change")
+    return replace(plant, response=changed, label=label)
+
+
+def _of_time(time_s: float) -> Section:
+    return Section(frequency_Hz=1.0 / (2.0 * np.pi * time_s))

@@ -1,0 +1,186 @@
+/* A plant between its converters and the shipped controller, sample by sample.
+ *
+ * Not shipped and no controller: the one called here is the address of pz_step in the compiled
+ * runtime. One sample:
+ *
+ *     measured = converter(sensed + noise)                       at the sampling instant
+ *     u = pz_step(reference, measured)                           held until the next one
+ *     then, on `substeps` instants: v = before(u), w = response(v, disturbance), after(w)
+ *
+ * `before` sees a held input, `after` an input that is straight between its instants; both were
+ * sampled exactly by whoever filled in the matrices.
+ */
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#define PL_MAX_STATES 32
+
+enum { PL_PLAYS = 0, PL_EXPONENTIAL = 1, PL_PLUGGED = 2 };
+
+/* x = A x + B_old w_old + B_new w_new;  outputs C x + D w_new. Row-major. */
+typedef struct {
+    size_t states;
+    const double *A;
+    const double *B_old;
+    const double *B_new;
+    const double *C; /* two rows: position, sensed */
+    double D[2];
+    double *x;
+} pl_linear;
+
+/* Piecewise linear, 0 at 0: knots increasing, one more slope than knots; knot[zero] is 0. */
+typedef struct {
+    size_t knots;
+    const double *knot;
+    const double *slope;
+    size_t zero;
+} pl_map;
+
+typedef double (*pl_respond)(double drive);
+
+typedef struct {
+    size_t substeps;
+    pl_linear before;
+    pl_linear after;
+    int64_t kind;
+    size_t plays;
+    const double *threshold_V;
+    const double *weight;
+    double *play_V;
+    pl_map envelope;
+    pl_map zones;
+    double polarity;
+    double voltage_offset_V;
+    double displacement_offset_m;
+    double current_A;     /* PL_EXPONENTIAL: at v - disturbance = 0 */
+    pl_respond respond;   /* PL_PLUGGED */
+    double w;             /* last response */
+    double reading_lsb;   /* of the measuring converter; 0: no rounding */
+    double reading_least; /* and its ends */
+    double reading_most;
+} pl_plant;
+
+typedef double (*pl_step_double)(void *state, const void *parameters, double reference,
+                                 double measured);
+typedef float (*pl_step_float)(void *state, const void *parameters, float reference,
+                               float measured);
+
+/* What is run: addresses of the controller, and arrays of one value per sample. */
+typedef struct {
+    pl_step_double step_double; /* one of the two is NULL */
+    pl_step_float step_float;
+    void *state;
+    const void *parameters;
+    size_t samples;
+    const double *reference;
+    const double *disturbance; /* one more than samples */
+    const double *noise;
+    const double *fault; /* NaN: the reading is NaN; 0: none; > 0: it stays as it was */
+    double *position;
+    double *measured;
+    double *voltage_V;
+    uint32_t *status;
+} pl_run;
+
+double pl_response(pl_plant *plant, double drive, double disturbance);
+void pl_loop(pl_plant *plant, const pl_run *run);
+
+static double dot(const double *row, const double *x, size_t count) {
+    double sum = 0.0;
+    for (size_t i = 0; i < count; ++i) {
+        sum += row[i] * x[i];
+    }
+    return sum;
+}
+
+static void advance(const pl_linear *block, double old, double newer) {
+    double next[PL_MAX_STATES];
+    for (size_t i = 0; i < block->states; ++i) {
+        next[i] = dot(block->A + i * block->states, block->x, block->states) +
+                  block->B_old[i] * old + block->B_new[i] * newer;
+    }
+    memcpy(block->x, next, block->states * sizeof(double));
+}
+
+static double output(const pl_linear *block, size_t row, double w) {
+    return dot(block->C + row * block->states, block->x, block->states) + block->D[row] * w;
+}
+
+/* From the middle outwards, one straight piece after the other. */
+static double mapped(double x, const pl_map *map) {
+    double y = 0.0;
+    double from = 0.0;
+    if (x >= 0.0) {
+        size_t next = map->zero + 1;
+        for (; next < map->knots && x > map->knot[next]; ++next) {
+            y += map->slope[next] * (map->knot[next] - from);
+            from = map->knot[next];
+        }
+        return y + map->slope[next] * (x - from);
+    }
+    size_t left = map->zero;
+    for (; left > 0 && x < map->knot[left - 1]; --left) {
+        y += map->slope[left] * (map->knot[left - 1] - from);
+        from = map->knot[left - 1];
+    }
+    return y + map->slope[left] * (x - from);
+}
+
+static double plays(pl_plant *plant, double voltage_V) {
+    const double drive = mapped(voltage_V - plant->voltage_offset_V, &plant->envelope);
+    double sum = 0.0;
+    for (size_t i = 0; i < plant->plays; ++i) {
+        const double r = plant->threshold_V[i];
+        plant->play_V[i] = fmax(drive - r, fmin(drive + r, plant->play_V[i]));
+        sum += plant->weight[i] * plant->play_V[i];
+    }
+    return plant->polarity * mapped(sum, &plant->zones) + plant->displacement_offset_m;
+}
+
+double pl_response(pl_plant *plant, double drive, double disturbance) {
+    if (plant->kind == PL_EXPONENTIAL) {
+        /* e^60 times any current is far beyond every converter, and finite. */
+        return plant->current_A * exp(fmax(-60.0, fmin(60.0, drive - disturbance)));
+    }
+    return (plant->kind == PL_PLAYS ? plays(plant, drive) : plant->respond(drive)) + disturbance;
+}
+
+static double converted(const pl_plant *plant, double sensed) {
+    const double kept = fmax(plant->reading_least, fmin(plant->reading_most, sensed));
+    return plant->reading_lsb > 0.0 ? plant->reading_lsb * nearbyint(kept / plant->reading_lsb)
+                                    : kept;
+}
+
+static double controlled(const pl_run *run, size_t k, double measured) {
+    if (run->step_double != NULL) {
+        return run->step_double(run->state, run->parameters, run->reference[k], measured);
+    }
+    return (double)run->step_float(run->state, run->parameters, (float)run->reference[k],
+                                   (float)measured);
+}
+
+void pl_loop(pl_plant *plant, const pl_run *run) {
+    double reading = 0.0;
+    for (size_t k = 0; k < run->samples; ++k) {
+        const double sensed = output(&plant->after, 1, plant->w);
+        run->position[k] = output(&plant->after, 0, plant->w);
+        if (!(run->fault[k] > 0.0)) {
+            reading = converted(plant, sensed + run->noise[k]);
+        }
+        run->measured[k] = isnan(run->fault[k]) ? run->fault[k] : reading;
+        const double u = controlled(run, k, run->measured[k]);
+        run->voltage_V[k] = u;
+        run->status[k] = ((const uint32_t *)run->state)[1]; /* behind `ready` */
+        const double slope = run->disturbance[k + 1] - run->disturbance[k];
+        for (size_t j = 1; j <= plant->substeps; ++j) {
+            const double part = (double)j / (double)plant->substeps;
+            advance(&plant->before, u, u);
+            const double v = output(&plant->before, 0, u);
+            const double w = pl_response(plant, v, run->disturbance[k] + part * slope);
+            advance(&plant->after, plant->w, w);
+            plant->w = w;
+        }
+    }
+}

@@ -1,0 +1,110 @@
+"""Records of a loop to numbers: how far it was from where it should have been."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.verification.trajectories import Path
+
+_LONGEST_DELAY_s = 5e-3
+_QUARTER = 0.25  # of a turn: beyond it another delay would fit as well
+_ITERATIONS = 12
+_ANGLES = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tracking:
+    """How well a path was followed; errors are distances in the plane.
+
+    rms_m          sqrt(mean(e_x^2 + e_y^2))
+    rms_percent    of the path's diameter
+    max_m          the largest
+    aligned_rms_m  what is left after the best common delay
+    delay_s        that delay, positive where the stage is late
+    radial_rms_m   of |position| - |reference|, about the middle of the path
+    pitch_error    standard deviation of the distance between neighbouring turns, relative to the
+                   pitch; None where there are no turns, or only one axis
+    """
+
+    rms_m: float
+    rms_percent: float
+    max_m: float
+    aligned_rms_m: float
+    delay_s: float
+    radial_rms_m: float
+    pitch_error: float | None
+
+
+def track(
+    reference: Mapping[str, Array],
+    position: Mapping[str, Array],
+    *,
+    path: Path,
+    radius_m: float,
+    frequency_Hz: float,
+    sampling_rate_Hz: float,
+) -> Tracking:
+    """Compare positions with references, (samples,) by axis, both about the path's middle."""
+    wanted = np.stack([reference[axis] for axis in reference])
+    moved = np.stack([position[axis] for axis in reference])
+    error = np.sqrt(np.sum((moved - wanted) ** 2, axis=0))
+    longest_s = min(_LONGEST_DELAY_s, _QUARTER / frequency_Hz)
+    aligned, delay_s = align(wanted, moved, sampling_rate_Hz, longest_s)
+    rms = float(np.sqrt(np.mean(error**2)))
+    radial = np.sqrt(np.sum(moved**2, axis=0)) - np.sqrt(np.sum(wanted**2, axis=0))
+    return Tracking(
+        rms_m=rms,
+        rms_percent=100.0 * rms / (2.0 * radius_m),
+        max_m=float(error.max()),
+        aligned_rms_m=aligned,
+        delay_s=delay_s,
+        radial_rms_m=float(np.sqrt(np.mean(radial**2))),
+        pitch_error=_pitch_error(moved, path, radius_m) if len(moved) == 2 else None,
+    )
+
+
+def align(
+    wanted: Array, moved: Array, sampling_rate_Hz: float, longest_s: float
+) -> tuple[float, float]:
+    """Return the rms after the best common delay, and the delay.
+
+        minimise over tau  sum_axes sum_k |y(t_k) - r(t_k - tau)|^2     by Gauss-Newton from 0
+
+    wanted, moved  (axes, samples)
+    longest_s      the delay stays within +- this; as much is left out at both ends
+    """
+    from scipy.interpolate import CubicSpline
+
+    samples = wanted.shape[1]
+    time_s = np.arange(samples) / sampling_rate_Hz
+    out = min(int(np.ceil(longest_s * sampling_rate_Hz)), (samples - 2) // 2)
+    inner, kept = time_s[out : samples - out], moved[:, out : samples - out]
+    spline = CubicSpline(time_s, wanted, axis=1)
+    slope = spline.derivative()
+    delay_s = 0.0
+    for _ in range(_ITERATIONS):
+        error, rate = kept - spline(inner - delay_s), slope(inner - delay_s)
+        power = float(np.sum(rate**2))
+        if power == 0.0:
+            break
+        change_s = float(np.sum(error * rate)) / power
+        delay_s = float(np.clip(delay_s - change_s, -longest_s, longest_s))
+    error = kept - spline(inner - delay_s)
+    return float(np.sqrt(np.sum(error**2) / len(inner))), delay_s
+
+
+def _pitch_error(moved: Array, path: Path, radius_m: float) -> float | None:
+    """Return how unequal the distances between neighbouring turns are, relative to the pitch."""
+    if path.turns < 3:
+        return None
+    angle = np.maximum.accumulate(np.unwrap(np.arctan2(moved[1], moved[0])))
+    r = np.hypot(moved[0], moved[1])
+    whole = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1
+    spacings = []
+    for k in range(_ANGLES):
+        first = angle[0] + 2.0 * np.pi * (1.0 + k / _ANGLES)  # the first turn has no direction
+        at = first + 2.0 * np.pi * np.arange(whole)
+        spacings.append(np.diff(np.interp(at[at <= angle[-1]], angle, r)))
+    return float(np.std(np.concatenate(spacings)) / (radius_m / path.turns))

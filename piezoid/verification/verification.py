@@ -1,0 +1,121 @@
+"""Verification: the record that leaves this floor, and its file ``verification.json``."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from piezoid.errors import ParameterFileError
+from piezoid.provenance import seal, unseal
+from piezoid.verification.criteria import Verdict
+from piezoid.verification.proof import Proof
+
+SCHEMA = "piezoid.verification/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonRow:
+    """One method at one frequency; see ``Tracking`` for the numbers."""
+
+    method: str
+    frequency_Hz: float
+    rms_m: float
+    rms_percent: float
+    max_m: float
+    aligned_rms_m: float
+    delay_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpiralRow:
+    """What only spirals have: errors across the turns, by method and frequency."""
+
+    method: str
+    frequency_Hz: float
+    radial_rms_m: float
+    pitch_error: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurrentRow:
+    """The tunnelling loop during a scenario of what ships.
+
+    ln_current_std     of ln i
+    height_rms_m       the same as a distance
+    largest_ratio      of the current to its set point
+    retracted_samples  in which the tip fled
+    """
+
+    scenario: str
+    ln_current_std: float
+    height_rms_m: float
+    largest_ratio: float
+    retracted_samples: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verification:
+    """What was run, what came out, and whether it passed.
+
+    name             of the stage
+    methods          what ships, by axis
+    radius_m         of every path; percents are of twice that; 0 without a lateral axis
+    comparison       by frequency and method
+    spirals, currents   further numbers
+    verdicts         all of them
+    proofs           builds that gave the same bits; empty if none was asked for
+    plants           label and axis of every plant that was run
+    parameters_digest, runtime_digest   of params.json, and of the runtime's source
+    """
+
+    name: str
+    methods: dict[str, str]
+    radius_m: float
+    comparison: tuple[ComparisonRow, ...]
+    spirals: tuple[SpiralRow, ...]
+    currents: tuple[CurrentRow, ...]
+    verdicts: tuple[Verdict, ...]
+    proofs: tuple[Proof, ...]
+    plants: tuple[str, ...]
+    parameters_digest: str
+    runtime_digest: str
+
+    @property
+    def passed(self) -> bool:
+        """Whether every verdict passed, and every build that was made gave the same bits."""
+        return all(v.passed for v in self.verdicts) and all(p.passed for p in self.proofs)
+
+    def to_json(self) -> bytes:
+        """Return ``verification.json``, sealed."""
+        content = dataclasses.asdict(self)
+        for plain, verdict in zip(content["verdicts"], self.verdicts, strict=True):
+            plain["passed"] = verdict.passed
+        for plain, proof in zip(content["proofs"], self.proofs, strict=True):
+            plain["passed"] = proof.passed
+        return seal(SCHEMA, {"passed": self.passed, **content})
+
+
+def verification_from_json(content: bytes, place: str = "verification.json") -> Verification:
+    """Read ``verification.json`` back; refuse a changed bit, another schema, a missing entry."""
+    record = unseal(content, SCHEMA, place)
+    rows = {
+        "comparison": ComparisonRow,
+        "spirals": SpiralRow,
+        "currents": CurrentRow,
+        "verdicts": Verdict,
+        "proofs": Proof,
+    }
+    try:
+        names = [f.name for f in dataclasses.fields(Verification)]
+        values: dict[str, Any] = {name: record[name] for name in names}
+        for name, kind in rows.items():
+            known = {f.name for f in dataclasses.fields(kind)}
+            values[name] = tuple(
+                kind(**{key: entry[key] for key in known}) for entry in record[name]
+            )
+        return Verification(**{**values, "plants": tuple(values["plants"])})
+    except (KeyError, TypeError) as error:
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__} at {error}",
+            needed=f"every entry of schema {SCHEMA}",
+            remedy="Verify again with this version.",
+        ) from error

@@ -1,0 +1,306 @@
+"""ParameterFile and plants in, Verification out."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.bundle import source_digest
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.numerics.arrays import Array
+from piezoid.runtime.controller import Status
+from piezoid.verification import criteria
+from piezoid.verification.closed_loop import LoopRecord, rest_position, run_axis
+from piezoid.verification.criteria import Limits, Verdict
+from piezoid.verification.plant import AxisPlant, Junction
+from piezoid.verification.proof import Proof
+from piezoid.verification.scenarios import SCENARIOS, Scenario
+from piezoid.verification.surface import RoughSurface
+from piezoid.verification.tracking import Tracking, track
+from piezoid.verification.trajectories import Path
+from piezoid.verification.verification import (
+    ComparisonRow,
+    CurrentRow,
+    SpiralRow,
+    Verification,
+)
+
+_REACH = 0.7  # of the way from rest to the nearer end of the references
+_ROUGHNESS_m = 0.1e-9
+_WAVELENGTH = 0.5  # of the radius, the surface's shortest
+
+
+def verify(
+    file: ParameterFile,
+    plants: Sequence[AxisPlant],
+    *,
+    variations: Sequence[Sequence[AxisPlant]] = (),
+    limits: Limits | None = None,
+    scenarios: Sequence[Scenario] = SCENARIOS,
+    proofs: Sequence[Proof] = (),
+    seed: int = 0,
+) -> Verification:
+    """Run what ships against plants, scenario by scenario, and judge it.
+
+    file        what ships; alternatives it carries are compared
+    plants      one for every axis of the file
+    variations  further sets of plants, one of each axis, which the uncertainty allows as well
+    limits      by default those of ``Limits``
+    proofs      builds that were compared, to stand in the same record
+    seed        of every noise
+
+    Raises ``ParameterFileError`` for an axis without a plant.
+    """
+    bench = _bench(file, plants, limits or Limits(), seed)
+    for scenario in scenarios:
+        if bench.lateral and scenario.is_varied:
+            _run_varied(bench, scenario, variations)
+        elif bench.lateral and scenario.fault is not None:
+            _run_fault(bench, scenario)
+        else:
+            _run(bench, scenario)
+    drawn = [plant for chosen in variations for plant in chosen]
+    shipped = {axis.axis: axis for axis in file.axes}
+    return Verification(
+        name=file.name,
+        methods={axis.axis: axis.method for axis in file.axes},
+        radius_m=bench.radius_m,
+        comparison=tuple(bench.comparison),
+        spirals=tuple(bench.spirals),
+        currents=tuple(bench.currents),
+        verdicts=(criteria.drive(bench.records, shipped), *bench.verdicts),
+        proofs=tuple(proofs),
+        plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
+        parameters_digest=digest_of(file),
+        runtime_digest=source_digest(),
+    )
+
+
+@dataclass(kw_only=True, eq=False)
+class _Bench:
+    """Everything the runs share, and what they have found so far."""
+
+    file: ParameterFile
+    plants: Mapping[str, AxisPlant]
+    limits: Limits
+    seed: int
+    rate_Hz: float
+    lateral: tuple[str, ...]
+    tunnelling: tuple[str, ...]
+    centre_m: Mapping[str, float]
+    radius_m: float
+    runs: int = 0
+    records: dict[str, list[LoopRecord]] = field(default_factory=dict)
+    comparison: list[ComparisonRow] = field(default_factory=list)
+    spirals: list[SpiralRow] = field(default_factory=list)
+    currents: list[CurrentRow] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+
+    def methods(self) -> tuple[str, ...]:
+        """Return the methods every lateral axis has, what ships first."""
+        axes = [self.file.axis(name) for name in self.lateral]
+        return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
+
+    def loop(
+        self,
+        axis: AxisParameters,
+        plant: AxisPlant,
+        reference: Array,
+        *,
+        disturbance: Array | None = None,
+        fault: Array | None = None,
+    ) -> LoopRecord:
+        """Run one axis with noise of its own, and remember the record."""
+        self.runs += 1
+        rng = np.random.default_rng([self.seed, self.runs])
+        record = run_axis(plant, axis, reference, rng=rng, disturbance=disturbance, fault=fault)
+        self.records.setdefault(plant.axis, []).append(record)
+        return record
+
+
+def _bench(file: ParameterFile, plants: Sequence[AxisPlant], limits: Limits, seed: int) -> _Bench:
+    by_axis = {plant.axis: plant for plant in plants}
+    for axis in file.axes:
+        if axis.axis not in by_axis:
+            raise ParameterFileError(
+                f"axis {axis.axis} has parameters and no plant",
+                needed="an identified plant for every axis that ships",
+                remedy="Identify that axis, or leave it out of the parameter file.",
+            )
+    tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
+    lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
+    centre_m = {name: rest_position(by_axis[name]) for name in lateral}
+    ends = [
+        abs(float(file.axis(name).values[f"reference_{end}_m"]) - centre_m[name])
+        for name in lateral
+        for end in ("minimum", "maximum")
+    ]
+    return _Bench(
+        file=file,
+        plants=by_axis,
+        limits=limits,
+        seed=seed,
+        rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
+        lateral=lateral,
+        tunnelling=tips,
+        centre_m=centre_m,
+        radius_m=_REACH * min(ends, default=0.0),
+    )
+
+
+def _references(bench: _Bench, path: Path) -> dict[str, Array]:
+    """Return where each lateral axis is to be: the first follows x, the next y."""
+    ways = (path.x, path.y)
+    return {
+        name: bench.centre_m[name] + bench.radius_m * ways[place % 2]
+        for place, name in enumerate(bench.lateral)
+    }
+
+
+def _lateral(
+    bench: _Bench,
+    path: Path,
+    method: str | None = None,
+    plants: Mapping[str, AxisPlant] | None = None,
+    fault: Array | None = None,
+) -> dict[str, LoopRecord]:
+    found = {}
+    for name, reference in _references(bench, path).items():
+        axis = bench.file.axis(name)
+        chosen = axis if method is None else axis.for_method(method)
+        plant = (plants or bench.plants)[name]
+        found[name] = bench.loop(chosen, plant, reference, fault=fault)
+    return found
+
+
+def _tracked(
+    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+) -> Tracking:
+    return track(
+        {name: r.reference - bench.centre_m[name] for name, r in records.items()},
+        {name: r.position - bench.centre_m[name] for name, r in records.items()},
+        path=path,
+        radius_m=bench.radius_m,
+        frequency_Hz=scenario.frequency_Hz,
+        sampling_rate_Hz=bench.rate_Hz,
+    )
+
+
+def _run(bench: _Bench, scenario: Scenario) -> None:
+    """Run what ships, the other methods where they are compared, and the tip over a surface."""
+    path = scenario.path(bench.rate_Hz)
+    records = _lateral(bench, path) if bench.lateral else {}
+    if records:
+        _judge(bench, scenario, path, records)
+    if scenario.kind == "spiral":
+        _over_a_surface(bench, scenario, path, records)
+
+
+def _judge(
+    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+) -> None:
+    if scenario.kind == "steps":  # which may use all the drive there is
+        for record in records.values():
+            bench.verdicts.extend(criteria.settling(scenario.name, record, bench.limits))
+        return
+    bench.verdicts.append(criteria.reserve(scenario.name, list(records.values())))
+    found = _tracked(bench, scenario, path, records)
+    if scenario.frequency_Hz <= bench.limits.judged_Hz:
+        limit = bench.limits.aligned_percent
+        bench.verdicts.append(criteria.shape(scenario.name, found, bench.radius_m, limit))
+    if scenario.is_compared:
+        _compare(bench, scenario, path, found)
+
+
+def _compare(bench: _Bench, scenario: Scenario, path: Path, shipped: Tracking) -> None:
+    first, *others = bench.methods()
+    found = {first: shipped}
+    for method in others:
+        records = _lateral(bench, path, method)
+        found[method] = _tracked(bench, scenario, path, records)
+    for method, numbers in found.items():
+        bench.comparison.append(
+            ComparisonRow(
+                method=method,
+                frequency_Hz=scenario.frequency_Hz,
+                rms_m=numbers.rms_m,
+                rms_percent=numbers.rms_percent,
+                max_m=numbers.max_m,
+                aligned_rms_m=numbers.aligned_rms_m,
+                delay_s=numbers.delay_s,
+            )
+        )
+        bench.spirals.append(
+            SpiralRow(
+                method=method,
+                frequency_Hz=scenario.frequency_Hz,
+                radial_rms_m=numbers.radial_rms_m,
+                pitch_error=numbers.pitch_error,
+            )
+        )
+    if "none" in found and first != "none":
+        bench.verdicts.append(criteria.against_none(scenario.name, shipped, found["none"]))
+
+
+def _over_a_surface(
+    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+) -> None:
+    """Let every tip regulate its current while the stage moves it over a rough surface."""
+    ways = [r.position - bench.centre_m[name] for name, r in records.items()]
+    ways = (ways + [np.zeros(len(path.x))] * 2)[:2]
+    surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * (bench.radius_m or 1e-6))
+    for name in bench.tunnelling:
+        response = bench.plants[name].response
+        assert isinstance(response, Junction)
+        disturbance = response.decay_per_m * surface.height(*ways)
+        reference = np.full(len(path.x), response.current_A)
+        axis = bench.file.axis(name)
+        record = bench.loop(axis, bench.plants[name], reference, disturbance=disturbance)
+        verdicts = criteria.tunnelling(scenario.name, record, bench.limits)
+        bench.currents.append(
+            CurrentRow(
+                scenario=scenario.name,
+                ln_current_std=verdicts[0].value,
+                height_rms_m=verdicts[0].value / response.decay_per_m,
+                largest_ratio=float(record.position.max()) / response.current_A,
+                retracted_samples=int(verdicts[1].value),
+            )
+        )
+        if scenario.frequency_Hz <= bench.limits.judged_Hz:
+            bench.verdicts.extend(verdicts)
+
+
+def _run_varied(
+    bench: _Bench, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
+) -> None:
+    """Judge the worst of the plants the uncertainty allows."""
+    path = scenario.path(bench.rate_Hz)
+    found = []
+    for chosen in variations:
+        plants = {**bench.plants, **{plant.axis: plant for plant in chosen}}
+        records = _lateral(bench, path, plants=plants)
+        numbers = _tracked(bench, scenario, path, records)
+        limit = bench.limits.varied_percent
+        found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
+    if found:
+        bench.verdicts.append(max(found, key=lambda verdict: verdict.value))
+
+
+def _run_fault(bench: _Bench, scenario: Scenario) -> None:
+    path = scenario.path(bench.rate_Hz)
+    healthy = _tracked(bench, scenario, path, _lateral(bench, path))
+    fault = scenario.fault_of(len(path.x), bench.rate_Hz)
+    records = _lateral(bench, path, fault=fault)
+    error_m = np.sqrt(sum((r.position - r.reference) ** 2 for r in records.values()))
+    bench.verdicts.extend(
+        criteria.survived(scenario.name, error_m, healthy, bench.radius_m, bench.limits)
+    )
+    is_lost = scenario.fault is not None and np.isnan(scenario.fault)
+    flag = Status.BAD_MEASUREMENT if is_lost else Status.STUCK_SENSOR
+    watching = [r for r in records.values() if _has_feedback(bench, r.axis)]
+    bench.verdicts.append(criteria.noticed(scenario.name, watching, flag))
+
+
+def _has_feedback(bench: _Bench, axis: str) -> bool:
+    return bench.file.axis(axis).method in ("dob", "mpi_dob", "rst")
