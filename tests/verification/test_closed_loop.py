@@ -15,6 +15,7 @@ from tests.verification.rig import (
     SENSOR,
     GAIN_m_per_V,
     RATE_Hz,
+    junction,
     lateral,
     lateral_parameters,
     operator,
