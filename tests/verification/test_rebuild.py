@@ -1,0 +1,89 @@
+"""The same bits from the packaged library, from a rebuilt bundle and from an emulated core."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError, RuntimeLibraryError
+from piezoid.export.bundle import bundle
+from piezoid.verification import rebuild as rebuilding
+from piezoid.verification.proof import Proof
+from piezoid.verification.rebuild import emulate, rebuild
+from piezoid.verification.replay import SAMPLES, compare, expected, inputs_of
+from tests.runtime.compiler import found
+from tests.verification.rig import stage
+
+CORE_Hz, RATE_Hz = 168e6, 20e3
+
+
+def on_target():
+    found("arm-none-eabi-gcc")
+    found("qemu-system-arm")
+
+
+def test_a_rebuilt_bundle_answers_bit_for_bit_in_both_precisions():
+    found("cc", "gcc", "clang")
+    proofs = rebuild(stage())
+    assert [proof.samples for proof in proofs] == [3 * SAMPLES] * 2
+    assert all(proof.is_built and proof.passed and proof.differing == 0 for proof in proofs)
+
+
+def test_the_emulated_core_answers_bit_for_bit_and_has_time_to_spare():
+    on_target()
+    proof = emulate(stage())
+    assert proof.is_built
+    assert (proof.samples, proof.differing) == (3 * SAMPLES, 0)
+    counted = proof.instructions_per_sample
+    assert set(counted) == {"x", "y", "z"}
+    assert all(100 < n < 0.5 * CORE_Hz / RATE_Hz for n in counted.values())
+    assert 0 < proof.stack_bytes < 1024
+
+
+def test_counting_the_same_loop_again_gives_the_same_number():
+    on_target()
+    first, again = (emulate(stage("x")).instructions_per_sample["x"] for _ in range(2))
+    assert first == pytest.approx(again, rel=0.01)
+
+
+def test_one_other_answer_is_counted(tmp_path):
+    file = stage("x")
+    answers = bytearray(expected(file, "float"))
+    answers[8 * 4321] ^= 1
+    (tmp_path / "answers.bin").write_bytes(bytes(answers))
+    one = compare(tmp_path, ("echo", "0 0 0 892"), file, "float", 1000)
+    assert (one.samples, one.differing) == (SAMPLES, 1)
+
+
+def test_missing_answers_are_refused(tmp_path):
+    (tmp_path / "answers.bin").write_bytes(b"")
+    with pytest.raises(RuntimeLibraryError, match="0 bytes"):
+        compare(tmp_path, ("echo", "0 0 0 892"), stage("x"), "float", 1000)
+
+
+def test_an_edited_bundle_is_refused_by_name():
+    held = dict(bundle(stage("x")).files)
+    held["piezoid_runtime.c"] += b"\n"
+    with pytest.raises(ParameterFileError, match=r"bundle/piezoid_runtime\.c"):
+        rebuild(stage("x"), held)
+    with pytest.raises(ParameterFileError, match="bundle/"):
+        emulate(stage("x"), {})
+
+
+def test_without_a_compiler_nothing_is_claimed(monkeypatch):
+    monkeypatch.setattr(rebuilding, "which", lambda _: None)
+    for proof in (*rebuild(stage("x")), emulate(stage("x"))):
+        assert not proof.is_built
+        assert "on this machine" in proof.build
+        assert proof.samples == 0
+
+
+def test_a_build_that_compared_nothing_does_not_pass():
+    assert not Proof(build="empty", is_built=True).passed
+
+
+def test_the_hostile_part_holds_every_kind_of_bad_number():
+    for axis in stage().axes:
+        for signal in inputs_of(axis, 0):
+            assert np.isnan(signal).any()
+            assert (np.isinf(signal) & (signal > 0)).any()
+            assert (np.isinf(signal) & (signal < 0)).any()
+            assert (np.abs(signal[np.isfinite(signal)]) > 1e29).any()
