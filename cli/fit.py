@@ -1,7 +1,5 @@
 """`piezoid fit`: recordings in, a folder with model.json and report.html out."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +10,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
+    from piezoid.design.design import Design
     from piezoid.identification.model import ActuatorModel
 
 
@@ -22,16 +21,20 @@ def fit(
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
-    """Fit a stage: write model.json and report.html.
+    """Fit a stage and design its controllers: write model.json, design.json and report.html.
 
     Example: piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
+
+    Without a controller's sampling rate in lab.toml, or with nothing that limits the stage's
+    speed, no controller is designed, and the report says what is missing.
 
     Exit status 1 means that the model class does not apply; the report says why.
     """
     from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid_cli.progress import shown
 
     check_free(out, force=force)
-    with _progress(quiet=quiet) as told:
+    with shown(quiet=quiet) as told:
         told("reading recordings")
         from piezoid.identification.fit import fit as fit_model
         from piezoid.identification.store import write_model
@@ -42,30 +45,53 @@ def fit(
         declared = None if lab is None else read_lab(lab)
         held = collect(files, declared)
         model = fit_model(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
+        content = write_model(model)
+        design, undesigned = _designed(model, content, told)
         told("writing the report")
-        page = render(model, held.recordings, held.sweeps)
-        write_folder(out, {"model.json": write_model(model), "report.html": page.encode()})
+        page = render(model, held.recordings, held.sweeps, design, undesigned)
+        files_out = {"model.json": content, "report.html": page.encode()}
+        if design is not None:
+            files_out["design.json"] = design.to_json()
+        write_folder(out, files_out)
     if not quiet:
         _show(model, out)
+        _show_design(design, undesigned)
     if not model.applies:
         raise typer.Exit(1)
 
 
-@contextmanager
-def _progress(*, quiet: bool) -> "Iterator[Callable[[str], None]]":
-    """Show what is being done and for how long, on a terminal only."""
+def _designed(
+    model: "ActuatorModel", content: bytes, told: "Callable[[str], None]"
+) -> "tuple[Design | None, str]":
+    """Return the recommended controllers, or why there are none.
+
+    `piezoid design` adds the affine form beside them, for comparison; that takes longer.
+    """
+    from json import loads
+
+    from piezoid.design.stage import design_stage
+    from piezoid.errors import DesignError
+
+    if not model.axes:
+        return None, ""
+    try:
+        digest = loads(content)["digest"]
+        found = design_stage(model, model_digest=digest, forms=("inverse",), progress=told)
+    except DesignError as refusal:
+        return None, str(refusal)
+    return found, ""
+
+
+def _show_design(design: "Design | None", undesigned: str) -> None:
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.text import Text
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    console = Console(stderr=True, quiet=quiet)
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("starting", total=None)
+    from piezoid_cli.design import show
 
-        def told(text: str) -> None:
-            progress.update(task, description=text)
-
-        yield told
+    if design is not None:
+        show(design)
+    elif undesigned:
+        Console().print(Text(f"no controller: {undesigned}", style="dim"))
 
 
 def _show(model: "ActuatorModel", out: Path) -> None:

@@ -9,11 +9,12 @@ import typer
 # thread gives the same bits on every machine. Whoever sets another number keeps it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from piezoid_cli.design import design
 from piezoid_cli.fit import fit
 from piezoid_cli.inspect import inspect
 from piezoid_cli.simulate import simulate
 
-VERBS = (fit, inspect, simulate)
+VERBS = (fit, inspect, design, simulate)
 
 app = typer.Typer(
     name="piezoid",

@@ -49,6 +49,19 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
         shutil.rmtree(fresh, ignore_errors=True)
 
 
+def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Add or replace files of a folder of results, all of them in one step.
+
+    contents  as for ``write_folder``; every other file stays as it is
+    """
+    held = {
+        place.relative_to(folder).as_posix(): place.read_bytes()
+        for place in sorted(folder.rglob("*"))
+        if place.is_file()
+    }
+    write_folder(folder, {**held, **contents})
+
+
 def _put(fresh: Path, target: Path) -> None:
     """Move ``fresh`` to ``target``; what was there ends under the name of ``fresh``."""
     if not target.exists():

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from piezoid.design.design import Design
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -22,6 +23,8 @@ class Page:
     traces        measurement beside model, by axis, worst fitted first
     model_digest  of model.json
     sweeps        Z spectroscopies the junction was fitted to
+    design        controllers, where they were designed
+    undesigned    why they were not, or empty
     """
 
     model: ActuatorModel
@@ -29,6 +32,8 @@ class Page:
     traces: Mapping[str, tuple[Trace, ...]]
     model_digest: str
     sweeps: tuple[RawTable, ...] = ()
+    design: Design | None = None
+    undesigned: str = ""
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:

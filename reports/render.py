@@ -9,41 +9,64 @@ from importlib.resources import files
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from piezoid.design.design import Design
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid_reports.page import Page
 from piezoid_reports.plain_text import printable
-from piezoid_reports.sections import OF_STAGE, SECTIONS
+from piezoid_reports.sections import OF_DESIGN, OF_STAGE, SECTIONS, Render
 from piezoid_reports.traces import all_traces
 
 
 def render(
-    model: ActuatorModel, recordings: Sequence[Recording], sweeps: Sequence[RawTable] = ()
+    model: ActuatorModel,
+    recordings: Sequence[Recording],
+    sweeps: Sequence[RawTable] = (),
+    design: Design | None = None,
+    undesigned: str = "",
 ) -> str:
     """Return report.html.
 
     model       what was found
     recordings  what it was fitted on; more are listed, but not drawn
     sweeps      Z spectroscopies its junction was fitted to
+    design      its controllers
+    undesigned  why there are none
     """
     page = Page(
         model=model,
         recordings=tuple(recordings),
         traces=all_traces(model, recordings),
-        model_digest=json.loads(write_model(model))["digest"],
+        model_digest=_digest(model),
         sweeps=tuple(sweeps),
+        design=design,
+        undesigned=undesigned,
     )
-    chapters = SECTIONS if model.axes else OF_STAGE
+    return _written(page, SECTIONS if model.axes else OF_STAGE)
+
+
+def render_design(model: ActuatorModel, design: Design) -> str:
+    """Return design.html: the controllers alone, designed after the fit."""
+    page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
+    return _written(page, OF_DESIGN)
+
+
+def _digest(model: ActuatorModel) -> str:
+    digest: str = json.loads(write_model(model))["digest"]
+    return digest
+
+
+def _written(page: Page, chapters: Sequence[Render]) -> str:
     sections = [section for make in chapters if (section := make(page)) is not None]
     style, script = _text("style.css"), _text("figures.js")
     return (
         _environment()
         .get_template("page.html.j2")
         .render(
-            stage=model.stage,
-            applies=model.applies,
+            stage=page.model.stage,
+            applies=page.model.applies,
             sections=sections,
             style=Markup(style),
             script=Markup(script),

@@ -62,6 +62,7 @@ def fit(
         lab=declared.digest or None,
         tunnelling=tunnelling,
         remarks=remarks_on_currents(recordings),
+        controller_rate_Hz=declared.acquisition.sampling_rate_Hz,
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from piezoid_reports.page import Page, Section
 from piezoid_reports.sections import (
     certificate,
+    design,
     limits,
     loading_curve,
     loops,
@@ -29,9 +30,13 @@ SECTIONS: tuple[Render, ...] = (
     orders.render,
     certificate.render,
     tunnelling.render,
+    design.render,
     limits.render,
     provenance.render,
 )
 
 # What a stage without a single fitted axis still has to say, for example of its tunnelling tip.
 OF_STAGE: tuple[Render, ...] = (verdict.render, tunnelling.render, provenance.render)
+
+# A design of its own, made after the fit: what the recordings show stands in the report.
+OF_DESIGN: tuple[Render, ...] = (design.render, provenance.render)

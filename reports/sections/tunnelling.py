@@ -18,7 +18,7 @@ LOOK_CURVE = (
     "the current sinks into the noise. Bad: two slopes, a step, or a line that only touches."
 )
 LOOK_RESIDUAL = (
-    "Good: a band without shape about zero, widening only where the current is weak. Bad: a bow, "
+    "Good: a band without shape about zero, widening where the current is strong. Bad: a bow, "
     "which is creep of the height or not one exponential; a step, which is a changed tip."
 )
 POLARITY = {1.0: "positive", -1.0: "negative"}
@@ -95,8 +95,9 @@ def _shift(junction: TunnellingModel) -> tuple[Part, ...]:
     low, high = shift.decay_change_interval
     return (
         Prose(
-            text=f"Backward, a current of {told(shift.reference_current_A, 'A')} is met "
-            f"{told_interval(shift.shift_m, shift.shift_interval_m, 'm')} higher than forward "
+            text=f"The height at which {told(shift.reference_current_A, 'A')} flow is shifted, "
+            f"backward against forward, by "
+            f"{told_interval(shift.shift_m, shift.shift_interval_m, 'm')} "
             f"(hysteresis, creep and drift of the height). The decay is larger by "
             f"{percent(shift.decay_change)}, {percent(low)} to {percent(high)} (95 %): {both}.",
             tone="plain" if shift.is_one_decay else "middling",

@@ -1,0 +1,82 @@
+"""`piezoid design`: a fitted stage in, its controllers with proven margins beside it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from piezoid.design.design import Design
+
+
+def design(
+    stage: Annotated[Path, typer.Argument(help="Folder that `piezoid fit` wrote.")],
+    spec: Annotated[Path | None, typer.Option(help="design.toml: what is asked.")] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+) -> None:
+    """Design the controllers of a stage: write design.json and design.html beside model.json.
+
+    Example: piezoid design stage42/ --spec design.toml
+
+    Exit status 4 means that no controller meets what is asked; the message says which could.
+    """
+    from json import loads
+
+    from piezoid.design.stage import Asked, design_stage
+    from piezoid.identification.store import read_model
+    from piezoid_cli.output_folder import add_to_folder
+    from piezoid_cli.progress import shown
+    from piezoid_reports.render import render_design
+
+    content = (stage / "model.json").read_bytes()
+    model = read_model(content, str(stage / "model.json"))
+    asked = None if spec is None else Asked(text=spec.read_text("utf-8"), place=spec.name)
+    with shown(quiet=quiet) as told:
+        found = design_stage(
+            model,
+            model_digest=loads(content)["digest"],
+            sampling_rate_Hz=rate,
+            asked=asked,
+            progress=told,
+        )
+    page = render_design(model, found)
+    add_to_folder(stage, {"design.json": found.to_json(), "design.html": page.encode()})
+    if not quiet:
+        show(found)
+        typer.echo(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
+
+
+def show(found: "Design") -> None:
+    """Print what each axis reached."""
+    from rich.console import Console
+
+    Console().print(_table(found))
+
+
+def _table(found: "Design") -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=Text("controllers, worst member of each plant family"))
+    for heading in ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed"):
+        table.add_column(heading, justify="right")
+    for axis in found.axes:
+        for loop in axis.loops:
+            delay_s, proven = loop.worst_delay_margin_s, loop.certificate
+            table.add_row(
+                Text(axis.axis),
+                loop.method,
+                f"{loop.bandwidth_Hz:.4g} Hz",
+                f"{loop.worst_modulus_margin:.3f}",
+                "any" if delay_s is None else f"{1e6 * delay_s:.0f} us",
+                f"{1e9 * proven.guaranteed_error_m:.0f} nm"
+                if proven is not None and proven.is_guaranteed
+                else "nothing",
+            )
+    return table

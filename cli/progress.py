@@ -1,0 +1,21 @@
+"""What is being done and for how long, shown while a verb works."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+@contextmanager
+def shown(*, quiet: bool) -> Iterator[Callable[[str], None]]:
+    """Show what is being done and for how long, on a terminal only."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    console = Console(stderr=True, quiet=quiet)
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def told(text: str) -> None:
+            progress.update(task, description=text)
+
+        yield told

@@ -1,0 +1,216 @@
+"""The controllers: sensitivities with their templates over the family, margins, what is proven."""
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign, LoopDesign
+from piezoid.design.from_model import assumptions_of
+from piezoid.design.sensitivity import sensitivities
+from piezoid.design.templates import delay_limit
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import decibel
+from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.quantities import significant, told
+
+GRID = 240
+LOWEST = 300.0  # parts of the bandwidth: below, attenuation is only a straight line
+NYQUIST = 0.499
+FUNCTIONS = {
+    "Syp": (
+        "what remains of a disturbance of the output",
+        "Good: the whole band below every dashed line. Bad: a peak at the modulus limit, or a "
+        "band that opens at one frequency: there the plant is not well enough known.",
+    ),
+    "Syb": (
+        "what sensor noise does to the output",
+        "Good: 0 dB up to the bandwidth, then falling clear of the delay limit. Bad: a hump near "
+        "the limit: a little more delay would make the loop ring.",
+    ),
+}
+METHODS = {
+    "mpi_dob": "disturbance observer on the inverse of the hysteresis",
+    "dob": "disturbance observer with an affine map",
+    "rst": "R, S, T on the logarithm of the current",
+}
+
+
+def render(page: Page) -> Section | None:
+    """Return every axis' loops, or why there are none."""
+    if page.design is None and not page.undesigned:
+        return None
+    parts: list[Part] = []
+    for axis in () if page.design is None else page.design.axes:
+        parts += _axis(axis)
+        parts += _assumed(page, axis)
+    if page.undesigned:
+        parts.append(Prose(text=f"Not designed: {page.undesigned}", tone="middling"))
+    return Section(
+        anchor="design",
+        title="Controllers",
+        lead="Margins are computed anew from R, S and each member of the plant family, however "
+        "the gains were found. The family holds what the identification leaves open.",
+        parts=tuple(parts),
+    )
+
+
+def _axis(axis: AxisDesign) -> list[Part]:
+    loop = axis.recommended
+    rate = told(loop.members[0].sampling_rate_Hz, "Hz", 4)
+    return [
+        Heading(text=f"Axis {axis.axis}: {METHODS[loop.method]}, at {rate}"),
+        *(_figure(axis, loop, function) for function in FUNCTIONS),
+        _margins(axis, loop),
+        _rejections(axis, loop),
+        _loops(axis),
+        *_proven(loop),
+    ]
+
+
+def _assumed(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
+    if axis.axis not in page.model.axes:
+        return ()
+    said = assumptions_of(page.model.axes[axis.axis])
+    return Prose(text="The plant family takes for granted that"), Listing(items=said)
+
+
+def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
+    """One sensitivity: its nominal line, the band of the family, the limits it had to keep."""
+    rate_Hz = loop.members[0].sampling_rate_Hz
+    frequency_Hz = np.geomspace(loop.bandwidth_Hz / LOWEST, NYQUIST * rate_Hz, GRID)
+    level_dB = np.stack(
+        [
+            decibel(getattr(sensitivities(member, loop.R, loop.S, frequency_Hz), function))
+            for member in loop.members
+        ]
+    )
+    limits = _limits(axis, function, frequency_Hz)
+    decades = np.log10(frequency_Hz)
+    x = axis_over("log10 of the frequency over 1 Hz", [decades], "")
+    shown = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
+    y = axis_over(f"|{function}| [dB]", [part.ravel() for part in shown], "")
+    canvas = Canvas(x=x, y=y)
+    layers: list[Layer] = [
+        canvas.band(
+            "model-band", "plant family", decades, shown[0].min(axis=0), shown[0].max(axis=0)
+        ),
+        canvas.line("model", "nominal", decades, shown[0][0])[0],
+    ]
+    layers += [canvas.line("limit", name, decades, limit)[0] for name, limit in limits]
+    what, look = FUNCTIONS[function]
+    return Figure(
+        title=f"Axis {axis.axis}: {what}, |{function}|",
+        numbers=(
+            f"{len(loop.members)} members; greatest "
+            f"{significant(float(level_dB.max()), 3)} dB at "
+            f"{told(float(frequency_Hz[level_dB.max(axis=0).argmax()]), 'Hz')}. Bandwidth "
+            f"{told(loop.bandwidth_Hz, 'Hz')}: every member attenuates by 3 dB there."
+        ),
+        look=look,
+        x=x,
+        y=y,
+        layers=tuple(layers),
+    )
+
+
+def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
+    """Named limits in dB over the grid, NaN where there is none."""
+    asked = axis.specification
+    limits = [
+        (t.name, t.limit_dB(frequency_Hz)) for t in asked.all_templates if t.function == function
+    ]
+    if function == "Syp":
+        peak_dB = float(decibel(1.0 / asked.modulus_margin))
+        limits.append(("modulus margin", np.full(len(frequency_Hz), peak_dB)))
+    if function == "Syb":
+        limits.append(("delay margin", decibel(delay_limit(frequency_Hz, asked.delay_margin_s))))
+    return [
+        (name, np.where(np.isfinite(level) & (level < 40.0), level, np.nan))
+        for name, level in limits
+    ]
+
+
+def _margins(axis: AxisDesign, loop: LoopDesign) -> Table:
+    asked = axis.specification
+    return Table(
+        caption=f"Axis {axis.axis}: margins of every member; asked for are a modulus margin of "
+        f"{significant(asked.modulus_margin)} and a delay margin of "
+        f"{told(asked.delay_margin_s, 's')}.",
+        columns=("member", "modulus margin", "at", "delay margin", "largest pole"),
+        rows=tuple(
+            (
+                m.label,
+                significant(m.modulus_margin),
+                told(m.modulus_Hz, "Hz"),
+                "no delay destabilises it"
+                if m.delay_margin_s is None
+                else told(m.delay_margin_s, "s"),
+                significant(m.spectral_radius, 4),
+            )
+            for m in loop.margins
+        ),
+    )
+
+
+def _rejections(axis: AxisDesign, loop: LoopDesign) -> Table:
+    return Table(
+        caption=f"Axis {axis.axis}: what remains of a disturbance, as a share of it.",
+        columns=("frequency", "nominal", "worst member", "which"),
+        rows=tuple(
+            (
+                told(r.frequency_Hz, "Hz"),
+                told(100.0 * r.nominal, "%"),
+                told(100.0 * r.worst, "%"),
+                r.worst_member,
+            )
+            for r in loop.rejections
+        ),
+    )
+
+
+def _loops(axis: AxisDesign) -> Table:
+    return Table(
+        caption=f"Axis {axis.axis}: every way it was designed. Chosen within a loop is what meets "
+        "the limits with the least figure.",
+        columns=("loop", "bandwidth", "way", "meets every limit", "figure", "chosen"),
+        rows=tuple(
+            (
+                METHODS[loop.method],
+                told(loop.bandwidth_Hz, "Hz"),
+                candidate.name,
+                "yes" if candidate.is_feasible else "no",
+                significant(candidate.figure),
+                "yes" if candidate.is_chosen else "",
+            )
+            for loop in axis.loops
+            for candidate in loop.candidates
+        ),
+    )
+
+
+def _proven(loop: LoopDesign) -> tuple[Part, ...]:
+    proven = loop.certificate
+    if proven is None:
+        return (
+            Prose(
+                text="No bound of the hysteresis is known for this loop, so nothing is proven of "
+                "it beyond the margins of its linear part.",
+                tone="middling",
+            ),
+        )
+    if not proven.is_guaranteed:
+        return (
+            Prose(
+                text=f"Small gain is {significant(proven.small_gain)}, not below 1: that "
+                "hysteresis cannot make this loop oscillate is not proven.",
+                tone="bad",
+            ),
+        )
+    text = (
+        f"Small gain is {significant(proven.small_gain)}, below 1: hysteresis cannot destabilise "
+        f"the loop. The error against the delayed reference never exceeds "
+        f"{told(proven.guaranteed_error_m, 'm')}: {told(proven.hysteresis_error_m, 'm')} from "
+        f"hysteresis, {told(proven.reference_error_m, 'm')} from the reference, "
+        f"{told(proven.converter_error_m, 'm')} from the converter. Sensor noise adds "
+        f"{told(proven.noise_error_m, 'm')} (three standard deviations). On these conditions:"
+    )
+    return Prose(text=text, tone="good"), Listing(items=proven.conditions)

@@ -1,0 +1,124 @@
+"""From an identified axis to its design: what is known is used, what is not is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.design import design_from_json
+from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_half
+from piezoid.design.replicates import draw_replicates
+from piezoid.design.stage import Asked, design_stage
+from piezoid.errors import DesignError, LabFileError, TemplateError
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import ActuatorModel, AxisModel, Lag
+from tests.reports.known_stage import axis_model, stage_model
+
+RATE_Hz = 20e3
+RIG = Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3)
+DIGEST = "sha256:" + "0" * 64
+
+
+def rigged(**changes: object) -> AxisModel:
+    return replace(axis_model(), rig=RIG, **changes)  # type: ignore[arg-type]
+
+
+def stage(**changes: object) -> ActuatorModel:
+    return replace(stage_model(rigged()), controller_rate_Hz=RATE_Hz, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def task() -> LateralTask:
+    return lateral_task(rigged(), RATE_Hz)
+
+
+def test_the_gain_lies_in_the_middle_of_the_slope_sector(task: LateralTask) -> None:
+    least, greatest = axis_model().hysteresis.slope_sector_m_per_V
+    assert task.families["inverse"].nominal.gain == pytest.approx(0.5 * (least + greatest))
+
+
+def test_the_family_spans_the_interval_of_the_gain(task: LateralTask) -> None:
+    half = relative_gain_half(rigged())
+    gains = [m.gain for m in task.families["inverse"].members]
+    assert max(gains) / gains[0] == pytest.approx(1.0 + half)
+    assert min(gains) / gains[0] == pytest.approx(1.0 - half)
+
+
+def test_the_affine_family_adds_the_ends_of_the_slope_sector(task: LateralTask) -> None:
+    bounds = task.bounds["affine"]
+    extra = task.families["affine"].members[len(task.families["inverse"].members) :]
+    nominal = task.families["affine"].nominal.gain
+    assert [m.gain / nominal for m in extra] == pytest.approx([bounds.slope_min, bounds.slope_max])
+
+
+def test_a_stage_that_falls_as_the_drive_rises_has_a_negative_plant() -> None:
+    assert lateral_task(rigged(polarity=-1), RATE_Hz).families["inverse"].nominal.gain < 0.0
+
+
+def test_a_fitted_delay_delays_the_plant_by_itself(task: LateralTask) -> None:
+    late = lateral_task(rigged(lag=Lag(kind="delay", time_s=3.0 / RATE_Hz)), RATE_Hz)
+    B = late.families["inverse"].nominal.B
+    assert np.flatnonzero(B)[0] - np.flatnonzero(task.families["inverse"].nominal.B)[0] == 3
+
+
+def test_replicates_scatter_as_the_intervals_say(rng: np.random.Generator) -> None:
+    axis = rigged()
+    drawn = draw_replicates(axis, rng)
+    first = np.array([operator.plays.weight[0] for operator in drawn])
+    place = axis.uncertainty.names.index("play_weight_m_per_V[0]")
+    expected = np.sqrt(axis.uncertainty.covariance[place, place])
+    # 200 draws know a standard deviation to 5 %; a quarter is five of those.
+    assert first.std() == pytest.approx(expected, rel=0.25)
+    assert all(operator.is_invertible for operator in drawn)
+
+
+def test_bounds_are_not_claimed_for_an_operator_with_an_envelope() -> None:
+    from piezoid.operators.dead_zone import DeadZones
+
+    bent = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
+    axis = rigged(hysteresis=replace(axis_model().hysteresis, envelope=bent))
+    found = lateral_task(axis, RATE_Hz)
+    assert not found.bounds
+    assert list(found.families) == ["inverse"]
+
+
+def test_without_any_pole_nothing_is_designed_and_the_remedy_is_said() -> None:
+    with pytest.raises(DesignError, match=r"no pole is declared.*bandwidth_Hz of \[amplifier\]"):
+        lateral_task(axis_model(), RATE_Hz)
+
+
+def test_without_the_rate_of_the_controller_nothing_is_designed() -> None:
+    model = stage_model(rigged())
+    with pytest.raises(DesignError, match=r"sampling_rate_Hz under \[acquisition\]"):
+        design_stage(model, model_digest=DIGEST)
+
+
+def test_an_axis_to_which_the_class_does_not_apply_is_not_designed() -> None:
+    wrong = replace(
+        stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4
+    )
+    with pytest.raises(DesignError, match="applies to none"):
+        design_stage(wrong, model_digest=DIGEST)
+
+
+def test_the_default_design_holds_over_its_family_and_comes_back() -> None:
+    found = design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
+    loop = found.axis("x").recommended
+    assert loop.method == "mpi_dob"
+    assert loop.worst_modulus_margin >= 0.5
+    assert (loop.worst_delay_margin_s or np.inf) >= 1.0 / RATE_Hz
+    assert loop.certificate is not None
+    assert loop.certificate.is_guaranteed
+    assert design_from_json(found.to_json()).to_json() == found.to_json()
+
+
+def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
+    asked = Asked(text="[x]\nbandwidth_Hz = 4000\n")
+    with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
+        design_stage(stage(), model_digest=DIGEST, asked=asked, forms=("inverse",))
+
+
+def test_an_axis_that_is_not_of_the_model_is_refused_by_name() -> None:
+    asked = Asked(text="[w]\nbandwidth_Hz = 10\n", place="mine.toml")
+    with pytest.raises(LabFileError, match=r"mine\.toml: \[w\]"):
+        design_stage(stage(), model_digest=DIGEST, asked=asked)

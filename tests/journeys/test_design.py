@@ -1,0 +1,91 @@
+"""`piezoid design` on a fitted stage, and the controllers that `piezoid fit` designs itself."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid.design.design import design_from_json
+from piezoid.errors import DesignError, ParameterFileError, TemplateError
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.store import write_model
+from piezoid_cli.design import design
+from piezoid_reports.render import render
+from tests.reports.known_stage import axis_model, recording, stage_model
+
+APP = typer.Typer()
+APP.command()(design)
+MODEL = replace(
+    stage_model(
+        replace(axis_model(), rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3))
+    ),
+    controller_rate_Hz=20e3,
+)
+
+
+@pytest.fixture
+def stage(tmp_path: Path) -> Path:
+    folder = tmp_path / "stage"
+    folder.mkdir()
+    (folder / "model.json").write_bytes(write_model(MODEL))
+    (folder / "report.html").write_text("the fit's own report")
+    return folder
+
+
+def run(*arguments: str | Path) -> tuple[int, str, BaseException | None]:
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(APP, [str(a) for a in arguments])
+    return result.exit_code, result.output, result.exception
+
+
+def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -> None:
+    status, shown, _ = run(stage)
+    assert status == 0
+    assert "mpi_dob" in shown
+    found = design_from_json((stage / "design.json").read_bytes())
+    assert [loop.method for loop in found.axis("x").loops] == ["mpi_dob", "dob"]
+    assert (stage / "report.html").read_text() == "the fit's own report"
+    page = (stage / "design.html").read_text()
+    for words in ('id="design"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
+        assert words in page
+
+
+def test_what_is_asked_is_asked_of_its_axis(stage: Path, tmp_path: Path) -> None:
+    spec = tmp_path / "design.toml"
+    spec.write_text("[x]\nbandwidth_Hz = 100\n")
+    status, _, _ = run(stage, "--spec", spec, "--quiet")
+    assert status == 0
+    found = design_from_json((stage / "design.json").read_bytes())
+    assert found.axis("x").specification.bandwidth_Hz == 100.0
+
+
+def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage: Path, tmp_path: Path) -> None:
+    spec = tmp_path / "design.toml"
+    spec.write_text("[x]\nbandwidth_Hz = 5000\n")
+    _, _, error = run(stage, "--spec", spec)
+    assert isinstance(error, TemplateError)
+    assert error.exit_status == 4
+    assert not (stage / "design.json").exists()
+
+
+def test_a_changed_model_is_refused(stage: Path) -> None:
+    content = (stage / "model.json").read_bytes()
+    (stage / "model.json").write_bytes(content.replace(b"4000.0", b"4001.0"))
+    _, _, error = run(stage)
+    assert isinstance(error, ParameterFileError)
+
+
+def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
+    (stage / "model.json").write_bytes(write_model(replace(MODEL, controller_rate_Hz=None)))
+    _, _, error = run(stage)
+    assert isinstance(error, DesignError)
+    status, _, _ = run(stage, "--rate", "10000")
+    assert status == 0
+    found = design_from_json((stage / "design.json").read_bytes())
+    assert found.axis("x").recommended.members[0].sampling_rate_Hz == 10e3
+
+
+def test_a_report_without_controllers_says_why() -> None:
+    page = render(stage_model(axis_model()), [recording()], undesigned="no pole is declared")
+    assert "Not designed: no pole is declared" in page
