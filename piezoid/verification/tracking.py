@@ -97,11 +97,11 @@ def align(
 
 def _pitch_error(moved: Array, path: Path, radius_m: float) -> float | None:
     """Return how unequal the distances between neighbouring turns are, relative to the pitch."""
-    if path.turns < 3:
-        return None
     angle = np.maximum.accumulate(np.unwrap(np.arctan2(moved[1], moved[0])))
     r = np.hypot(moved[0], moved[1])
     whole = int((angle[-1] - angle[0]) / (2.0 * np.pi)) - 1
+    if path.turns == 0 or whole < 2:
+        return None
     spacings = []
     for k in range(_ANGLES):
         first = angle[0] + 2.0 * np.pi * (1.0 + k / _ANGLES)  # the first turn has no direction

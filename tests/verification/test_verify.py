@@ -1,0 +1,166 @@
+"""verify: what passes, what must fail, and the record that says so."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.bundle import source_digest
+from piezoid.export.parameter_file import ParameterFile, digest_of
+from piezoid.runtime.controller import Status
+from piezoid.verification.criteria import Limits
+from piezoid.verification.plant import Plugged, with_gain
+from piezoid.verification.proof import Proof
+from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.verification import verification_from_json
+from piezoid.verification.verify import verify
+from tests.verification.rig import PLANTS, GAIN_m_per_V, junction, lateral, stage
+
+NAMES = {scenario.name for scenario in SCENARIOS}
+QUICK = tuple(s for s in SCENARIOS if s.name in ("spiral, 20 Hz", "spiral, 100 Hz"))
+
+
+@pytest.fixture(scope="module")
+def whole():
+    variations = [[with_gain(p, g, f"gain x{g}") for p in PLANTS[:2]] for g in (0.9, 1.1)]
+    return verify(stage(), PLANTS, variations=variations)
+
+
+def test_a_sound_stage_passes_every_verdict(whole):
+    assert [v for v in whole.verdicts if not v.passed] == []
+    assert whole.passed
+
+
+def test_every_scenario_is_judged(whole):
+    assert {v.scenario for v in whole.verdicts} == NAMES | {"all"}
+
+
+def test_the_table_has_every_method_at_every_frequency_once(whole):
+    rows = [(row.method, row.frequency_Hz) for row in whole.comparison]
+    compared = {s.frequency_Hz for s in SCENARIOS if s.is_compared}
+    assert len(rows) == len(set(rows)) == 4 * len(compared)
+    assert {m for m, _ in rows} == {"none", "mpi", "dob", "mpi_dob"}
+
+
+def test_with_a_good_model_the_combination_is_never_worse_than_the_observer_alone(whole):
+    found = {(row.method, row.frequency_Hz): row.aligned_rms_m for row in whole.comparison}
+    for (method, f), aligned_m in found.items():
+        if method == "mpi_dob":
+            assert aligned_m < found["dob", f] < found["none", f]
+
+
+def test_the_record_returns_exactly_and_a_changed_bit_is_refused(whole):
+    content = whole.to_json()
+    assert verification_from_json(content).to_json() == content
+    assert verification_from_json(content) == whole
+    place = content.index(b'"radius_m": ') + 12
+    changed = content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+    with pytest.raises(ParameterFileError, match="digest"):
+        verification_from_json(changed)
+
+
+def test_the_record_names_what_was_verified(whole):
+    assert whole.parameters_digest == digest_of(stage())
+    assert whole.runtime_digest == source_digest()
+    plain = json.loads(whole.to_json())
+    assert plain["schema"] == "piezoid.verification/1"
+    assert plain["passed"] is True
+    columns = {"method", "frequency_Hz", "rms_m", "rms_percent", "max_m"}
+    assert set(plain["comparison"][0]) == columns | {"aligned_rms_m", "delay_s"}
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
+    runs = [verify(stage("x"), PLANTS[:1], scenarios=QUICK, seed=s).to_json() for s in (3, 3, 4)]
+    assert runs[0] == runs[1] != runs[2]
+
+
+def test_what_ships_is_verified_and_nothing_else():
+    """Without its feedback the very same file no longer passes the fault-free shape limit."""
+    axes = tuple(
+        replace(axis, values=axis.for_method("none").values, alternatives=())
+        for axis in stage("x", "y").axes
+    )
+    bare = verify(ParameterFile(name="bare", axes=axes), PLANTS[:2], limits=Limits())
+    failed = {v.name for v in bare.verdicts if not v.passed}
+    assert "shape error of what ships" in failed
+    assert not bare.passed
+
+
+def test_a_runtime_that_does_not_watch_its_sensor_fails_the_frozen_sensor():
+    axes = tuple(a.with_values({"stuck_samples": 0}) for a in stage("x", "y").axes)
+    frozen = [s for s in SCENARIOS if s.fault == 1.0]
+    found = verify(ParameterFile(name="blind", axes=axes), PLANTS[:2], scenarios=frozen)
+    failed = {v.name for v in found.verdicts if not v.passed}
+    assert "axes whose status did not say so" in failed
+
+
+def test_the_worst_plant_the_uncertainty_allows_is_judged():
+    spread = [s for s in SCENARIOS if s.is_varied]
+    plants, limits = PLANTS[:1], Limits(varied_percent=10.0)
+    runs = [
+        [with_gain(lateral(), 1.0, "same")],
+        [with_gain(lateral(weight_factor=3.0), 1.3, "far")],
+    ]
+    each = [
+        verify(stage("x"), plants, variations=[r], scenarios=spread, limits=limits).verdicts[-1]
+        for r in runs
+    ]
+    both = verify(stage("x"), plants, variations=runs, scenarios=spread, limits=limits)
+    # noise differs with the order of the runs
+    assert both.verdicts[-1].value == pytest.approx(max(v.value for v in each), rel=0.01)
+    assert each[0].value < each[1].value
+
+
+def test_a_drive_without_reserve_is_told():
+    weak = [with_gain(plant, 0.3, "weak") for plant in PLANTS[:1]]
+    found = verify(stage("x"), weak, scenarios=QUICK)
+    failed = {(v.name, v.scenario) for v in found.verdicts if not v.passed}
+    assert ("samples at a voltage limit", "spiral, 20 Hz") in failed
+
+
+def test_a_tip_that_has_to_flee_is_told():
+    file = stage("z")
+    fast = ParameterFile(
+        name="tip", axes=(file.axes[0].with_values({"current_ceiling_A": 1.002e-9}),)
+    )
+    slow = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
+    found = verify(fast, [junction()], scenarios=slow)
+    failed = {v.name for v in found.verdicts if not v.passed}
+    assert "samples with the tip retracted" in failed
+    assert found.comparison == ()
+
+
+def test_a_tip_alone_is_verified_without_lateral_axes():
+    found = verify(stage("z"), [junction()])
+    assert found.passed
+    assert {row.scenario for row in found.currents} >= {"spiral, 1 Hz", "spiral, 100 Hz"}
+    assert found.radius_m == 0.0
+
+
+def test_a_build_with_other_bits_fails_the_whole():
+    other = Proof(build="another compiler", is_built=True, samples=100, differing=1)
+    missing = Proof(build="none here", is_built=False)
+    assert not verify(stage("x"), PLANTS[:1], scenarios=QUICK, proofs=[other]).passed
+    assert verify(stage("x"), PLANTS[:1], scenarios=QUICK, proofs=[missing]).passed
+
+
+def test_an_axis_without_a_plant_is_refused_by_name():
+    with pytest.raises(ParameterFileError, match="axis y"):
+        verify(stage("x", "y"), PLANTS[:1])
+
+
+def test_a_plugged_response_has_no_gain_to_change():
+    plugged = lateral(response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v))
+    with pytest.raises(TypeError, match="no gain"):
+        with_gain(plugged, 1.1, "more")
+
+
+def test_the_sensor_is_lost_in_the_middle_and_comes_back():
+    lost = next(s for s in SCENARIOS if s.fault is not None and np.isnan(s.fault))
+    fault = lost.fault_of(10_000, 20e3)
+    assert np.isnan(fault).sum() == 400
+    assert np.isnan(fault[5000])
+    assert fault[-1] == 0.0
+    assert Status.BAD_MEASUREMENT.value == 4
