@@ -90,10 +90,11 @@ def reached_difference(
 ) -> float:
     """Return the largest difference two models show over many drives and their own worst one.
 
-    A common zero is taken away: it is fitted for every recording.
+    A common zero is taken away: it is fitted for every recording. The worst input of two play
+    sums begins at the end of the range, so it may follow anything; its mirror image counts too.
     """
     own = worst_case(other.plays, model.plays, reach_V).extrema
-    voltage_V = model.voltage_offset_V + np.concatenate([drives_V, [reach_V, -reach_V], own])
+    voltage_V = model.voltage_offset_V + np.concatenate([drives_V, own, -own])
     first, second = (m.run(voltage_V, m.virgin_memory())[0] for m in (model, other))
     difference = second - first
     return float(np.ptp(difference) / 2)

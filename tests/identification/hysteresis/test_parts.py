@@ -1,0 +1,181 @@
+"""The parts of the fit, each held to what it promises."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.certificate import (
+    adversarial_drives,
+    apart,
+    reached_difference,
+)
+from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
+from piezoid.identification.hysteresis.gauss_newton import rms_of
+from piezoid.identification.hysteresis.jackknife import block_edges, jackknife
+from piezoid.identification.hysteresis.loops import loops_of
+from piezoid.identification.hysteresis.physical import envelope_stretch, physical
+from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
+from piezoid.identification.hysteresis.placement import group_centres
+from piezoid.identification.hysteresis.rows import simulate, starting_memory
+from piezoid.identification.hysteresis.search import Fitted, Settings, search, transferred
+from piezoid.identification.hysteresis.simplify import simplified
+from piezoid.identification.hysteresis.summary import loop_width_m
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import LINEAR
+from tests.identification.hysteresis.stages import decaying, play_sum, recording, wandering
+from tests.identification.hysteresis.test_rows import drawn_piece, drawn_vector
+
+THRESHOLD = np.array([0.0, 0.7, 1.5, 2.6])
+WEIGHT = np.array([2.0, 0.5, 0.3, 0.2]) * 1e-6
+SETTINGS = Settings(longest_lag_s=0.02, follow_zero=False)
+SHAPE = Shape(plays=6, below=1, above=1)
+
+
+def stage(drive: Array, seed: int, noise_m: float = 2e-8) -> Array:
+    clean = play_sum(drive, THRESHOLD, WEIGHT, np.full(4, drive[0]))
+    return clean + np.random.default_rng(seed).normal(0, noise_m, len(drive))
+
+
+def fitted(seed: int = 0, noise_m: float = 2e-8) -> tuple[Fitted, Scales]:
+    drive = np.concatenate([decaying(24, per_unit=20)] * 2)
+    one = recording(drive, stage(drive, seed, noise_m))
+    scales = scales_of([one], "x")
+    return search(pieces_of([one], "x", scales, Rig()), SHAPE, SETTINGS), scales
+
+
+@pytest.mark.parametrize("bends", [0, 2])
+def test_volts_and_metres_describe_the_same_operator(rng: np.random.Generator, bends: int) -> None:
+    coordinates = Coordinates(
+        shape=Shape(plays=4, below=2, above=1, lag="none", bends=bends), offsets=(1,)
+    )
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    scales = Scales(voltage_V=40.0, voltage_offset_V=25.0, displacement_m=8e-6)
+    operator = operator_of(theta, coordinates)
+    model = physical(operator, scales)
+    low, high = model.envelope.run(np.array([-40.0, 40.0]))
+    assert high - low == pytest.approx(80.0)
+    first = operator.envelope.run(piece.drive[:1])
+    memory = np.concatenate([first, starting_memory(theta, coordinates, 0, piece)])
+    memory_V = memory * envelope_stretch(operator) * scales.voltage_V
+    output, _ = model.run(25.0 + 40.0 * piece.drive, memory_V)
+    zero = theta[coordinates.offset_slice(0)][0]
+    expected = simulate(theta, coordinates, 0, piece, None) - zero
+    np.testing.assert_allclose(output / 8e-6, expected, atol=1e-12)
+
+
+def test_loop_width_is_that_of_a_simulated_full_loop() -> None:
+    found, scales = fitted()
+    model = physical(found.operator, scales)
+    full = scales.voltage_V * np.concatenate(
+        [np.linspace(0, 1, 50), np.linspace(1, -1, 201), np.linspace(-1, 1, 201)]
+    )
+    y, _ = model.run(model.voltage_offset_V + full, model.virgin_memory())
+    falling, rising = y[50 + 100], y[50 + 201 + 100]
+    width = loop_width_m(found.minimum.theta, found.task.coordinates, scales)
+    assert width == pytest.approx(falling - rising, rel=1e-9)
+
+
+def test_intervals_have_the_size_of_the_scatter_over_new_noise() -> None:
+    def width(vector: Array, found: Fitted, scales: Scales) -> Array:
+        return np.array([loop_width_m(vector, found.task.coordinates, scales)])
+
+    estimates, half_widths = [], []
+    for seed in range(10):
+        found, scales = fitted(seed)
+        spread = jackknife(found.minimum.theta, found.task)
+        estimates.append(width(found.minimum.theta, found, scales)[0])
+        half = spread.half_width(lambda v, found=found, scales=scales: width(v, found, scales))  # type: ignore[misc]
+        half_widths.append(half[0])
+    scatter = 2 * float(np.std(estimates, ddof=1))
+    assert 0.5 * scatter < np.median(half_widths) < 4 * scatter
+
+
+def test_blocks_begin_where_the_drive_crosses_its_middle_upwards() -> None:
+    found, _ = fitted()
+    piece = found.task.pieces[0]
+    (edges,) = block_edges(found.task.pieces)
+    middle = np.median(piece.drive)
+    for edge in edges[1:-1]:
+        assert piece.drive[edge - 1] <= middle < piece.drive[edge]
+    assert (edges[0], edges[-1]) == (piece.first, piece.last)
+
+
+def test_transfer_moves_only_zero_and_memory() -> None:
+    found, scales = fitted()
+    drive = wandering(np.random.default_rng(2))
+    other = recording(drive, 1.05 * stage(drive, 3) + 4e-7)
+    moved = transferred(found, pieces_of([other], "x", scales, Rig()))
+    shared = slice(0, found.task.coordinates.shared)
+    np.testing.assert_array_equal(moved.minimum.theta[shared], found.minimum.theta[shared])
+
+
+def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
+    found, _ = fitted(noise_m=1e-10)
+    theta = found.minimum.theta.copy()
+    weight = found.task.coordinates.slices["weight"]
+    theta[weight.stop - 1] = 0.0
+    idle = replace(
+        found, minimum=replace(found.minimum, theta=theta, rms=rms_of(theta, found.task))
+    )
+    simple = simplified(idle, iterations=30)
+    assert simple.shape.plays < found.shape.plays
+    assert simple.minimum.rms <= 1.002 * idle.minimum.rms
+
+
+def test_a_play_that_is_needed_is_kept() -> None:
+    found, _ = fitted(noise_m=1e-10)
+    theta = found.minimum.theta.copy()
+    place = found.task.coordinates.slices["weight"]
+    theta[place.start + 1] = 0.5e-4 * theta[place].sum()
+    starved = replace(found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms))
+    kept = simplified(starved, iterations=0)
+    assert kept is starved
+
+
+def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
+    found, scales = fitted()
+    model = physical(found.operator, scales)
+    drives_V = adversarial_drives(scales.voltage_V, 1)
+    for _ in range(20):
+        theta = found.minimum.theta.copy()
+        shared = slice(0, found.task.coordinates.shared)
+        theta[shared] *= 1 + 0.05 * rng.standard_normal(shared.stop)
+        other = physical(operator_of(theta, found.task.coordinates), scales)
+        plays_m, zones_m = apart(model, other, scales.voltage_V)
+        reached_m = reached_difference(model, other, drives_V, scales.voltage_V)
+        assert 0 < reached_m <= plays_m + zones_m
+    same = apart(model, model.rescaled(3.0), scales.voltage_V)
+    np.testing.assert_allclose(same, 0.0, atol=1e-18)
+
+
+def test_without_dead_zones_the_bound_is_attained() -> None:
+    found, scales = fitted()
+    model = physical(found.operator, scales)
+    plays = replace(model.plays, weight=model.plays.weight * np.linspace(0.9, 1.1, 7))
+    model = replace(model, dead_zones=LINEAR)
+    other = replace(model, plays=plays)
+    end = np.array([scales.voltage_V])
+    ratio = float(model.plays.loading_curve(end)[0] / other.plays.loading_curve(end)[0])
+    other = other.rescaled(ratio)
+    other = replace(other, dead_zones=model.dead_zones)
+    plays_m, zones_m = apart(model, other, scales.voltage_V)
+    none = np.zeros(1)
+    reached_m = reached_difference(model, other, none, scales.voltage_V)
+    assert zones_m == pytest.approx(0.0, abs=1e-18)
+    assert reached_m == pytest.approx(plays_m, rel=1e-9)
+
+
+def test_groups_of_weights_are_the_best_partition() -> None:
+    place = np.array([0.1, 0.12, 0.5, 0.52, 0.9])
+    weight = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
+    np.testing.assert_allclose(group_centres(place, weight, 3), [0.11, 0.51, 0.9], atol=1e-5)
+
+
+def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
+    u = np.concatenate([np.linspace(-1, 1, 200), np.linspace(1, -1, 200)] * 3)
+    y = play_sum(u, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, -1.0))
+    for loop in loops_of(u, y, 0.01)[1:]:
+        middle = np.abs(loop.drive) < 0.3
+        np.testing.assert_allclose(loop.opening[middle], 0.5 * 2 * 0.3, atol=0.01)
+        assert loop.span == pytest.approx(2.0, abs=0.02)
