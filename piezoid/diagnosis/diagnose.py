@@ -1,0 +1,227 @@
+"""From recordings to a Diagnosis: what the simulation gets wrong, and why."""
+
+from collections.abc import Callable, Sequence
+from math import sqrt
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.screening import LEAST_GAIN, Screened, screen
+from piezoid.diagnosis.search import Cause, Outcome, search
+from piezoid.diagnosis.simulation import Simulated, simulated
+from piezoid.diagnosis.tracks import tracks_of
+from piezoid.diagnosis.view import view_of
+from piezoid.identification.fit import axes_of, moving, rig_of
+from piezoid.identification.hysteresis.pieces import scales_of
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+
+NEARLY = 0.8  # of the gain: what a rival must bring to be called not separable
+POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
+Progress = Callable[[str], None]
+
+
+def diagnose(
+    recordings: Sequence[Recording],
+    *,
+    axis: str | None = None,
+    lab: Lab | None = None,
+    progress: Progress = lambda _: None,
+) -> Diagnosis:
+    """Explain the difference between simulation and recordings of one axis.
+
+    recordings  of one stage, in the order in which they were made
+    axis        which one; the first that has both drive and displacement
+    lab         what the laboratory declares; declared poles are part of the simulation
+    progress    told what is being done
+
+    Raises ``ExcitationError`` where drive or displacement does not move. What goes wrong: a cause
+    that no effect stands for is not named, but it may be given to the one that resembles it most;
+    ``explained_fraction`` and the noise floor tell how much is left.
+    """
+    declared = lab or Lab()
+    wanted = axes_of(recordings)[0] if axis is None else axis
+    chosen = moving(recordings, wanted)
+    scales, rig = scales_of(chosen, wanted), rig_of(declared, wanted)
+    clock_Hz = declared.acquisition.sampling_rate_Hz
+    tracks = tracks_of(chosen, wanted, scales, rig, clock_Hz=clock_Hz)
+    progress("fitting the envelope")
+    stroke_m = abs(scales.displacement_m)
+    view = view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V)
+    outcome = search(view, progress)
+    progress("refitting the simulation")
+    numbers = simulated(outcome)
+    return _diagnosis(wanted, outcome, numbers)
+
+
+def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
+    stroke_m = outcome.first.stroke_m
+    noise = _noise_floor(outcome)
+    findings = [
+        *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
+        *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
+    ]
+    findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
+    named = {finding.effect for finding in findings}
+    absent = [_absent(effect, outcome) for effect in EFFECTS if effect.name not in named]
+    return Diagnosis(
+        axis=axis,
+        stroke_m=2.0 * stroke_m,
+        baseline=_held_out(numbers.baseline, stroke_m),
+        final=_held_out(numbers.final, stroke_m),
+        envelope_rms_m=outcome.final.rms * stroke_m,
+        noise_floor_rms_m=noise * stroke_m,
+        explained_fraction=_explained(numbers.baseline, numbers.final, noise),
+        findings=tuple(findings),
+        not_detected=tuple(absent),
+    )
+
+
+def _held_out(rms: float, stroke_m: float) -> HeldOut:
+    return HeldOut(rms_m=rms * stroke_m, rms_percent=50.0 * rms)
+
+
+def _noise_floor(outcome: Outcome) -> float:
+    rows = [len(track.place) for track in outcome.clean.tracks]
+    noise = [white_noise_rms(track.response) for track in outcome.clean.tracks]
+    return float(np.sqrt(np.average(np.square(noise), weights=rows)))
+
+
+def _explained(before: float, after: float, noise: float) -> float:
+    explainable = before**2 - noise**2
+    if explainable <= 0.0:
+        return 0.0
+    return float(np.clip((before**2 - after**2) / explainable, 0.0, 1.0))
+
+
+def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> Finding:
+    effect = _named(name)
+    before, after = numbers.without[name], numbers.final
+    reach = 1.96 * fault.spread
+    return Finding(
+        effect=name,
+        held_out_gain=_gain(before, after),
+        held_out_rms_before_m=before * stroke_m,
+        held_out_rms_after_m=after * stroke_m,
+        p_value=min(1.0, fault.p_value * len(EFFECTS)),
+        share=_gain(before, after) * before / 2.0,
+        size=Size(
+            value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
+        ),
+        not_separable_from=(),
+        explanation=_first_words(effect),
+        next_experiment=effect.experiment,
+        parameters={},
+    )
+
+
+def _of_cause(cause: Cause, outcome: Outcome, numbers: Simulated) -> Finding:
+    effect, found = cause.found.effect, cause.found
+    stroke_m = outcome.first.stroke_m
+    before, after = numbers.without[effect.name], numbers.final
+    rivals = _rivals(cause)
+    return Finding(
+        effect=effect.name,
+        held_out_gain=_gain(before, after),
+        held_out_rms_before_m=before * stroke_m,
+        held_out_rms_after_m=after * stroke_m,
+        p_value=min(1.0, max(found.held.p_value, 1e-12) * len(EFFECTS)),
+        share=found.share,
+        size=_size(cause),
+        not_separable_from=rivals,
+        explanation=_first_words(effect)
+        + f" Here it is {100 * found.share:.3g} % of the stroke (rms); beside "
+        f"everything else found it takes {100 * found.held.gain:.3g} % off "
+        "the error that no hysteresis explains.",
+        next_experiment=effect.experiment,
+        parameters=dict(found.trial.parameters),
+    )
+
+
+def _gain(before: float, after: float) -> float:
+    return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0
+
+
+def _first_words(effect: Effect) -> str:
+    """Return the sentence the effect's explanation begins with."""
+    return " ".join(effect.explanation.partition("\n\n")[0].split())
+
+
+def _named(name: str) -> Effect:
+    return next(effect for effect in EFFECTS if effect.name == name)
+
+
+def _size(cause: Cause) -> Size:
+    """Return the size with an interval from leaving out folds of blocks.
+
+    A parameter that turned the tangent into the real thing carries the relative uncertainty of
+    its coefficient, which is one where the parameter is right.
+    """
+    found, effect = cause.found, cause.found.effect
+    beta, spread = found.held.coefficient, found.held.spread
+    if effect.size is None:
+        value = 100.0 * found.share
+        across = float(spread[0] / max(abs(beta[0]), 1e-30)) if len(beta) == 1 else 0.15
+        reach = 1.96 * min(across, 1.0) * value
+    else:
+        value = effect.size(cause.without, found.trial.parameters, beta)
+        relative = abs(float(spread[0])) / max(abs(float(beta[0])), 1e-30)
+        reach = 1.96 * min(max(relative, 0.01), 1.0) * abs(value)
+    return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
+
+
+def _rivals(cause: Cause) -> tuple[str, ...]:
+    """Return effects that in this one's place would explain nearly as much."""
+    found = cause.found
+    near = []
+    for name in found.effect.rivals:
+        rival = _named(name)
+        if rival.trials is None or rival.against is not None or rival.untestable(cause.without):
+            continue
+        other = screen(rival, cause.without)
+        if other is not None and other.sound and other.held.gain > NEARLY * found.held.gain:
+            near.append(name)
+    return tuple(near)
+
+
+def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
+    why = effect.untestable(outcome.final)
+    found = outcome.screened.get(effect.name)
+    if why or (found is None and effect.fault is None):
+        return NotDetected(
+            effect=effect.name,
+            upper_bound_m=None,
+            detection_limit_m=None,
+            reason=why or "nothing in these recordings excites it",
+            next_experiment=effect.experiment,
+        )
+    if found is None:
+        limit_m = effect.least * 2.0 * outcome.final.stroke_m
+        return NotDetected(
+            effect=effect.name,
+            upper_bound_m=limit_m,
+            detection_limit_m=limit_m,
+            reason=f"no sign of it; {1e9 * limit_m:.3g} nm would have shown",
+            next_experiment=effect.experiment,
+        )
+    return _bounded(found, outcome)
+
+
+def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
+    across_m = 2.0 * outcome.final.stroke_m
+    doubt = found.bound - found.share
+    needed = outcome.final.rms / 2.0 * sqrt(2.0 * LEAST_GAIN)
+    limit_m = across_m * max(POWER * doubt, needed, found.effect.least)
+    bound_m = across_m * found.bound
+    return NotDetected(
+        effect=found.effect.name,
+        upper_bound_m=bound_m,
+        detection_limit_m=limit_m,
+        reason=f"at most {1e9 * bound_m:.3g} nm rms; it takes {100 * found.held.gain:.2g} % off "
+        f"the error on rows left out ({found.held.z:.2g} standard errors), its unphysical twin "
+        f"{100 * found.twin:.2g} %",
+        next_experiment=found.effect.experiment,
+    )

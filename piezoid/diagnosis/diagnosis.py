@@ -1,0 +1,147 @@
+"""Diagnosis: what was found, what was not, and how small a thing these recordings could show."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from piezoid.provenance import seal
+
+SCHEMA = "piezoid.diagnosis/1"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """A number with its unit and 95 % interval."""
+
+    value: float
+    unit: str
+    ci95: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One cause that these recordings show.
+
+    held_out_gain           1 - rms with it / rms without it, both refitted, on rows left out
+    held_out_rms_before_m   without it
+    held_out_rms_after_m    with it
+    p_value                 after Holm over everything tried
+    share                   rms of what it adds, of the stroke
+    not_separable_from      effects that would explain nearly as much
+    parameters              nonlinear ones, by name with unit
+    """
+
+    effect: str
+    held_out_gain: float
+    held_out_rms_before_m: float
+    held_out_rms_after_m: float
+    p_value: float
+    share: float
+    size: Size
+    not_separable_from: tuple[str, ...]
+    explanation: str
+    next_experiment: str
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NotDetected:
+    """One effect that these recordings do not show.
+
+    upper_bound_m      rms of the most it could be, one-sided 95 %; None where it was not tested
+    detection_limit_m  rms from which it would have been found in four of five cases
+    reason             one sentence with numbers
+    """
+
+    effect: str
+    upper_bound_m: float | None
+    detection_limit_m: float | None
+    reason: str
+    next_experiment: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """An error on data that were not fitted, in metres and in percent of the stroke."""
+
+    rms_m: float
+    rms_percent: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Diagnosis:
+    """Everything that was found and not found about one axis.
+
+    baseline            of the simulation before any effect
+    final               with everything found
+    envelope_rms_m      what the widest class of hysteresis leaves with everything found
+    noise_floor_rms_m   of the sensor
+    explained_fraction  of the variance above the noise floor
+    findings            by falling gain
+    """
+
+    axis: str
+    stroke_m: float
+    baseline: HeldOut
+    final: HeldOut
+    envelope_rms_m: float
+    noise_floor_rms_m: float
+    explained_fraction: float
+    findings: tuple[Finding, ...]
+    not_detected: tuple[NotDetected, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of what was found, largest gain first."""
+        return tuple(finding.effect for finding in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of diagnosis.json without schema and digest."""
+        return {
+            "axis": self.axis,
+            "stroke_m": self.stroke_m,
+            "baseline": _held_out(self.baseline),
+            "noise_floor_rms_m": self.noise_floor_rms_m,
+            "envelope_rms_m": self.envelope_rms_m,
+            "findings": [_finding(finding) for finding in self.findings],
+            "not_detected": [_absent(absent) for absent in self.not_detected],
+            "final": _held_out(self.final),
+            "explained_fraction": self.explained_fraction,
+        }
+
+
+def write_diagnosis(diagnosis: Diagnosis) -> bytes:
+    """Return the sealed bytes of diagnosis.json."""
+    return seal(SCHEMA, diagnosis.to_json())
+
+
+def _held_out(held: HeldOut) -> dict[str, float]:
+    return {"held_out_rms_m": held.rms_m, "held_out_rms_percent": held.rms_percent}
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    size = finding.size
+    return {
+        "effect": finding.effect,
+        "held_out_gain": finding.held_out_gain,
+        "held_out_rms_before_m": finding.held_out_rms_before_m,
+        "held_out_rms_after_m": finding.held_out_rms_after_m,
+        "p_value": finding.p_value,
+        "size": {"value": size.value, "unit": size.unit, "ci95": list(size.ci95)},
+        "rms_percent": 100.0 * finding.share,
+        "parameters": dict(finding.parameters),
+        "not_separable_from": list(finding.not_separable_from),
+        "explanation": finding.explanation,
+        "next_experiment": finding.next_experiment,
+    }
+
+
+def _absent(absent: NotDetected) -> dict[str, Any]:
+    return {
+        "effect": absent.effect,
+        "upper_bound": absent.upper_bound_m,
+        "unit": "m, rms",
+        "detection_limit": absent.detection_limit_m,
+        "reason": absent.reason,
+        "next_experiment": absent.next_experiment,
+    }

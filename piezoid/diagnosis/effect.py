@@ -1,0 +1,95 @@
+"""What one effect must provide; the engine knows nothing else of it.
+
+An effect is one file: an explanation in five headings, the trials that look for it, unphysical
+twins of the same freedom that must do clearly worse, what it adds once it is accepted, its size.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+HEADINGS = (
+    "What you see",
+    "Why it happens",
+    "How it is detected",
+    "What the extension adds",
+    "Source",
+)
+
+Parameters = Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """One way in which an effect may be there.
+
+    columns     (rows, columns)  what it would add to the response
+    parameters  nonlinear ones, by name with unit
+    real        False: an unphysical twin, to calibrate by
+    within      range of the first coefficient that physics allows
+    free        parameters worth refining: by which factor (above 1) or step (below) to try
+    """
+
+    columns: Array
+    parameters: Parameters = field(default_factory=dict)
+    real: bool = True
+    within: tuple[float, float] = (-float("inf"), float("inf"))
+    free: Parameters = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fault:
+    """A fault of the data themselves, found without any model of the stage.
+
+    tracks   repaired, or as they were where nothing can be repaired
+    value    size
+    spread   its standard error
+    p_value  of such evidence where there is no fault
+    """
+
+    tracks: tuple[Track, ...]
+    value: float
+    spread: float
+    p_value: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Effect:
+    """One effect.
+
+    name         as in diagnosis.json
+    explanation  the file's docstring
+    unit         of its size
+    experiment   what to record to see it better, or to tell it from its rivals
+    rivals       effects that look alike
+    untestable   (view) -> why these recordings cannot show it, empty where they can
+    trials       (view) -> trials, real ones and twins
+    columns      (view, parameters) -> what the accepted effect adds, (rows, columns)
+    drive        (drive, rate_Hz, parameters) -> what reaches the stage, for effects in front of it
+    fault        (view) -> Fault or None, for faults of the data
+    size         (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
+    against      (view) -> the null to beat, where it is not the view's own; such an effect is
+                 judged at the end, when everything else is in
+    inject       (recording, share) -> the recording with the effect, share of the stroke
+    least        share of the stroke below which it is not looked for
+    """
+
+    name: str
+    explanation: str
+    unit: str
+    experiment: str
+    inject: Callable[[Recording, float], Recording]
+    rivals: tuple[str, ...] = ()
+    untestable: Callable[[View], str] = lambda _: ""
+    trials: Callable[[View], Sequence[Trial]] | None = None
+    columns: Callable[[View, Parameters], Array] | None = None
+    drive: Callable[[Array, float, Parameters], Array] | None = None
+    fault: Callable[[View], Fault | None] | None = None
+    size: Callable[[View, Parameters, Array], float] | None = None
+    against: Callable[[View], Null] | None = None
+    least: float = 1.2e-4

@@ -1,0 +1,47 @@
+"""All effects, data faults first, then what acts on the drive, then the rest.
+
+Adding one is adding a file and a line here.
+"""
+
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effects import (
+    amplifier_saturation,
+    asymmetry,
+    creep,
+    cross_coupling,
+    delay,
+    gain_change,
+    initial_state,
+    lag,
+    mains_interference,
+    non_congruence,
+    outliers,
+    quantisation,
+    rate_dependence,
+    resonance,
+    sensor_periodic_error,
+    slew_limit,
+    thermal_drift,
+    timestamp_fault,
+)
+
+EFFECTS: tuple[Effect, ...] = (
+    timestamp_fault.EFFECT,
+    outliers.EFFECT,
+    quantisation.EFFECT,
+    amplifier_saturation.EFFECT,
+    slew_limit.EFFECT,
+    delay.EFFECT,
+    lag.EFFECT,
+    resonance.EFFECT,
+    rate_dependence.EFFECT,
+    creep.EFFECT,
+    thermal_drift.EFFECT,
+    cross_coupling.EFFECT,
+    mains_interference.EFFECT,
+    sensor_periodic_error.EFFECT,
+    gain_change.EFFECT,
+    initial_state.EFFECT,
+    asymmetry.EFFECT,
+    non_congruence.EFFECT,
+)

@@ -1,0 +1,84 @@
+"""Amplifier saturation: the supply ends before the command does.
+
+What you see
+    The tips of loops are flat: the command goes on, the displacement does not.
+Why it happens
+    The amplifier's output cannot pass its supply, and the ceramic remembers the clipped voltage.
+How it is detected
+    The static response of a clipped drive explains what that of the command cannot, with a
+    share near one and at one level in every recording.
+What the extension adds
+    The limit in front of the hysteresis; the remedy is a smaller range or another supply.
+Source
+    data sheets of high-voltage amplifiers; Fleming & Leang (2014)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+ALLOWED = (0.4, 1.8)
+DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
+
+
+def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
+    low, high = parameters.get("low", -np.inf), parameters.get("high", np.inf)
+    if drive.min() >= low and drive.max() <= high:
+        return drive
+    return np.clip(drive, low, high)
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    return drive_change(view, lambda u, rate_Hz: _clip(u, rate_Hz, parameters))
+
+
+def _trials(view: View) -> list[Trial]:
+    high = max(float(track.drive.max()) for track in view.tracks)
+    low = min(float(track.drive.min()) for track in view.tracks)
+    ways: list[dict[str, float]] = []
+    for depth in DEPTHS:
+        ways += [{"high": high - depth}, {"low": low + depth}]
+        ways.append({"high": high - depth, "low": low + depth})
+    return [
+        Trial(
+            columns=_columns(view, way),
+            parameters=way,
+            within=ALLOWED,
+            free={name: 0.015 for name in way},
+        )
+        for way in ways
+    ]
+
+
+def _size(view: View, parameters: Parameters, _: Array) -> float:
+    high = max(float(track.drive.max()) for track in view.tracks)
+    low = min(float(track.drive.min()) for track in view.tracks)
+    cut = max(high - parameters.get("high", high), parameters.get("low", low) - low)
+    return 100.0 * cut / (high - low)
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the top of the stroke be missing."""
+    moved_m = recording.displacement_m()
+    return with_displacement(
+        recording, np.minimum(moved_m, moved_m.max() - share * stroke_of(recording))
+    )
+
+
+EFFECT = Effect(
+    name="amplifier_saturation",
+    explanation=__doc__ or "",
+    unit="percent of the drive range that is cut off",
+    experiment="Record slow loops to the full range and to four fifths of it, with the "
+    "amplifier's monitor output: a clip is there in the first and not in the second.",
+    rivals=("slew_limit",),
+    trials=_trials,
+    columns=_columns,
+    drive=_clip,
+    size=_size,
+    inject=inject,
+)

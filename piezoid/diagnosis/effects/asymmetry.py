@@ -1,0 +1,39 @@
+"""Asymmetry: rising and falling branches bend to the same side.
+
+What you see
+    The loop is not symmetric about its centre.
+Why it happens
+    Strain goes with the square of polarisation, and the ceramic is poled.
+How it is detected
+    Only against a simulation without dead zones; the one used here has them and follows it.
+What the extension adds
+    Dead zones behind the plays, which the simulation has already.
+Source
+    Kuhnen (2003); Damjanovic (1998)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.records.recording import Recording
+
+REASON = "the simulation has dead zones and follows asymmetry; nothing of it can be missing"
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Bend both branches to the same side; the ends stay where they are."""
+    moved_m = recording.displacement_m()
+    s = (moved_m - moved_m.min()) / max(float(np.ptp(moved_m)), 1e-30)
+    return with_displacement(recording, moved_m + scaled_to(s * (1 - s), share, recording))
+
+
+EFFECT = Effect(
+    name="asymmetry",
+    explanation=__doc__ or "",
+    unit="percent of the stroke, rms",
+    experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
+    rivals=("non_congruence",),
+    untestable=lambda _: REASON,
+    inject=inject,
+)

@@ -1,0 +1,84 @@
+"""Cross coupling: another axis moves and this one answers.
+
+What you see
+    The displacement moves while this axis' drive rests and another one's does not.
+Why it happens
+    Flexures are not quite orthogonal, sensors are tilted, amplifiers share a ground.
+How it is detected
+    The other axis' drive, its square and its plays explain what this axis' hysteresis cannot;
+    the same drives run backwards in time do not.
+What the extension adds
+    A static response to the other axis' drive.
+Source
+    Devasia, Eleftheriou & Moheimani (2007)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+from piezoid.records.recording import Recording
+
+GAPS = np.array([0.2, 0.5, 0.8])
+
+
+def _untestable(view: View) -> str:
+    if any(track.others for track in view.tracks):
+        return ""
+    return "no recording holds the moving drive of another axis"
+
+
+def _answers(view: View, *, backwards: bool = False) -> Array:
+    axes = sorted({axis for track in view.tracks for axis in track.others})
+    return np.column_stack([_answer(view, axis, backwards) for axis in axes])
+
+
+def _answer(view: View, axis: str, backwards: bool) -> Array:
+    columns = np.zeros((len(view.response), 2 + len(GAPS)))
+    edges = view.envelope.edges
+    for k, track in enumerate(view.tracks):
+        if axis not in track.others:
+            continue
+        drive = track.others[axis][:: -1 if backwards else 1]
+        plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
+        part = np.column_stack([drive, drive**2, plays])[track.place]
+        columns[edges[k] : edges[k + 1]] = part
+    return columns
+
+
+def _trials(view: View) -> list[Trial]:
+    return [
+        Trial(columns=_answers(view)),
+        Trial(columns=_answers(view, backwards=True), real=False),
+    ]
+
+
+def _columns(view: View, _: Parameters) -> Array:
+    return _answers(view)
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the axis answer to every other drive the recording holds."""
+    total = np.zeros(recording.samples)
+    for channel in recording.channels:
+        if channel.quantity.value == "V" and channel.axis != recording.axis:
+            total += channel.values - channel.values.mean()
+    return with_displacement(
+        recording, recording.displacement_m() + scaled_to(total, share, recording)
+    )
+
+
+EFFECT = Effect(
+    name="cross_coupling",
+    explanation=__doc__ or "",
+    unit="percent of the stroke, rms",
+    experiment="Hold this axis, drive the other one over its range in decaying loops, and record "
+    "both drives and this displacement.",
+    untestable=_untestable,
+    trials=_trials,
+    columns=_columns,
+    inject=inject,
+)

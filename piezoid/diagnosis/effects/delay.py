@@ -1,0 +1,84 @@
+"""Delay: the reading comes late, at every frequency by the same time.
+
+What you see
+    Loops open with the speed of the drive, large and small ones alike; nothing is attenuated.
+Why it happens
+    Converters, digital filters and cables hand over a value some time after it was true.
+How it is detected
+    The static response of the drive, later, explains what static hysteresis cannot; whether by the
+    same time or by as many samples in every recording is tried.
+What the extension adds
+    A pure delay behind the hysteresis.
+Source
+    Devasia, Eleftheriou & Moheimani (2007)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import delayed, filtered_change, scaled_to, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+SHORTEST = 0.5  # samples of the fastest recording
+LONGEST_s = 0.03
+ALLOWED = (0.4, 1.8)
+TRIED = 12
+
+
+def _later(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
+    return delayed(drive, time_s, rate_Hz)
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    # hysteresis does not know of time: the response of a later drive is the later response
+    return filtered_change(view, lambda h, rate_Hz: _later(h, rate_Hz, parameters))
+
+
+def _trials(view: View) -> list[Trial]:
+    fastest_Hz = max(track.rate_Hz for track in view.tracks)
+    times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
+    ways = [("delay_s", float(t)) for t in times_s]
+    if len({track.rate_Hz for track in view.tracks}) > 1:
+        ways += [("delay_samples", n) for n in (1.0, 2.0, 4.0, 8.0)]
+    return [
+        Trial(
+            columns=_columns(view, {name: value}),
+            parameters={name: value},
+            within=ALLOWED,
+            free={name: 1.5},
+        )
+        for name, value in ways
+    ]
+
+
+def _size(view: View, parameters: Parameters, _: Array) -> float:
+    fastest_Hz = max(track.rate_Hz for track in view.tracks)
+    samples = parameters.get("delay_samples", 0.0)
+    return 1e6 * (parameters.get("delay_s", 0.0) + samples / fastest_Hz)
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the displacement come late."""
+    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
+    late_m = delayed(moved_m, 1.0 / rate_Hz, rate_Hz) - moved_m
+    wanted = scaled_to(late_m, share, recording)
+    samples = float(np.std(wanted) / max(float(np.std(late_m)), 1e-30))
+    return with_displacement(recording, delayed(moved_m, samples / rate_Hz, rate_Hz))
+
+
+EFFECT = Effect(
+    name="delay",
+    explanation=__doc__ or "",
+    unit="us, in the fastest recording",
+    experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
+    "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
+    rivals=("lag", "rate_dependence", "resonance"),
+    trials=_trials,
+    columns=_columns,
+    drive=_later,
+    size=_size,
+    inject=inject,
+)

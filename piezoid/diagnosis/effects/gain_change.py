@@ -1,0 +1,98 @@
+"""Gain change: from one instant on the stage is more or less sensitive.
+
+What you see
+    Equal cycles before and after an instant have different heights; their shape is the same.
+Why it happens
+    A load was put on, a connector moved, a heater switched.
+How it is detected
+    A step of the gain at one instant explains what static hysteresis cannot, better than a ramp or
+    a passing change of the gain at the same place.
+What the extension adds
+    A gain that changes at an instant; the remedy is two models, one for each condition.
+Source
+    spring load on a ceramic of finite stiffness, manufacturers' application notes
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+PLACES = np.linspace(0.07, 0.93, 13)
+NARROW = 0.2  # of the track: how long a passing change lasts
+
+
+def _turned(share: Array, place: float, kind: str) -> Array:
+    if kind == "step":
+        return np.asarray((share > place).astype(np.float64))
+    if kind == "ramp":
+        return np.clip((share - place) / 0.5 + 0.5, 0.0, 1.0)
+    return np.asarray((np.abs(share - place) < NARROW / 2).astype(np.float64))
+
+
+def _change(view: View, k: int, place: float, kind: str) -> Array:
+    """Return the change in one track, its zero, and what other tracks may differ by."""
+    columns = []
+    for n, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
+        response = static[track.place]
+        if n == k:
+            share = _turned(track.place / len(track.drive), place, kind)
+            columns += [view.of_track(n, share * response), view.of_track(n, share)]
+        else:
+            columns.append(view.of_track(n, response))
+    return np.column_stack(columns)
+
+
+def _trials(view: View) -> list[Trial]:
+    own = 1.5 * max(float(np.ptp(static)) for static in view.static) / 2
+    found: list[Trial] = []
+    for k, static in enumerate(view.static):
+        if np.ptp(static) < own / 3:
+            continue
+        for kind in ("step", "ramp", "pass"):
+            places = PLACES if kind == "step" else PLACES[::3]
+            found += [_trial(view, k, float(place), kind) for place in places]
+    return found
+
+
+def _trial(view: View, k: int, place: float, kind: str) -> Trial:
+    return Trial(
+        columns=_change(view, k, place, kind),
+        parameters={"track": float(k), "place": place},
+        real=kind == "step",
+        within=(-0.3, 0.3),
+        free={"place": 0.02},
+    )
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    return _change(view, int(parameters["track"]), parameters["place"], "step")
+
+
+def _size(_: View, __: Parameters, coefficient: Array) -> float:
+    return 100.0 * float(coefficient[0])
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the gain rise in the middle, by twice its share at the end of the stroke."""
+    moved_m = recording.displacement_m()
+    after = seconds_of(recording) > 0.5 * recording.duration_s
+    gain = 4.0 * share * stroke_of(recording) / max(float(np.ptp(moved_m)), 1e-30)
+    return with_displacement(recording, moved_m * (1.0 + gain * after))
+
+
+EFFECT = Effect(
+    name="gain_change",
+    explanation=__doc__ or "",
+    unit="percent",
+    experiment="Record equal full cycles for the whole time, and write down when anything on the "
+    "stage is touched; a small multisine tells a load, which moves the resonance, from the rest.",
+    rivals=("creep", "thermal_drift"),
+    trials=_trials,
+    columns=_columns,
+    size=_size,
+    inject=inject,
+)

@@ -1,0 +1,69 @@
+"""Initial state: the stage remembers what nobody recorded.
+
+What you see
+    The beginning of a recording is wrong, and the error ends as the drive visits its range.
+Why it happens
+    The drive turned elsewhere before the recording began, and hysteresis remembers it.
+How it is detected
+    A memory fitted for each recording explains its beginning better than the one that a drive
+    cycled over its range would leave.
+What the extension adds
+    A memory of its own for each recording.
+Source
+    Mayergoyz (1991); Krejci (1996)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Trial
+from piezoid.diagnosis.envelope import pasts
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.view import View, with_pasts
+from piezoid.records.recording import Recording
+
+
+def _cycled(view: View) -> View:
+    return with_pasts(view, tuple(pasts(track.drive)[0] for track in view.tracks))
+
+
+def _against(view: View) -> Null:
+    """Return the envelope as it would be had every drive been cycled before."""
+    cycled = _cycled(view)
+    columns = np.delete(cycled.null.columns, list(view.envelope.memory_columns), axis=1)
+    return Null(columns=columns, response=view.response, block=view.block)
+
+
+def _trials(view: View) -> list[Trial]:
+    cycled = _cycled(view)
+    columns = []
+    for k in range(len(view.tracks)):
+        drive = view.tracks[k].drive
+        known = cycled.envelope.static_rows(k, view.weight, drive)
+        columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
+    memory = view.envelope.columns[:, list(view.envelope.memory_columns)]
+    both = np.column_stack([*columns, memory])
+    return [Trial(columns=both[:, np.abs(both).max(axis=0) > 0.0])]
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the beginning be off, until the drive has gone half its range."""
+    drive_V = recording.voltage_V()
+    span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
+    early = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)
+    return with_displacement(
+        recording, recording.displacement_m() + scaled_to(early, share, recording)
+    )
+
+
+EFFECT = Effect(
+    name="initial_state",
+    explanation=__doc__ or "",
+    unit="percent of the stroke, rms",
+    experiment="Cycle the drive twice over its whole range before every recording, and begin the "
+    "recording with one full cycle.",
+    rivals=("creep",),
+    trials=_trials,
+    against=_against,
+    inject=inject,
+)

@@ -1,0 +1,72 @@
+"""Lag: an overdamped filter that nobody declared.
+
+What you see
+    Loops open with the speed of the drive, and fast motion comes out smaller.
+Why it happens
+    A filter of the sensor, a servo of low bandwidth, a demodulator.
+How it is detected
+    The static response behind one pole explains what static hysteresis cannot, with nearly all of
+    the response passing through it. At low frequency this is a delay, and then that is said.
+What the extension adds
+    A first-order pole behind the hysteresis.
+Source
+    Fleming & Leang (2014)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import filtered_change, relaxed, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+SHORTEST = 0.5  # samples of the fastest recording
+LONGEST_s = 0.1
+ALLOWED = (0.4, 1.8)
+TRIED = 14
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    return filtered_change(view, lambda h, rate_Hz: relaxed(h, parameters["time_s"], rate_Hz))
+
+
+def _trials(view: View) -> list[Trial]:
+    fastest_Hz = max(track.rate_Hz for track in view.tracks)
+    times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
+    return [
+        Trial(
+            columns=_columns(view, {"time_s": float(t)}),
+            parameters={"time_s": float(t)},
+            within=ALLOWED,
+            free={"time_s": 1.5},
+        )
+        for t in times_s
+    ]
+
+
+def _size(_: View, parameters: Parameters, __: Array) -> float:
+    return 1e6 * parameters["time_s"]
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the displacement pass a pole."""
+    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
+    times_s = np.geomspace(0.1 / rate_Hz, 0.3 * recording.duration_s, 60)
+    lost = [float(np.std(relaxed(moved_m, t, rate_Hz) - moved_m)) for t in times_s]
+    time_s = float(np.interp(share * np.ptp(moved_m), lost, times_s))
+    return with_displacement(recording, relaxed(moved_m, time_s, rate_Hz))
+
+
+EFFECT = Effect(
+    name="lag",
+    explanation=__doc__ or "",
+    unit="us",
+    experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
+    "attenuates there, a delay does not.",
+    rivals=("delay", "rate_dependence", "resonance"),
+    trials=_trials,
+    columns=_columns,
+    size=_size,
+    inject=inject,
+)

@@ -1,0 +1,86 @@
+"""Resonance: the stage is a mass on a spring.
+
+What you see
+    Ringing after corners of the drive; fast motion comes out larger near one frequency.
+Why it happens
+    Flexures and ceramic are springs, stage and sample masses, and little damps them.
+How it is detected
+    The static response behind one mode explains what static hysteresis cannot, with a positive
+    share of at most the whole, a damping well below one and a frequency inside the band searched.
+What the extension adds
+    One mode in parallel with what follows at once; with a share of one, all passes through it.
+Source
+    Devasia, Eleftheriou & Moheimani (2007); Fleming & Leang (2014)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+ALLOWED = (0.01, 1.6)
+QUALITIES = (4.0, 12.0, 40.0)
+LOWEST_Hz = 15.0
+PER_OCTAVE = 5
+LEAST_RATE_Hz = 200.0
+
+
+def _untestable(view: View) -> str:
+    fastest_Hz = max(track.rate_Hz for track in view.tracks)
+    if fastest_Hz < LEAST_RATE_Hz:
+        return f"the fastest recording has {fastest_Hz:.4g} Hz; modes lie above {LOWEST_Hz:g} Hz"
+    return ""
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    frequency_Hz, quality = parameters["frequency_Hz"], parameters["quality"]
+    return filtered_change(view, lambda h, rate_Hz: mode(h, frequency_Hz, quality, rate_Hz))
+
+
+def _trials(view: View) -> list[Trial]:
+    highest_Hz = 0.24 * max(track.rate_Hz for track in view.tracks)
+    count = int(PER_OCTAVE * np.log2(highest_Hz / LOWEST_Hz)) + 1
+    ways = [
+        {"frequency_Hz": float(f), "quality": q}
+        for f in np.geomspace(LOWEST_Hz, highest_Hz, count)
+        for q in QUALITIES
+    ]
+    return [
+        Trial(
+            columns=_columns(view, way),
+            parameters=way,
+            within=ALLOWED,
+            free={"frequency_Hz": 1.06, "quality": 1.6},
+        )
+        for way in ways
+    ]
+
+
+def _size(_: View, parameters: Parameters, __: Array) -> float:
+    return parameters["frequency_Hz"]
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let a mode of a tenth of the sampling rate ring."""
+    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
+    rung_m = mode(moved_m, 0.1 * rate_Hz, 15.0, rate_Hz) - moved_m
+    part = min(share * float(np.ptp(moved_m)) / max(float(np.std(rung_m)), 1e-30), 1.0)
+    return with_displacement(recording, moved_m + part * rung_m)
+
+
+EFFECT = Effect(
+    name="resonance",
+    explanation=__doc__ or "",
+    unit="Hz",
+    experiment="Record a small chirp or multisine through the suspected mode, at three "
+    "amplitudes, at ten times its frequency or more.",
+    rivals=("delay", "lag"),
+    untestable=_untestable,
+    trials=_trials,
+    columns=_columns,
+    size=_size,
+    inject=inject,
+)

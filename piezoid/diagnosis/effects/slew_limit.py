@@ -1,0 +1,96 @@
+"""Slew limit: the amplifier's current charges the ceramic only so fast.
+
+What you see
+    Nothing is wrong below a speed; above it the motion is a straight line that comes late.
+Why it happens
+    A ceramic is a large capacitor, and an amplifier has a largest current.
+How it is detected
+    The static response of a drive held to a largest speed explains what that of the command
+    cannot, with a share near one and a limit below the fastest drive.
+What the extension adds
+    The limit in front of the hysteresis; the remedy is a slower trajectory.
+Source
+    Fleming & Moheimani (2005)
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+
+ALLOWED = (0.4, 1.8)
+SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
+QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
+
+
+def slowed(drive: Array, step: float) -> Array:
+    """Return a drive that goes at most a step from sample to sample."""
+    if float(np.abs(np.diff(drive)).max()) <= step:
+        return drive
+    found = np.empty(len(drive))
+    held = float(drive[0])
+    for k, wanted in enumerate(drive.tolist()):
+        held = min(max(wanted, held - step), held + step)
+        found[k] = held
+    return found
+
+
+def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    return slowed(drive, parameters["limit_per_s"] / rate_Hz)
+
+
+def _columns(view: View, parameters: Parameters) -> Array:
+    return drive_change(view, lambda u, rate_Hz: _limited(u, rate_Hz, parameters))
+
+
+def _fastest(view: View) -> float:
+    return max(
+        float(np.quantile(np.abs(np.diff(track.drive)), QUICK)) * track.rate_Hz
+        for track in view.tracks
+    )
+
+
+def _trials(view: View) -> list[Trial]:
+    fastest = _fastest(view)
+    ways = [{"limit_per_s": share * fastest} for share in SHARES]
+    return [
+        Trial(
+            columns=_columns(view, way),
+            parameters=way,
+            within=ALLOWED,
+            free={"limit_per_s": 1.12},
+        )
+        for way in ways
+    ]
+
+
+def _size(view: View, parameters: Parameters, _: Array) -> float:
+    return view.voltage_V * parameters["limit_per_s"]
+
+
+def inject(recording: Recording, share: float) -> Recording:
+    """Let the displacement go at most so fast that it misses its share of the stroke."""
+    moved_m = recording.displacement_m()
+    fastest_m = float(np.abs(np.diff(moved_m)).max())
+    tried = fastest_m * np.geomspace(1.0, 0.05, 25)
+    missed = [float(np.std(slowed(moved_m, step) - moved_m)) for step in tried]
+    step_m = float(np.interp(share * stroke_of(recording), missed, tried))
+    return with_displacement(recording, slowed(moved_m, step_m))
+
+
+EFFECT = Effect(
+    name="slew_limit",
+    explanation=__doc__ or "",
+    unit="V/s, at the command",
+    experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
+    "limit is where its slope stops rising.",
+    rivals=("delay", "lag", "rate_dependence"),
+    trials=_trials,
+    columns=_columns,
+    drive=_limited,
+    size=_size,
+    inject=inject,
+)

@@ -1,0 +1,185 @@
+"""The structural envelope: a wide class of hysteresis that does not know of rate, time or other
+axes.
+
+    y = sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j, u) + zero of the track
+
+z_i plays, n = 1 .. 4; x_j friction states that forget exponentially with the way the drive went,
+
+    dx/dt = du/dt - |du/dt| x / r,
+
+f_j their powers and their products with the drive. Plays with powers of their states are Preisach
+operators in play form; products with the drive let loops change with bias; friction states are
+Dahl's and Bouc's. The class is far wider than any model that ships: what it can follow is no
+evidence of a cause, and effects are decided on what it cannot.
+
+Source: Krejci (1996); Dahl (1968); Bouc (1967); a wide class of nulls, Box (1980).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from piezoid.diagnosis.tracks import Places, Track
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import first_carry, play_columns, play_tangents
+
+PLAYS = 18
+POWERS = 4
+FORGETTING = 4  # groups of plays whose first states each track may correct
+DECAYS_s = (0.3, 3.0, 30.0)  # a track's own return to rest; what it hides is no one's evidence
+PASTS = 16
+CHUNK = 65536
+FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
+
+THRESHOLD = np.geomspace(0.01, 0.97, PLAYS)
+
+
+def past(drive: Array, turns: Sequence[float]) -> Array:
+    """Return the memory a drive leaves that turned at these values before the first sample."""
+    way = np.array([*turns, float(drive[0])])
+    return play_columns(way, THRESHOLD, np.zeros(PLAYS))[1]
+
+
+def rubbed(drive: Array, turns: Sequence[float]) -> Array:
+    """Return the friction states after the same history."""
+    way = np.array([*turns, float(drive[0])])
+    return np.asarray(friction_states(way, np.zeros(len(FRICTION)))[-1])
+
+
+def pasts(drive: Array) -> tuple[tuple[float, ...], ...]:
+    """Return histories to choose from: cycled over the range, and some short alternating ones."""
+    low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
+    chance = np.random.default_rng(PASTS)
+    drawn = [
+        (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
+        for _ in range(PASTS)
+    ]
+    return ((low, high), (high, low), (0.0,), *drawn)
+
+
+def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
+    """Return all shared columns at some rows: first powers of the drive and of the plays.
+
+    states    (rows, plays)
+    friction  (rows, friction states)
+    drive     (rows,)
+    """
+    base = np.column_stack([drive, states / (1.05 - THRESHOLD)])
+    parts = [base]
+    for _ in range(POWERS - 1):
+        parts.append(parts[-1] * base)
+    u = drive[:, None]
+    x = friction / np.minimum(FRICTION, 1.0)
+    parts += [u * base[:, 1:], u**2 * base[:, 1:], x, x**2, x**3, u * x, u**2 * x]
+    return np.hstack(parts)
+
+
+def friction_states(drive: Array, start: Array) -> Array:
+    """Follow the friction states along a drive, (samples, states); the first sample is the start.
+
+    Over a straight part of the drive x goes to r sgn(du) by exp(-|du| / r): a sum of weighted
+    parts, rescaled before the weights leave the range of numbers.
+    """
+    step = np.diff(drive)
+    way = np.concatenate([[0.0], np.cumsum(np.abs(step))])
+    states = np.empty((len(drive), len(FRICTION)), order="F")
+    for j, r in enumerate(FRICTION):
+        states[0, j] = start[j]
+        first = 0
+        while first < len(step):
+            last = int(np.searchsorted(way, way[first] + 600.0 * r, side="right")) - 1
+            last = min(max(last, first + 1), len(step))
+            grown = np.exp((way[first + 1 : last + 1] - way[first]) / r)
+            earned = np.sign(step[first:last]) * r * -np.expm1(-np.abs(step[first:last]) / r)
+            states[first + 1 : last + 1, j] = (
+                states[first, j] + np.cumsum(grown * earned)
+            ) / grown
+            first = last
+    return states
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Envelope:
+    """The class on some tracks, each with a past.
+
+    tracks  what is followed
+    turns   (tracks,)  values at which the drive turned before each track
+    """
+
+    tracks: tuple[Track, ...]
+    turns: tuple[tuple[float, ...], ...]
+
+    @cached_property
+    def edges(self) -> Places:
+        """Return the first row of each track, and the number of rows."""
+        return np.concatenate([[0], np.cumsum([len(track.place) for track in self.tracks])])
+
+    @cached_property
+    def shared(self) -> int:
+        """Return how many columns all tracks share."""
+        return (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
+
+    @property
+    def own(self) -> int:
+        """Return how many columns belong to one track."""
+        return 1 + FORGETTING + len(DECAYS_s)
+
+    @property
+    def memory_columns(self) -> tuple[int, ...]:
+        """Return the columns that correct the first states of each track."""
+        firsts = [self.shared + self.own * k + 1 for k in range(len(self.tracks))]
+        return tuple(first + g for first in firsts for g in range(FORGETTING))
+
+    @property
+    def bias_columns(self) -> tuple[int, ...]:
+        """Return the columns that are products of a state with the drive."""
+        plays = (PLAYS + 1) * POWERS
+        friction = plays + 2 * PLAYS + 3 * len(FRICTION)
+        return (*range(plays, plays + 2 * PLAYS), *range(friction, self.shared))
+
+    @cached_property
+    def columns(self) -> Array:
+        """Return the columns at all rows: shared ones, then each track's own."""
+        total = self.shared + self.own * len(self.tracks)
+        columns = np.zeros((self.edges[-1], total), order="F")
+        for k, track in enumerate(self.tracks):
+            rows = slice(self.edges[k], self.edges[k + 1])
+            memory = first_carry(past(track.drive, self.turns[k]))
+            tangents = play_tangents(track.drive, THRESHOLD, memory)
+            columns[rows, : self.shared] = shape_columns(
+                tangents.state[track.place],
+                friction_states(track.drive, rubbed(track.drive, self.turns[k]))[track.place],
+                track.drive[track.place],
+            )
+            first = self.shared + self.own * k
+            columns[rows, first] = 1.0
+            groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
+            for g, group in enumerate(groups):
+                columns[rows, first + 1 + g] = tangents.memory[track.place][:, group].mean(axis=1)
+            time_s = track.time_s[track.place]
+            for d, decay_s in enumerate(DECAYS_s):
+                columns[rows, first + 1 + FORGETTING + d] = np.exp(-time_s / decay_s)
+        return columns
+
+    def static(self, k: int, weight: Array, drive: Array | None = None) -> Array:
+        """Return what the shared columns make of a track's drive, or of another, (samples,)."""
+        track = self.tracks[k]
+        signal = track.drive if drive is None else drive
+        memory = past(signal, self.turns[k])
+        friction = friction_states(signal, rubbed(signal, self.turns[k]))
+        parts = []
+        for first in range(0, len(signal), CHUNK):
+            part = np.asarray(signal[first : first + CHUNK])
+            states, memory = play_columns(part, THRESHOLD, memory)
+            rubs = friction[first : first + CHUNK]
+            parts.append(shape_columns(states, rubs, part) @ weight)
+        return np.concatenate(parts)
+
+    def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
+        """Return what the shared columns make of another drive at a track's rows, (rows,)."""
+        place = self.tracks[k].place
+        states, _ = play_columns(drive, THRESHOLD, past(drive, self.turns[k]))
+        friction = friction_states(drive, rubbed(drive, self.turns[k]))
+        return np.asarray(shape_columns(states[place], friction[place], drive[place]) @ weight)

@@ -1,0 +1,185 @@
+"""Least squares seen from the rows it did not use: sums over blocks, folds made of blocks.
+
+    beta_f = (sum_(b not in f) C_b' C_b)^-1 sum_(b not in f) C_b' e_b,
+    loss_b = |e_b - C_b beta_f|^2
+
+Source: Arlot & Celisse, Statistics Surveys 4 (2010) on blocks for dependent data.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import erfc, log, sqrt
+
+import numpy as np
+
+from piezoid.diagnosis.tracks import BLOCKS, Places
+from piezoid.numerics.arrays import Array
+
+FOLDS = 5
+RIDGE = 1e-9
+TELLING = 0.95  # of what columns explain
+FEWEST = 6  # blocks to judge by
+HELD_RIDGE = 1e-7  # whole folds left out ask columns for what they never saw
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    """What columns bring on rows they were not fitted to.
+
+    gain         1 - rms with / rms without
+    z            standard errors by which blocks gain: of their mean, of the sign test, or of the
+                 likelihood ratio with every block as one observation
+    coefficient  (columns,)  of all rows
+    spread       (columns,)  its standard error, from leaving out folds
+    loss         (blocks,)   sums of squares with the columns
+    rms          with the columns
+    """
+
+    gain: float
+    z: float
+    coefficient: Array
+    spread: Array
+    loss: Array
+    rms: float
+
+    @property
+    def p_value(self) -> float:
+        """One-sided probability of such a gain where there is none."""
+        return 0.5 * erfc(self.z / sqrt(2.0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Null:
+    """Columns that explain nothing by themselves, taken out of residual and candidates alike.
+
+    columns   (rows, columns)
+    response  (rows,)
+    block     (rows,)  global block of each row
+    """
+
+    columns: Array
+    response: Array
+    block: Places
+
+    @cached_property
+    def scale(self) -> Array:
+        """Return the length of every column, 1 where it is zero."""
+        length = np.sqrt(np.einsum("ij,ij->j", self.columns, self.columns))
+        return np.where(length > 0, length, 1.0)
+
+    @cached_property
+    def factor(self) -> Array:
+        """Return the lower Cholesky factor of the scaled normal matrix."""
+        gram = (self.columns.T @ self.columns) / np.outer(self.scale, self.scale)
+        return np.asarray(np.linalg.cholesky(gram + RIDGE * np.eye(len(gram))))
+
+    def fit(self, values: Array) -> Array:
+        """Return the coefficients that follow values, (columns,) or (columns, values)."""
+        from scipy.linalg import cho_solve
+
+        scale = self.scale if values.ndim == 1 else self.scale[:, None]
+        return np.asarray(
+            cho_solve((self.factor, True), (self.columns.T @ values) / scale) / scale
+        )
+
+    def without(self, values: Array) -> Array:
+        """Return what the columns cannot follow of values."""
+        return np.asarray(values - self.columns @ self.fit(values))
+
+    @cached_property
+    def residual(self) -> Array:
+        """Return what is left of the response."""
+        return self.without(self.response)
+
+    @cached_property
+    def edges(self) -> Places:
+        """Return the first row of every block."""
+        return np.concatenate([[0], np.flatnonzero(np.diff(self.block)) + 1])
+
+    @cached_property
+    def fold(self) -> Places:
+        """Return the fold of every block."""
+        block = self.block[self.edges]
+        return (block + block // BLOCKS) % FOLDS
+
+    @cached_property
+    def parts(self) -> tuple[slice, ...]:
+        """Return the rows of every block."""
+        ends = [*self.edges[1:], len(self.block)]
+        return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, ends, strict=True))
+
+    @cached_property
+    def held_out_rms(self) -> float:
+        """Return the rms of all columns on rows they were not fitted to."""
+        columns = self.columns / self.scale
+        grams = np.array([columns[p].T @ columns[p] for p in self.parts])
+        rights = np.array([columns[p].T @ self.response[p] for p in self.parts])
+        loss = 0.0
+        for fold in range(FOLDS):
+            out = self.fold == fold
+            gram, right = grams[~out].sum(axis=0), rights[~out].sum(axis=0)
+            beta = np.linalg.solve(gram + HELD_RIDGE * np.eye(len(gram)), right)
+            for part in (p for p, o in zip(self.parts, out, strict=True) if o):
+                loss += float(np.sum((self.response[part] - columns[part] @ beta) ** 2))
+        return sqrt(loss / len(self.response))
+
+    def held(self, columns: Array, *, projected: bool = False) -> Held:
+        """Return what columns bring beside the null, judged on rows left out."""
+        across = columns if projected else self.without(columns)
+        length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
+        across = across / length
+        residual = self.residual
+        parts = [across[part] for part in self.parts]
+        gram = np.array([part.T @ part for part in parts])
+        right = np.array([a.T @ residual[p] for a, p in zip(parts, self.parts, strict=True)])
+        energy = np.add.reduceat(residual**2, self.edges)
+        small = RIDGE * np.eye(across.shape[1])
+        total, all_right = gram.sum(axis=0), right.sum(axis=0)
+        loss, betas = np.empty(len(energy)), []
+        for fold in range(FOLDS):
+            out = self.fold == fold
+            beta = np.linalg.solve(total - gram[out].sum(0) + small, all_right - right[out].sum(0))
+            loss[out] = energy[out] - 2 * right[out] @ beta + (gram[out] @ beta) @ beta
+            betas.append(beta)
+        beta = np.linalg.solve(total + small, all_right)
+        gains = energy - loss
+        gains = gains[_telling(np.einsum("i,bij,j->b", beta, gram, beta))]
+        spread = np.std(betas, axis=0, ddof=1) * (FOLDS - 1) / sqrt(FOLDS)
+        gain = 1.0 - sqrt(max(float(loss.sum()), 0.0) / float(energy.sum()))
+        return Held(
+            gain=gain,
+            z=max(_mean_z(gains), _sign_z(gains), _ratio_z(gain, len(energy))),
+            coefficient=beta / length,
+            spread=spread / length,
+            loss=loss,
+            rms=sqrt(max(float(loss.sum()), 0.0) / len(residual)),
+        )
+
+
+def _telling(explained: Array) -> Array:
+    """Return which blocks can say anything: those in which nearly all of the columns lie."""
+    order = np.argsort(explained)[::-1]
+    total = np.cumsum(explained[order])
+    count = int(np.searchsorted(total, TELLING * total[-1])) + 1
+    chosen = np.zeros(len(explained), dtype=bool)
+    chosen[order[: max(count, FEWEST)]] = True
+    return chosen
+
+
+def _mean_z(gains: Array) -> float:
+    """Return the mean over its standard error."""
+    return float(gains.sum()) / (float(gains.std(ddof=1)) * sqrt(len(gains)) + 1e-300)
+
+
+def _sign_z(gains: Array) -> float:
+    """Return how surely more than half of the blocks gain: blind to how much, so to outliers."""
+    count = len(gains)
+    return float(np.sum(gains > 0) - 0.5 * count - 0.5) / (0.5 * sqrt(count))
+
+
+def _ratio_z(gain: float, blocks: int) -> float:
+    """Return the root of the likelihood ratio, 2 n ln(rms0 / rms1), n blocks for n observations.
+
+    What lies in a few blocks only is seen by this one; thousands of rows count as few tens.
+    """
+    return sqrt(-2.0 * blocks * log(1.0 - gain)) if 0.0 < gain < 1.0 else 0.0

@@ -1,0 +1,92 @@
+"""Linear filters of a track's static response, and what a changed drive would make of it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.diagnosis.view import View
+from piezoid.identification.hysteresis.filters import filter_columns, first_order
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Quantity, Recording
+
+
+def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
+    """Return a signal behind a first-order lag, steady before its first sample."""
+    column = np.asarray(signal)[:, None]
+    state = np.repeat(column[:1], 2, axis=0)
+    return filter_columns(column, first_order(time_s, rate_Hz), state)[:, 0]
+
+
+def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:
+    """Return a signal that much later, straight between samples."""
+    place = np.arange(len(signal), dtype=np.float64)
+    return np.asarray(np.interp(place - time_s * rate_Hz, place, signal))
+
+
+def rate_of(signal: Array, rate_Hz: float) -> Array:
+    """Return the derivative of a signal by central differences."""
+    return np.asarray(np.gradient(signal) * rate_Hz)
+
+
+def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
+    """Return a signal behind one mechanical mode, or the signal where it follows at once.
+
+        x'' + (w / Q) x' + w^2 x = w^2 h,    bilinear with the frequency kept
+
+    A recording with fewer than four rows for a period cannot show the mode.
+    """
+    from scipy.signal import lfilter
+
+    if rate_Hz < 4.0 * frequency_Hz:
+        return signal
+    k = np.tan(np.pi * frequency_Hz / rate_Hz)
+    a = np.array([1 + k / quality + k * k, 2 * (k * k - 1), 1 - k / quality + k * k])
+    b = k * k * np.array([1.0, 2.0, 1.0])
+    start = np.asarray(signal)[0]
+    return np.asarray(lfilter(b / a[0], a / a[0], signal - start) + start)
+
+
+def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Array:
+    """Return what a filter of (response, rate_Hz) changes at the rows, (rows, 1)."""
+    return view.of(lambda k, t: change(view.static[k], t.rate_Hz) - view.static[k])[:, None]
+
+
+def drive_change(view: View, change: Callable[[Array, float], Array]) -> Array:
+    """Return what a changed drive (drive, rate_Hz) changes at the rows, (rows, 1)."""
+    parts = []
+    for k, track in enumerate(view.tracks):
+        drive = change(track.drive, track.rate_Hz)
+        if drive is track.drive or np.array_equal(drive, track.drive):
+            parts.append(np.zeros(len(track.place)))
+            continue
+        changed = view.envelope.static_rows(k, view.weight, drive)
+        parts.append(changed - view.static[k][track.place])
+    return np.concatenate(parts)[:, None]
+
+
+def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
+    """Return a recording of which the displacement reads otherwise."""
+    channels = tuple(
+        replace(channel, values=displacement_m)
+        if channel.quantity is Quantity.DISPLACEMENT and channel.axis == recording.axis
+        else channel
+        for channel in recording.channels
+    )
+    return replace(recording, channels=channels)
+
+
+def stroke_of(recording: Recording) -> float:
+    """Return the range of a recording's displacement in m."""
+    return float(np.ptp(recording.displacement_m()))
+
+
+def seconds_of(recording: Recording) -> Array:
+    """Return the time of every sample."""
+    return np.arange(recording.samples) / recording.sampling_rate_Hz
+
+
+def scaled_to(change_m: Array, share: float, recording: Recording) -> Array:
+    """Return a change whose rms is a share of the stroke."""
+    rms_m = float(np.sqrt(np.mean(change_m**2)))
+    return change_m * (share * stroke_of(recording) / rms_m) if rms_m > 0 else change_m

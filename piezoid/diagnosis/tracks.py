@@ -1,0 +1,127 @@
+"""Tracks: recordings in scaled units, with the rows that are compared and the blocks they form."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.hysteresis.pieces import Rig, Scales, behind_pole, pieces_of
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.records.recording import Quantity, Recording
+
+ROWS = 12_000  # of all tracks together
+BLOCKS = 15  # of one track
+
+Places = NDArray[np.int_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """One uninterrupted stretch of one recording of one axis.
+
+    name      of the recording
+    rate_Hz   sampling rate
+    drive     (samples,)  about -1 to 1 over the range of all tracks, behind the declared poles
+    response  (samples,)  displacement over half the stroke
+    others    scaled drives of other axes that move, by axis
+    place     (rows,)     samples that are compared
+    block     (rows,)     block of each of these, from 0
+    """
+
+    name: str
+    rate_Hz: float
+    drive: Array
+    response: Array
+    others: Mapping[str, Array]
+    place: Places
+    block: Places
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "drive", frozen(self.drive, "drive"))
+        object.__setattr__(self, "response", frozen(self.response, "response"))
+
+    @property
+    def time_s(self) -> Array:
+        """Time of every sample from the first."""
+        return np.arange(len(self.drive)) / self.rate_Hz
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last."""
+        return (len(self.drive) - 1) / self.rate_Hz
+
+
+def tracks_of(
+    recordings: Sequence[Recording],
+    axis: str,
+    scales: Scales,
+    rig: Rig,
+    *,
+    clock_Hz: float | None = None,
+) -> tuple[Track, ...]:
+    """Cut recordings of one axis into tracks with some ``ROWS`` rows in all.
+
+    clock_Hz  of the converter, where it is declared: it holds every value for one period, which
+              is half a period of delay
+    """
+    # Behind the sensor's pole as well: so far above the motion both poles commute with hysteresis.
+    pieces = pieces_of(recordings, axis, scales, rig)
+    share = ROWS // len(pieces)
+    starts: dict[int, int] = {}
+    tracks = []
+    for piece in pieces:
+        recording = recordings[piece.recording]
+        first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
+        starts[piece.recording] = first + len(piece.drive)
+        place = rows_between(len(piece.drive), share)
+        drive = behind_pole(piece.drive, rig.sensor_bandwidth_Hz, piece.sampling_rate_Hz)
+        if clock_Hz is not None:
+            drive = later(drive, 0.5 * piece.sampling_rate_Hz / clock_Hz)
+        tracks.append(
+            Track(
+                name=piece.name,
+                rate_Hz=piece.sampling_rate_Hz,
+                drive=drive,
+                response=piece.response,
+                others=_others(recording, axis, first, len(piece.drive)),
+                place=place,
+                block=place * BLOCKS // len(piece.drive),
+            )
+        )
+    return tuple(tracks)
+
+
+def later(signal: Array, samples: float) -> Array:
+    """Return a signal that many samples later, straight between samples."""
+    place = np.arange(len(signal), dtype=np.float64)
+    return np.asarray(np.interp(place - samples, place, signal))
+
+
+def rows_between(samples: int, share: int) -> Places:
+    """Return rows spread over a track: evenly on average, at no one distance.
+
+    Rows at a fixed distance would show a hum of the grid at another frequency.
+    """
+    if samples <= share:
+        return np.arange(samples)
+    spread = np.random.default_rng(samples).random(share)
+    return np.unique(((np.arange(share) + spread) * (samples / share)).astype(int))
+
+
+def _first(recording: Recording, samples: int, after: int) -> int:
+    starts = [int(p.start) for p in recording.pieces if p.stop - p.start == samples]
+    return next(start for start in starts if start >= after)
+
+
+def _others(recording: Recording, axis: str, first: int, samples: int) -> dict[str, Array]:
+    found = {}
+    for channel in recording.channels:
+        if channel.quantity is not Quantity.VOLTAGE or channel.axis == axis:
+            continue
+        values = channel.values
+        span = float(np.ptp(values))
+        if span > 0.0:
+            part = values[first : first + samples]
+            found[channel.axis] = np.asarray(2.0 * (part - values.min()) / span - 1.0)
+    return found

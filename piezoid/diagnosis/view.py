@@ -1,0 +1,155 @@
+"""View: what effects may look at, and the null they must beat.
+
+The envelope fitted to the tracks, with what was accepted before taken into account; its static
+response at every sample; its residual at the rows.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezoid.diagnosis.envelope import (
+    FRICTION,
+    THRESHOLD,
+    Envelope,
+    friction_states,
+    past,
+    pasts,
+    rubbed,
+    shape_columns,
+)
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.tracks import BLOCKS, Places, Track
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+
+ROUNDS = 2  # of choosing pasts
+CLEARLY = 0.7  # of the misfit of a cycled past: what another past must leave to be believed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class View:
+    """Tracks, their envelope, and columns of effects that were accepted already.
+
+    accepted  (rows, columns)  added to the null
+    stroke_m  half the range of the displacement: what the number 1 means
+    voltage_V half the range of the drive
+    """
+
+    envelope: Envelope
+    accepted: Array
+    stroke_m: float
+    voltage_V: float
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """Return the tracks."""
+        return self.envelope.tracks
+
+    @cached_property
+    def response(self) -> Array:
+        """Return the measured response at the rows."""
+        return np.concatenate([t.response[t.place] for t in self.tracks])
+
+    @cached_property
+    def block(self) -> Places:
+        """Return the global block of every row."""
+        return np.concatenate([t.block + BLOCKS * k for k, t in enumerate(self.tracks)])
+
+    @cached_property
+    def null(self) -> Null:
+        """Return the envelope with everything accepted."""
+        columns = np.hstack([self.envelope.columns, self.accepted])
+        return Null(columns=columns, response=self.response, block=self.block)
+
+    @cached_property
+    def weight(self) -> Array:
+        """Return the coefficients of the shared columns."""
+        return self.null.fit(self.response)[: self.envelope.shared]
+
+    @cached_property
+    def static(self) -> tuple[Array, ...]:
+        """Return the static response of every track at every sample."""
+        return tuple(self.envelope.static(k, self.weight) for k in range(len(self.tracks)))
+
+    @property
+    def rms(self) -> float:
+        """Return the rms of the residual."""
+        return float(np.sqrt(np.mean(self.null.residual**2)))
+
+    def rows(self, signals: Sequence[Array]) -> Array:
+        """Return one column: signals of all tracks at the rows."""
+        picked = [s[t.place] for s, t in zip(signals, self.tracks, strict=True)]
+        return np.concatenate(picked)
+
+    def of(self, change: Callable[[int, Track], Array]) -> Array:
+        """Return one column made track by track at the rows."""
+        return self.rows([change(k, track) for k, track in enumerate(self.tracks)])
+
+    def of_track(self, k: int, values: Array) -> Array:
+        """Return a column that is zero outside one track."""
+        edges = self.envelope.edges
+        column = np.zeros(edges[-1])
+        column[edges[k] : edges[k + 1]] = values
+        return column
+
+
+def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float) -> View:
+    """Fit the envelope and choose the past of every track by what it misfits."""
+    turns = tuple(pasts(track.drive)[0] for track in tracks)
+    for _ in range(ROUNDS):
+        view = _view(tracks, turns, stroke_m, voltage_V)
+        turns = tuple(_best_past(view, k) for k in range(len(view.tracks)))
+    return _view(tracks, turns, stroke_m, voltage_V)
+
+
+def with_pasts(view: View, turns: tuple[tuple[float, ...], ...]) -> View:
+    """Return the view with other pasts of its tracks."""
+    return replace(view, envelope=Envelope(tracks=view.tracks, turns=turns))
+
+
+def with_drives(view: View, drives: Sequence[Array]) -> View:
+    """Return the view with other drives on the same tracks, and nothing accepted."""
+    tracks = tuple(
+        replace(track, drive=drive) for track, drive in zip(view.tracks, drives, strict=True)
+    )
+    return _view(tracks, view.envelope.turns, view.stroke_m, view.voltage_V)
+
+
+def with_tracks(view: View, tracks: Sequence[Track]) -> View:
+    """Return the view of repaired tracks."""
+    return _view(tracks, view.envelope.turns, view.stroke_m, view.voltage_V)
+
+
+def _view(
+    tracks: Sequence[Track],
+    turns: tuple[tuple[float, ...], ...],
+    stroke_m: float,
+    voltage_V: float,
+) -> View:
+    envelope = Envelope(tracks=tuple(tracks), turns=turns)
+    nothing = np.zeros((envelope.edges[-1], 0))
+    return View(envelope=envelope, accepted=nothing, stroke_m=stroke_m, voltage_V=voltage_V)
+
+
+def _best_past(view: View, k: int) -> tuple[float, ...]:
+    track = view.tracks[k]
+    span = np.maximum.accumulate(track.drive) - np.minimum.accumulate(track.drive)
+    end = int(np.searchsorted(span, 0.98 * span[-1])) + 2
+    kept = np.unique(np.linspace(0, min(end, len(track.drive)) - 1, 600).astype(int))
+    drive = track.drive[: kept[-1] + 1]
+    options = pasts(track.drive)
+    began = rubbed(drive, options[0])
+    friction = friction_states(drive, began)[kept]
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(drive)))])[kept]
+    forgotten = np.exp(-way[:, None] / FRICTION)
+    misses = []
+    for turns in options:
+        states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
+        rubs = friction + (rubbed(drive, turns) - began) * forgotten
+        missed = shape_columns(states[kept], rubs, drive[kept]) @ view.weight
+        misses.append(float(np.std(missed - track.response[kept])))
+    best = int(np.argmin(misses))
+    return options[best] if misses[best] < CLEARLY * min(misses[:2]) else options[0]
