@@ -1,0 +1,119 @@
+"""`piezoid verify`: runs what ships against the identified stage, and says whether it may ship."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from piezoid.export.parameter_file import ParameterFile
+    from piezoid.verification.proof import Proof
+    from piezoid.verification.verification import Verification
+
+
+def verify(
+    stage: Annotated[Path, typer.Argument(help="Folder with model.json, params.json, bundle/.")],
+    rebuild: Annotated[
+        bool, typer.Option("--rebuild", help="Compile bundle/ here and compare every bit.")
+    ] = False,
+    target: Annotated[
+        str, typer.Option(help="cortex-m4: compile bundle/ for it and emulate it.")
+    ] = "",
+    seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+) -> None:
+    """Run the compiled controller of params.json against the stage; write verification.json.
+
+    Example: piezoid verify stage42/ --rebuild --target cortex-m4
+
+    Exit status 1 means that a verdict failed; verification.json is written all the same.
+    """
+    if target not in ("", "cortex-m4"):
+        raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
+    from piezoid.export.parameter_file import from_json
+    from piezoid.identification.store import read_model
+    from piezoid.verification.stage import verify_stage
+    from piezoid_cli.output_folder import add_to_folder
+    from piezoid_cli.stage_files import same_model
+
+    file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
+    content = (stage / "model.json").read_bytes()
+    same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
+    model = read_model(content, str(stage / "model.json"))
+    proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
+    found = verify_stage(file, model, proofs=proofs, seed=seed)
+    add_to_folder(stage, {"verification.json": found.to_json()})
+    if not quiet:
+        show(found)
+        typer.echo(f"verification: {stage / 'verification.json'}")
+    if not found.passed:
+        raise typer.Exit(1)
+
+
+def _held(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in sorted(folder.glob("*")) if p.is_file()}
+
+
+def _proofs(
+    file: "ParameterFile", held: Mapping[str, bytes], *, is_host: bool, is_target: bool
+) -> "tuple[Proof, ...]":
+    from piezoid.verification.rebuild import emulate, rebuild
+
+    host = rebuild(file, held) if is_host else ()
+    return (*host, *((emulate(file, held),) if is_target else ()))
+
+
+def show(found: "Verification") -> None:
+    """Print the comparison, the proofs, and every verdict that failed."""
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console()
+    if found.comparison:
+        console.print(_comparison(found))
+    for proof in found.proofs:
+        console.print(Text(_proof_line(proof), style="" if proof.passed else "bold red"))
+    for verdict in found.verdicts:
+        if not verdict.passed:
+            line = (
+                f"failed: {verdict.name} ({verdict.scenario}): {verdict.value:.4g}, "
+                f"allowed {verdict.limit:.4g}, {verdict.unit}"
+            )
+            console.print(Text(line, style="bold red"))
+    passed = sum(verdict.passed for verdict in found.verdicts)
+    console.print(Text(f"{passed} of {len(found.verdicts)} verdicts passed"))
+
+
+def _comparison(found: "Verification") -> "Table":
+    from rich.table import Table
+    from rich.text import Text
+
+    title = f"spirals of radius {1e6 * found.radius_m:.1f} um, errors in nm"
+    table = Table(title=Text(title))
+    for heading in ("turns a second", "method", "rms", "largest", "shape rms", "delay"):
+        table.add_column(heading, justify="right")
+    for row in found.comparison:
+        table.add_row(
+            f"{row.frequency_Hz:g}",
+            row.method,
+            f"{1e9 * row.rms_m:.1f}",
+            f"{1e9 * row.max_m:.1f}",
+            f"{1e9 * row.aligned_rms_m:.1f}",
+            f"{1e6 * row.delay_s:.0f} us",
+        )
+    return table
+
+
+def _proof_line(proof: "Proof") -> str:
+    if not proof.is_built:
+        return f"not built: {proof.build}"
+    line = f"{proof.build}: {proof.samples} samples, {proof.differing} differ"
+    counted = proof.instructions_per_sample or {}
+    for axis, instructions in counted.items():
+        line += f"; axis {axis} {instructions:.0f} instructions a sample"
+    if proof.stack_bytes:
+        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state"
+    return line

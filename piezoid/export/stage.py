@@ -1,0 +1,43 @@
+"""export_stage: a model and a design in, the parameter file of all their axes out."""
+
+from piezoid.design.design import AxisDesign, Design
+from piezoid.errors import ParameterFileError
+from piezoid.export.from_design import lateral_axis
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.identification.model import ActuatorModel
+
+# A sensor is stuck if it shows one number for so long while the drive moves by this share of its
+# range.
+_STUCK_s = 1e-3
+_STUCK_SHARE = 0.02
+
+
+def export_stage(model: ActuatorModel, design: Design, *, design_digest: str) -> ParameterFile:
+    """Return what ships: each designed axis with its recommended loop, the others to compare.
+
+    design_digest  of the design's file, for the chain of digests
+
+    Raises ``ParameterFileError`` for the design of a tunnelling axis: what keeps its tip from the
+    surface is not in a design, see ``tunnelling_axis``.
+    """
+    return ParameterFile(
+        name=model.stage,
+        axes=tuple(_axis(model, axis) for axis in design.axes),
+        sources={"model": design.model_digest, "design": design_digest},
+    )
+
+
+def _axis(model: ActuatorModel, design: AxisDesign) -> AxisParameters:
+    if design.output_unit != "m":
+        raise ParameterFileError(
+            f"axis {design.axis} regulates a current",
+            needed="floor, ceiling and retract voltage that guard its tip",
+            remedy="Call piezoid.export.from_design.tunnelling_axis with TunnellingGuards.",
+        )
+    asked = design.specification
+    rate_Hz = design.recommended.members[0].sampling_rate_Hz
+    watch = {
+        "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
+        "stuck_voltage_V": _STUCK_SHARE * (asked.voltage_max_V - asked.voltage_min_V),
+    }
+    return lateral_axis(model[design.axis], design, watch)

@@ -1,0 +1,162 @@
+"""A user's way: a fitted and designed folder is exported, verified, tampered with."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid.design.stage import design_stage
+from piezoid.errors import ParameterFileError
+from piezoid.export.parameter_file import from_json, to_json
+from piezoid.export.stage import export_stage
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import ActuatorModel, Lag
+from piezoid.identification.store import read_model, write_model
+from piezoid.verification.plant import Hysteresis, lateral_plant
+from piezoid.verification.stage import verify_stage
+from piezoid.verification.uncertainty import varied_plants
+from piezoid.verification.verification import verification_from_json
+from piezoid_cli.export import export
+from piezoid_cli.verify import verify
+from tests.reports.known_stage import axis_model
+from tests.verification.rig import stage
+
+RATE_Hz = 20e3
+APP = typer.Typer()
+APP.command()(export)
+APP.command()(verify)
+SOURCES = {"sweep.csv": "sha256:" + "0" * 64}
+
+
+def fitted():
+    axis = replace(
+        axis_model(),
+        lag=Lag(kind="first_order", time_s=2.5e-4),
+        rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3),
+    )
+    return ActuatorModel(stage="known", axes={"x": axis}, sources=SOURCES)
+
+
+@pytest.fixture(scope="module")
+def designed():
+    content = write_model(fitted())
+    design = design_stage(
+        fitted(),
+        model_digest=json.loads(content)["digest"],
+        sampling_rate_Hz=RATE_Hz,
+        forms=("inverse",),
+    )
+    return content, design
+
+
+@pytest.fixture
+def folder(designed, tmp_path):
+    (tmp_path / "model.json").write_bytes(designed[0])
+    (tmp_path / "design.json").write_bytes(designed[1].to_json())
+    return tmp_path
+
+
+def called(*arguments):
+    return CliRunner().invoke(APP, [str(argument) for argument in arguments])
+
+
+def test_a_designed_folder_is_exported_and_verified(folder):
+    assert called("export", folder).exit_code == 0
+    names = {path.name for path in (folder / "bundle").iterdir()}
+    assert {"piezo_params.h", "piezoid_runtime.c", "golden.csv"} <= names
+    done = called("verify", folder, "--rebuild")
+    assert done.exit_code == 0, done.output
+    record = verification_from_json((folder / "verification.json").read_bytes())
+    assert record.passed
+    file = from_json((folder / "params.json").read_bytes(), "params.json")
+    assert record.parameters_digest == json.loads(to_json(file))["digest"]
+    assert {row.method for row in record.comparison} == {"mpi_dob", "mpi", "none"}
+    assert all(proof.samples or not proof.is_built for proof in record.proofs)
+    assert len(record.plants) > 1
+    assert (folder / "model.json").exists()
+
+
+def test_exporting_again_gives_the_same_bytes(folder):
+    called("export", folder)
+    first = (folder / "params.json").read_bytes()
+    called("export", folder)
+    assert (folder / "params.json").read_bytes() == first
+
+
+def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
+    model = read_model(designed[0])
+    file = export_stage(model, designed[1], design_digest="sha256:none")
+    bare = replace(
+        file,
+        axes=tuple(
+            replace(axis, values=axis.for_method("none").values, alternatives=())
+            for axis in file.axes
+        ),
+    )
+    (folder / "params.json").write_bytes(to_json(bare))
+    done = called("verify", folder)
+    assert done.exit_code == 1
+    assert "failed: shape error of what ships" in done.output
+    assert not verification_from_json((folder / "verification.json").read_bytes()).passed
+
+
+def test_a_model_that_was_fitted_again_no_longer_fits(folder):
+    called("export", folder)
+    other = replace(fitted(), stage="another")
+    (folder / "model.json").write_bytes(write_model(other))
+    for verb in ("export", "verify"):
+        done = called(verb, folder)
+        assert isinstance(done.exception, ParameterFileError)
+        assert "was made from the model" in str(done.exception)
+
+
+def test_an_edited_bundle_does_not_pass_for_the_verified_one(folder):
+    called("export", folder)
+    source = folder / "bundle" / "piezoid_runtime.c"
+    source.write_bytes(source.read_bytes().replace(b"code * p->lsb_V", b"code + p->lsb_V"))
+    done = called("verify", folder, "--rebuild")
+    assert isinstance(done.exception, ParameterFileError)
+    assert "bundle/piezoid_runtime.c" in str(done.exception)
+
+
+def test_an_unknown_target_is_a_mistake_of_usage(folder):
+    done = called("verify", folder, "--target", "z80")
+    assert done.exit_code == 2
+
+
+def test_the_plant_is_the_models_own_simulation():
+    """Both follow a slow drive with the same operator; only their hold differs."""
+    model = fitted()["x"]
+    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
+    assert plant.noise_rms == model.quality.noise_rms_m
+    assert plant.rest_voltage_V == 5.0
+    assert [s.frequency_Hz for s in plant.mechanics] == [pytest.approx(1 / (2 * np.pi * 2.5e-4))]
+    late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
+    assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
+
+
+def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):
+    model = fitted()["x"]
+    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
+    drawn = varied_plants(plant, model, count=5, rng=rng)
+    assert len({p.label for p in drawn}) == 5
+    gains = []
+    for other in drawn:
+        assert isinstance(other.response, Hysteresis)
+        moved, _ = other.response.operator.run(
+            np.array([5.0, 10.0]), other.response.operator.virgin_memory()
+        )
+        gains.append(np.ptp(moved))
+        factor = other.amplifier[0].frequency_Hz / 4e3
+        assert 0.9 <= factor <= 1.1
+    assert np.ptp(gains) > 0
+    # one percent of each parameter; a handful of them add up
+    assert np.allclose(gains, np.mean(gains), rtol=0.1)
+
+
+def test_a_tip_is_not_verified_against_a_model_that_has_none():
+    with pytest.raises(ParameterFileError, match="axis z regulates a current"):
+        verify_stage(stage("z"), fitted())
