@@ -54,7 +54,7 @@ def verify(
     """
     bench = _bench(file, plants, limits or Limits(), seed)
     for scenario in scenarios:
-        if bench.lateral and scenario.is_varied:
+        if scenario.is_varied:
             _run_varied(bench, scenario, variations)
         elif bench.lateral and scenario.fault is not None:
             _run_fault(bench, scenario)
@@ -246,17 +246,9 @@ def _compare(bench: _Bench, scenario: Scenario, path: Path, shipped: Tracking) -
 def _over_a_surface(
     bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
-    """Let every tip regulate its current while the stage moves it over a rough surface."""
-    ways = [r.position - bench.centre_m[name] for name, r in records.items()]
-    ways = (ways + [np.zeros(len(path.x))] * 2)[:2]
-    surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * (bench.radius_m or 1e-6))
-    for name in bench.tunnelling:
-        response = bench.plants[name].response
-        assert isinstance(response, Junction)
-        disturbance = response.decay_per_m * surface.height(*ways)
-        reference = np.full(len(path.x), response.current_A)
-        axis = bench.file.axis(name)
-        record = bench.loop(axis, bench.plants[name], reference, disturbance=disturbance)
+    """Judge every tip while the stage moves it over a rough surface."""
+    for name, record in _tips(bench, path, records, bench.plants).items():
+        response = _junction(bench.plants[name])
         verdicts = criteria.tunnelling(scenario.name, record, bench.limits)
         bench.currents.append(
             CurrentRow(
@@ -271,20 +263,50 @@ def _over_a_surface(
             bench.verdicts.extend(verdicts)
 
 
+def _tips(
+    bench: _Bench,
+    path: Path,
+    records: Mapping[str, LoopRecord],
+    plants: Mapping[str, AxisPlant],
+) -> dict[str, LoopRecord]:
+    """Let every tip regulate its current where the lateral axes take it."""
+    ways = [r.position - bench.centre_m[name] for name, r in records.items()]
+    ways = (ways + [np.zeros(len(path.x))] * 2)[:2]
+    surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * (bench.radius_m or 1e-6))
+    height_m = surface.height(*ways)
+    found = {}
+    for name in bench.tunnelling:
+        response = _junction(plants[name])
+        reference = np.full(len(path.x), response.current_A)
+        disturbance = response.decay_per_m * height_m
+        axis = bench.file.axis(name)
+        found[name] = bench.loop(axis, plants[name], reference, disturbance=disturbance)
+    return found
+
+
+def _junction(plant: AxisPlant) -> Junction:
+    assert isinstance(plant.response, Junction)
+    return plant.response
+
+
 def _run_varied(
     bench: _Bench, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
 ) -> None:
     """Judge the worst of the plants the uncertainty allows."""
     path = scenario.path(bench.rate_Hz)
-    found = []
+    found: list[Verdict] = []
     for chosen in variations:
         plants = {**bench.plants, **{plant.axis: plant for plant in chosen}}
         records = _lateral(bench, path, plants=plants)
-        numbers = _tracked(bench, scenario, path, records)
-        limit = bench.limits.varied_percent
-        found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
-    if found:
-        bench.verdicts.append(max(found, key=lambda verdict: verdict.value))
+        if records:
+            numbers = _tracked(bench, scenario, path, records)
+            limit = bench.limits.varied_percent
+            found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
+        for record in _tips(bench, path, records, plants).values():
+            found.extend(criteria.tunnelling(scenario.name, record, bench.limits))
+    for name in dict.fromkeys(verdict.name for verdict in found):
+        same = [verdict for verdict in found if verdict.name == name]
+        bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
 def _run_fault(bench: _Bench, scenario: Scenario) -> None:

@@ -67,6 +67,18 @@ def test_the_linear_chain_is_the_one_margins_are_computed_from(rng):
     assert np.abs(found.position - expected).max() < 1e-4 * np.abs(expected).max()
 
 
+def test_a_disturbance_is_added_at_its_own_instant(rng):
+    model = operator()
+    plant = lateral(
+        response=Hysteresis(operator=model), amplifier=(), mechanics=(), sensor=(), noise_rms=0.0
+    )
+    added = np.r_[np.zeros(5), np.linspace(0, 1e-7, 1995)]
+    parameters = lateral_parameters().for_method("none")
+    found = run_axis(plant, parameters, swing(), rng=rng, disturbance=added)
+    moved, _ = model.run(found.voltage_V, model.virgin_memory())
+    assert np.abs(found.position[1:] - moved[:-1] - added[1:]).max() < ROUNDING_m
+
+
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_the_voltages_are_the_shipped_controllers_answers(precision, rng):
     parameters = lateral_parameters()

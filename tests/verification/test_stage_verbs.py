@@ -15,6 +15,9 @@ from piezoid.export.stage import export_stage
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.identification.store import read_model, write_model
+from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.model import LoopPlant, TunnellingModel
 from piezoid.verification.plant import Hysteresis, lateral_plant
 from piezoid.verification.stage import verify_stage
 from piezoid.verification.uncertainty import varied_plants
@@ -22,7 +25,7 @@ from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
 from piezoid_cli.verify import verify
 from tests.reports.known_stage import axis_model
-from tests.verification.rig import stage
+from tests.verification.rig import NEPERS_PER_V, stage
 
 RATE_Hz = 20e3
 APP = typer.Typer()
@@ -160,3 +163,40 @@ def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):
 def test_a_tip_is_not_verified_against_a_model_that_has_none():
     with pytest.raises(ParameterFileError, match="axis z regulates a current"):
         verify_stage(stage("z"), fitted())
+
+
+def junction_model(ratios=(1.0, 0.8, 1.25)):
+    nominal = JunctionPlant(
+        gain_nepers_per_V=NEPERS_PER_V,
+        sensor_pole_Hz=10e3,
+        delay_s=5e-5,
+        amplifier_pole_Hz=4e3,
+        sampling_rate_Hz=RATE_Hz,
+    )
+    loop = LoopPlant(
+        plant=nominal,
+        gain_interval=(0.9 * NEPERS_PER_V, 1.1 * NEPERS_PER_V),
+        sensor_pole_interval_Hz=(9e3, 11e3),
+        delay_interval_s=(4e-5, 6e-5),
+        barrier_eV=1.0,
+        barrier_interval_eV=(0.9, 1.1),
+        naive_gain=1.0,
+        naive_reason="",
+        family=tuple(replace(nominal, gain_nepers_per_V=NEPERS_PER_V * r) for r in ratios),
+        family_records=1,
+        confidence=Confidence.HIGH,
+        reasons=(),
+    )
+    return replace(fitted(), tunnelling=TunnellingModel(gap_law=None, loop_plant=loop))
+
+
+def test_a_tip_is_verified_against_its_identified_loop_and_its_family():
+    found = verify_stage(stage("z"), junction_model())
+    assert found.passed
+    assert {"identified, axis z", "gain x0.8, axis z", "gain x1.25, axis z"} <= set(found.plants)
+
+
+def test_a_family_member_that_the_loop_cannot_hold_fails():
+    found = verify_stage(stage("z"), junction_model(ratios=(1.0, 8.0)))
+    failed = {v.scenario for v in found.verdicts if not v.passed}
+    assert failed == {"spiral, 10 Hz, plants the recordings allow"}
