@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
+from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel
@@ -50,11 +51,14 @@ def fit(
     return ActuatorModel(
         stage=declared.name or files[0].name.partition(".")[0],
         axes={
-            axis: estimate_axis(
-                moving(recordings, axis),
-                axis,
-                rig_of(declared, axis),
-                progress=lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
+            axis: with_dynamics(
+                estimate_axis(
+                    moving(recordings, axis),
+                    axis,
+                    rig_of(declared, axis),
+                    progress=lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
+                ),
+                recordings,
             )
             for axis in axes
         },

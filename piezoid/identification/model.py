@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.hysteresis.filters import filter_columns, first_order, lag_of
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.tunnelling.model import TunnellingModel
@@ -186,6 +187,8 @@ class AxisModel:
     rig          declared poles
     starts       one for every piece of every recording
     voltage_V    (low, high) range of the drive in the data: outside it the model extrapolates
+    dynamics     from the hysteresis' output, as a drive, to the displacement, declared poles
+                 included; None where no recording excites them
     """
 
     axis: str
@@ -199,6 +202,7 @@ class AxisModel:
     quality: FitQuality
     uncertainty: Uncertainty
     certificate: Certificate
+    dynamics: LinearDynamics | None = None
 
     @property
     def virgin_memory_V(self) -> Array:

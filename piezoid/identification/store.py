@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.errors import ParameterFileError
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import (
     SCHEMA,
@@ -75,6 +76,10 @@ def _tunnelling_from_json(content: Mapping[str, Any] | None) -> TunnellingModel 
     return None if content is None else TunnellingModel.from_json(content)
 
 
+def _dynamics_from_json(content: dict[str, Any] | None) -> LinearDynamics | None:
+    return None if content is None else LinearDynamics.from_json(content)
+
+
 def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
     hysteresis = axis.hysteresis
     return {
@@ -95,6 +100,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
             "amplifier_bandwidth_Hz": axis.rig.amplifier_bandwidth_Hz,
             "sensor_bandwidth_Hz": axis.rig.sensor_bandwidth_Hz,
         },
+        "dynamics": None if axis.dynamics is None else axis.dynamics.to_json(),
         "valid_range": {"voltage_V": list(axis.voltage_V)},
         "verdict": {
             "applies": axis.verdict.applies,
@@ -187,6 +193,7 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         quality=_quality_from_json(record["quality"]),
         uncertainty=_uncertainty_from_json(record["uncertainty"]),
         certificate=Certificate(**record["certificate"]),
+        dynamics=_dynamics_from_json(record["dynamics"]),
     )
 
 

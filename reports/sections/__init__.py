@@ -6,6 +6,7 @@ from piezoid_reports.page import Page, Section
 from piezoid_reports.sections import (
     certificate,
     design,
+    dynamics,
     limits,
     loading_curve,
     loops,
@@ -29,6 +30,7 @@ SECTIONS: tuple[Render, ...] = (
     parameters.render,
     orders.render,
     certificate.render,
+    dynamics.render,
     tunnelling.render,
     design.render,
     limits.render,

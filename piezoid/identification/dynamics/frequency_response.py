@@ -91,7 +91,11 @@ class FrequencyResponse:
                 f"{self.frequency_Hz[-1]:g} Hz",
                 remedy="Choose a band inside the excitation.",
             )
-        cut = {name: getattr(self, name)[kept] for name in _BY_LINE}
+        return self.at_lines(np.flatnonzero(kept))
+
+    def at_lines(self, places: NDArray[np.int_]) -> "FrequencyResponse":
+        """Return some of the lines, by their numbers in increasing order."""
+        cut = {name: getattr(self, name)[places] for name in _BY_LINE}
         return FrequencyResponse(**{**vars(self), **cut})
 
     def to_json(self) -> dict[str, Any]:

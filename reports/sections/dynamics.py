@@ -1,0 +1,186 @@
+"""Linear dynamics behind the hysteresis: response with its band, coherence, poles."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.dynamics.axis_dynamics import (
+    excites_dynamics,
+    measure_behind_hysteresis,
+)
+from piezoid.identification.dynamics.confidence import resolved_modes
+from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import decibel
+from piezoid_reports.chart import Axis, Canvas, axis_over
+from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
+from piezoid_reports.quantities import significant, told
+
+LOOKS = {
+    "gain": "Good: the model runs through the measured band. Bad: peaks in the measurement that "
+    "the model passes by, or a band as wide as the plot.",
+    "phase": "Good: both fall together. Bad: they part towards high frequency, which is a delay "
+    "that was not found.",
+    "coherence": "Good: near 1 over the band that is fitted. Bad: holes, which are noise, "
+    "interference or what is not linear.",
+}
+
+
+def render(page: Page) -> Section | None:
+    """Return response and poles of every axis whose dynamics were excited."""
+    known = [(axis, axis.dynamics) for axis in page.axes if axis.dynamics is not None]
+    if not known:
+        return None
+    parts: list[Part] = []
+    for axis, dynamics in known:
+        parts += [axis_heading(axis), *_figures(page, axis, dynamics), _poles(axis, dynamics)]
+    return Section(
+        anchor="dynamics",
+        title="Linear dynamics",
+        lead="The hysteresis found before turns the drive into one without hysteresis; what lies "
+        "between that and the displacement is linear and is shown here.",
+        parts=tuple(parts),
+    )
+
+
+def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:
+    held = sorted(excites_dynamics(page.recordings, axis.axis), key=lambda pair: -pair[1])
+    if not held:
+        return []
+    measured = measure_behind_hysteresis(axis, held[0][0])
+    lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
+    measured = measured.at_lines(lines)
+    x = axis_over("log10 of the frequency over 1 Hz", [np.log10(measured.frequency_Hz)], "")
+    return [
+        _gain(axis, dynamics, measured, x),
+        _phase(axis, dynamics, measured, x),
+        _coherence(axis, measured, x),
+    ]
+
+
+def _gain(
+    axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse, x: Axis
+) -> Figure:
+    decades, level = np.log10(measured.frequency_Hz), np.abs(measured.response[:, 0, 0])
+    half = NORMAL_95 * np.sqrt(measured.variance[:, 0, 0] / 2.0)
+    floor = 1e-3 * float(level[~measured.is_rejected[:, 0]].max())
+    low_dB, high_dB, mid_dB = (
+        decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
+    )
+    model_dB = decibel(np.abs(_modelled(dynamics, measured)))
+    y = axis_over("gain [dB of 1 m/V]", [low_dB, high_dB, model_dB], "")
+    canvas = Canvas(x=x, y=y)
+    low_Hz, high_Hz = dynamics.band_Hz
+    return Figure(
+        title=f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
+        numbers=f"Fitted to coherent lines from {told(low_Hz, 'Hz')} to {told(high_Hz, 'Hz')}; "
+        f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. The "
+        "band is the measurement's 95 % interval.",
+        look=LOOKS["gain"],
+        x=x,
+        y=y,
+        layers=(
+            canvas.band("rising-band", "measured, 95 %", decades, low_dB, high_dB),
+            canvas.line("measured", "measured", decades, mid_dB)[0],
+            canvas.line("model", "model", decades, model_dB)[0],
+        ),
+    )
+
+
+def _phase(
+    axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse, x: Axis
+) -> Figure:
+    decades, used = np.log10(measured.frequency_Hz), ~measured.is_rejected[:, 0]
+    everywhere = np.ones(len(used), dtype=np.bool_)
+    model_deg = _degrees(_modelled(dynamics, measured), axis.polarity, everywhere)
+    shown_deg = _degrees(measured.response[:, 0, 0], axis.polarity, used)
+    y = axis_over("phase [degrees]", [model_deg, shown_deg], "")
+    canvas = Canvas(x=x, y=y, height=260)
+    return Figure(
+        title=f"Axis {axis.axis}: phase",
+        numbers="Lines that are not coherent are left out.",
+        look=LOOKS["phase"],
+        x=x,
+        y=y,
+        height=canvas.height,
+        layers=(
+            canvas.line("measured", "measured", decades, shown_deg)[0],
+            canvas.line("model", "model", decades, model_deg)[0],
+        ),
+    )
+
+
+def _coherence(axis: AxisModel, measured: FrequencyResponse, x: Axis) -> Figure:
+    decades = np.log10(measured.frequency_Hz)
+    y = axis_over("coherence", [np.array([0.0, 1.0])], "")
+    canvas = Canvas(x=x, y=y, height=200)
+    limit = np.full(2, measured.least_coherence)
+    return Figure(
+        title=f"Axis {axis.axis}: coherence",
+        numbers=f"{int((~measured.is_rejected).sum())} of {len(decades)} lines lie above "
+        f"{significant(measured.least_coherence, 2)}, the least that is used.",
+        look=LOOKS["coherence"],
+        x=x,
+        y=y,
+        height=canvas.height,
+        layers=(
+            canvas.line("measured", "coherence", decades, measured.coherence[:, 0])[0],
+            canvas.line("limit", "least used", decades[[0, -1]], limit)[0],
+        ),
+    )
+
+
+def _modelled(dynamics: LinearDynamics, measured: FrequencyResponse) -> ComplexArray:
+    response: ComplexArray = dynamics.response_as_measured(measured.frequency_Hz)[:, 0, 0]
+    return response
+
+
+def _degrees(response: ComplexArray, polarity: int, kept: NDArray[np.bool_]) -> Array:
+    """Unwrapped phase, degrees; NaN where a line is not kept."""
+    degrees = np.full(len(response), np.nan)
+    degrees[kept] = np.degrees(np.unwrap(np.angle(polarity * response[kept])))
+    return degrees
+
+
+def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
+    resolved = resolved_modes(dynamics)
+    modes = zip(
+        dynamics.mode_frequency_Hz,
+        dynamics.mode_frequency_interval_Hz(),
+        dynamics.mode_damping,
+        dynamics.mode_damping_interval(),
+        resolved,
+        strict=True,
+    )
+    rows = [
+        (
+            "mode" if known else "mode, standing for what lies outside the band",
+            *_with_interval(frequency_Hz, interval_Hz, "Hz"),
+            *_with_interval(damping, between, ""),
+        )
+        for frequency_Hz, interval_Hz, damping, between, known in modes
+    ]
+    rows += [
+        ("lag", *_with_interval(frequency_Hz, interval_Hz, "Hz"), "", "")
+        for frequency_Hz, interval_Hz in zip(
+            dynamics.lag_frequency_Hz, dynamics.lag_frequency_interval_Hz(), strict=True
+        )
+    ]
+    rows.append(
+        ("delay", *_with_interval(dynamics.delay_s, dynamics.delay_interval_s(), "s"), "", "")
+    )
+    rows += [
+        (f"{known.name}, declared", told(known.frequency_Hz, "Hz"), "", "", "")
+        for known in dynamics.declared
+    ]
+    return Table(
+        caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",
+        columns=("what", "at", "from, to", "damping", "from, to"),
+        rows=tuple(rows),
+    )
+
+
+def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
+    low, high = (told(float(end), unit) for end in interval)
+    return told(float(value), unit), f"{low}, {high}"

@@ -1,0 +1,105 @@
+"""Dynamics behind a known hysteresis: found where they are excited, and only there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.identification.dynamics.axis_dynamics import (
+    excites_dynamics,
+    fit_axis_dynamics,
+    with_dynamics,
+)
+from piezoid.identification.model import AxisModel
+from piezoid.identification.store import read_model, write_model
+from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import resonance
+from piezoid.operators.linear import sample
+from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.render import render
+from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
+
+RATE_Hz = 5000.0
+MODE_Hz, DAMPING = 400.0, 0.05
+
+
+def chirp(amplitude_V: float = 2.0) -> Array:
+    time_s = np.arange(30000) / RATE_Hz
+    rate = np.log(1500.0 / 5.0) / time_s[-1]
+    return 5.0 + amplitude_V * np.sin(2 * np.pi * 5.0 * np.expm1(rate * time_s) / rate)
+
+
+def recorded(voltage_V: Array, rng: np.random.Generator, name: str = "chirp.csv") -> Recording:
+    """Hysteresis, then one mode behind a hold, then 5 nm of noise."""
+    moved_m, _ = HYSTERESIS.run(voltage_V, HYSTERESIS.virgin_memory())
+    mode = sample(resonance(MODE_Hz, DAMPING), RATE_Hz)
+    rest_m = moved_m[0]
+    state, out = np.zeros(len(mode.A)), np.empty(len(moved_m))
+    for k, value in enumerate(moved_m - rest_m):
+        out[k] = (mode.C @ state + mode.D[:, 0] * value)[0]
+        state = mode.A @ state + mode.B[:, 0] * value
+    displacement_m = rest_m + out + 5e-9 * rng.standard_normal(len(out))
+    values = ((Quantity.VOLTAGE, voltage_V), (Quantity.DISPLACEMENT, displacement_m))
+    return Recording(
+        name=name,
+        digest="sha256:0",
+        axis="x",
+        sampling_rate_Hz=RATE_Hz,
+        channels=tuple(
+            Channel(quantity=q, axis="x", values=v, label=q.name.lower()) for q, v in values
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def chirped() -> Recording:
+    return recorded(chirp(), np.random.default_rng(41))
+
+
+@pytest.fixture(scope="module")
+def axis(chirped: Recording) -> AxisModel:
+    return with_dynamics(axis_model(), [chirped])
+
+
+def test_a_mode_behind_hysteresis_of_large_amplitude_is_found(axis: AxisModel) -> None:
+    dynamics = axis.dynamics
+    assert dynamics is not None
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    # The windows widen a resonance of 40 Hz by a few of their 1.2 Hz.
+    assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
+    assert dynamics.mode_damping[strongest] == pytest.approx(DAMPING, rel=0.2)
+    assert any("chirp.csv drives up to" in remark for remark in axis.verdict.remarks)
+
+
+def test_a_slow_triangle_does_not_count_as_exciting_dynamics(rng: np.random.Generator) -> None:
+    time_s = np.arange(30000) / RATE_Hz
+    triangle = 10.0 * np.abs(2.0 * ((3.0 * time_s) % 1.0) - 1.0)
+    slow = recorded(triangle, rng, "slow.csv")
+    assert excites_dynamics([slow], "x") == ()
+    assert fit_axis_dynamics(axis_model(), [slow]).dynamics is None
+    assert fit_axis_dynamics(axis_model(), [slow]).remarks == ()
+
+
+def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
+    chirped: Recording, rng: np.random.Generator
+) -> None:
+    drive, moved = chirped.channels
+    noise = replace(moved, values=1e-6 * rng.standard_normal(chirped.samples))
+    found = fit_axis_dynamics(axis_model(), [replace(chirped, channels=(drive, noise))])
+    assert found.dynamics is None
+    assert len(found.remarks) == 1
+    assert "no linear dynamics" in found.remarks[0]
+
+
+def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> None:
+    content = write_model(stage_model(axis))
+    assert write_model(read_model(content)) == content
+    assert read_model(content)["x"].dynamics is not None
+
+
+def test_the_report_shows_gain_phase_coherence_and_poles(
+    axis: AxisModel, chirped: Recording
+) -> None:
+    page = render(stage_model(axis), [chirped])
+    for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
+        assert words in page
