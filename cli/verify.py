@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import Verification
 
+CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
+
 
 def verify(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json, params.json, bundle/.")],
@@ -47,7 +49,7 @@ def verify(
     found = verify_stage(file, model, proofs=proofs, seed=seed)
     add_to_folder(stage, {"verification.json": found.to_json()})
     if not quiet:
-        show(found)
+        show(found, file)
         typer.echo(f"verification: {stage / 'verification.json'}")
     if not found.passed:
         raise typer.Exit(1)
@@ -66,7 +68,7 @@ def _proofs(
     return (*host, *((emulate(file, held),) if is_target else ()))
 
 
-def show(found: "Verification") -> None:
+def show(found: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and every verdict that failed."""
     from rich.console import Console
     from rich.text import Text
@@ -75,7 +77,7 @@ def show(found: "Verification") -> None:
     if found.comparison:
         console.print(_comparison(found))
     for proof in found.proofs:
-        console.print(Text(_proof_line(proof), style="" if proof.passed else "bold red"))
+        console.print(Text(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for verdict in found.verdicts:
         if not verdict.passed:
             line = (
@@ -107,13 +109,17 @@ def _comparison(found: "Verification") -> "Table":
     return table
 
 
-def _proof_line(proof: "Proof") -> str:
+def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
     if not proof.is_built:
         return f"not built: {proof.build}"
     line = f"{proof.build}: {proof.samples} samples, {proof.differing} differ"
     counted = proof.instructions_per_sample or {}
     for axis, instructions in counted.items():
-        line += f"; axis {axis} {instructions:.0f} instructions a sample"
+        rate_Hz = float(file.axis(axis).values["sampling_rate_Hz"])
+        share = 100.0 * instructions * rate_Hz / CORE_Hz
+        line += f"; axis {axis} {instructions:.0f} instructions a sample, {share:.1f} % of a core"
+    if counted:
+        line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction a cycle"
     if proof.stack_bytes:
-        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state"
+        line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state for each axis"
     return line
