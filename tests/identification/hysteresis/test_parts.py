@@ -16,7 +16,7 @@ from piezoid.identification.hysteresis.jackknife import block_edges, jackknife
 from piezoid.identification.hysteresis.loops import loops_of
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
-from piezoid.identification.hysteresis.placement import group_centres
+from piezoid.identification.hysteresis.placement import gathered_thresholds, group_centres
 from piezoid.identification.hysteresis.rows import simulate, starting_memory
 from piezoid.identification.hysteresis.search import Fitted, Settings, search, transferred
 from piezoid.identification.hysteresis.simplify import simplified
@@ -123,14 +123,23 @@ def test_simplification_drops_parts_without_use_and_is_as_good() -> None:
     assert simple.minimum.rms <= 1.002 * idle.minimum.rms
 
 
-def test_a_play_that_is_needed_is_kept() -> None:
-    found, _ = fitted(noise_m=1e-10)
+def test_a_fit_that_was_better_with_the_part_is_kept() -> None:
+    found, _ = fitted()
     theta = found.minimum.theta.copy()
-    place = found.task.coordinates.slices["weight"]
-    theta[place.start + 1] = 0.5e-4 * theta[place].sum()
-    starved = replace(found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms))
-    kept = simplified(starved, iterations=0)
-    assert kept is starved
+    theta[found.task.coordinates.slices["weight"].stop - 1] = 0.0
+    better = replace(
+        found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms / 99)
+    )
+    assert simplified(better, iterations=30) is better
+
+
+def test_thresholds_begin_where_the_loading_curve_bends() -> None:
+    drive = decaying(24, per_unit=40)
+    one = recording(drive, stage(drive, 0, 1e-9))
+    scales = scales_of([one], "x")
+    pieces = pieces_of([one], "x", scales, Rig())
+    found = gathered_thresholds(pieces, Shape(plays=3, below=1, above=1), 0.0)
+    np.testing.assert_allclose(found * scales.voltage_V, THRESHOLD, atol=0.15)
 
 
 def test_distance_of_two_models_bounds_what_any_drive_reaches(rng: np.random.Generator) -> None:
