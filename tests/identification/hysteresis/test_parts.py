@@ -128,7 +128,7 @@ def test_a_fit_that_was_better_with_the_part_is_kept() -> None:
     theta = found.minimum.theta.copy()
     theta[found.task.coordinates.slices["weight"].stop - 1] = 0.0
     better = replace(
-        found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms / 99)
+        found, minimum=replace(found.minimum, theta=theta, rms=found.minimum.rms / 1.1)
     )
     assert simplified(better, iterations=30) is better
 
