@@ -244,20 +244,31 @@ def _after(plant: AxisPlant, rate_Hz: float, kept: Kept) -> _Block:
 
     x[k+1] = e^(A h) x[k] + G_1 w[k] + G_2 (w[k+1] - w[k])
     """
-    A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
+    A, B, C, D = _behind(plant)
     states = len(A)
     line = np.zeros((states + 2, states + 2))
     line[:states, :states], line[:states, states] = A / rate_Hz, B / rate_Hz
     line[states, states + 1] = 1.0
     moved = expm(line)[:states]
-    C, D = np.zeros((2, states)), np.zeros(2)
-    for row, sections in enumerate((len(plant.mechanics), len(outputs))):
-        if sections:
-            C[row, outputs[sections - 1]] = 1.0
-        else:
-            D[row] = 1.0
     held, ramp = moved[:, states], moved[:, states + 1]
-    return _block(moved[:, :states], (held - ramp, ramp), C, (D[0], D[1]), kept)
+    return _block(moved[:, :states], (held - ramp, ramp), C, D, kept)
+
+
+def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]:
+    """Return what stands behind the response: A, B, and the rows of position and sensed."""
+    if plant.measured is not None:
+        A, B = plant.measured.A, plant.measured.B[:, 0]
+        row, direct = plant.measured.C[0], float(plant.measured.D[0, 0])
+        rest = direct - float(row @ np.linalg.solve(A, B))
+        return A, B, np.stack([row, row]) / rest, (direct / rest, direct / rest)
+    A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
+    C, D = np.zeros((2, len(A))), [0.0, 0.0]
+    for row_of, sections in enumerate((len(plant.mechanics), len(outputs))):
+        if sections:
+            C[row_of, outputs[sections - 1]] = 1.0
+        else:
+            D[row_of] = 1.0
+    return A, B, C, (D[0], D[1])
 
 
 def _block(

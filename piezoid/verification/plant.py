@@ -9,6 +9,7 @@ from piezoid.design.chain import Section
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
+from piezoid.operators.linear import ContinuousSystem
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
 Respond = Callable[[float], float]
@@ -68,6 +69,9 @@ class AxisPlant:
     delay_s           converters and computation, >= 0, any fraction of a sample
     amplifier         sections in front of the response; none: as quick as a substep
     mechanics, sensor sections behind it
+    measured          identified from drive to reading, in place of mechanics and sensor: position
+                      is then what a sensor without noise shows. Only its shape counts, its gain
+                      at rest is the response's; None: as the sections say
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
     reading_step      of the measuring converter, 0 rounds nothing
@@ -83,6 +87,7 @@ class AxisPlant:
     amplifier: tuple[Section, ...] = ()
     mechanics: tuple[Section, ...] = ()
     sensor: tuple[Section, ...] = ()
+    measured: ContinuousSystem | None = None
     noise_rms: float = 0.0
     noise_bandwidth_Hz: float | None = None
     reading_step: float = 0.0
@@ -93,6 +98,11 @@ class AxisPlant:
             raise ValueError(
                 f"axis {self.axis}: rate {self.sampling_rate_Hz} Hz, delay {self.delay_s} s, "
                 f"noise {self.noise_rms}; expected > 0, >= 0, >= 0"
+            )
+        if self.measured is not None and (self.mechanics or self.sensor or self.measured.delay_s):
+            raise ValueError(
+                f"axis {self.axis}: measured dynamics stand in place of sections, and their delay "
+                "in delay_s"
             )
 
     def noise(self, samples: int, rng: np.random.Generator) -> Array:
@@ -119,11 +129,29 @@ def lateral_plant(
 ) -> AxisPlant:
     """Return the identified plant of one lateral axis, resting in the middle of its model.
 
-    mechanics  sections that were identified apart from the hysteresis
+    mechanics  sections known from elsewhere, where the model has no dynamics of its own
 
-    The model's own lag is a delay or a section, as it was fitted; the noise of its recordings is
-    taken for that of every reading.
+    Dynamics that a recording excited stand behind the hysteresis as they were identified; where
+    there are none, the declared poles and the fitted lag, a delay or a section. The noise of the
+    recordings is taken for that of every reading.
     """
+    plant = _with_declared_poles(model, sampling_rate_Hz, mechanics)
+    if model.dynamics is None:
+        return plant
+    known = model.dynamics.path(model.axis, model.axis).realised()
+    return replace(
+        plant,
+        amplifier=(),
+        mechanics=(),
+        sensor=(),
+        delay_s=known.delay_s,
+        measured=replace(known, delay_s=0.0),
+    )
+
+
+def _with_declared_poles(
+    model: AxisModel, sampling_rate_Hz: float, mechanics: tuple[Section, ...]
+) -> AxisPlant:
     lag = model.lag
     own = (_of_time(lag.time_s),) if lag.kind == "first_order" and lag.time_s > 0 else ()
     sensor_Hz = model.rig.sensor_bandwidth_Hz

@@ -6,8 +6,9 @@ from scipy.signal import lfilter
 
 from piezoid.design.chain import Chain, plant_from_chain
 from piezoid.errors import ParameterFileError
+from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
-from piezoid.verification.closed_loop import rest_position, run_axis
+from piezoid.verification.closed_loop import cascade, rest_position, run_axis
 from piezoid.verification.plant import AxisPlant, Hysteresis, Plugged
 from tests.verification.rig import (
     AMPLIFIER,
@@ -156,3 +157,22 @@ def test_the_chain_has_the_sensor_behind_the_position(rng):
     lag = 2 / (2 * np.pi * SENSOR.frequency_Hz) * RATE_Hz
     late = np.interp(np.arange(2000) - lag, np.arange(2000), found.position)
     assert np.abs(found.measured - late)[10:].max() < 1e-3 * np.abs(found.position).max()
+
+
+def test_measured_dynamics_answer_as_the_sections_they_are_made_of(rng):
+    A, B, outputs = cascade((MODE, SENSOR))
+    behind = ContinuousSystem(
+        A=A, B=B[:, None], C=7.0 * np.eye(len(A))[outputs[-1]][None, :], D=np.zeros((1, 1))
+    )
+    parameters = lateral_parameters()
+    sections = run_axis(lateral(noise_rms=0.0), parameters, swing(), rng=rng)
+    measured = run_axis(
+        lateral(noise_rms=0.0, mechanics=(), sensor=(), measured=behind),
+        parameters,
+        swing(),
+        rng=rng,
+    )
+    assert np.abs(measured.measured - sections.measured).max() < 1e-12
+    assert np.array_equal(measured.position, measured.measured)
+    with pytest.raises(ValueError, match="in place of sections"):
+        lateral(measured=behind)

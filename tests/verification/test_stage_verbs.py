@@ -18,14 +18,16 @@ from piezoid.identification.store import read_model, write_model
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.model import LoopPlant, TunnellingModel
+from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, lateral_plant
 from piezoid.verification.stage import verify_stage
 from piezoid.verification.uncertainty import varied_plants
 from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
 from piezoid_cli.verify import verify
+from tests.identification.dynamics.stage import truth
 from tests.reports.known_stage import axis_model
-from tests.verification.rig import NEPERS_PER_V, stage
+from tests.verification.rig import NEPERS_PER_V, lateral_parameters, stage
 
 RATE_Hz = 20e3
 APP = typer.Typer()
@@ -200,3 +202,23 @@ def test_a_family_member_that_the_loop_cannot_hold_fails():
     found = verify_stage(stage("z"), junction_model(ratios=(1.0, 8.0)))
     failed = {v.scenario for v in found.verdicts if not v.passed}
     assert failed == {"spiral, 10 Hz, plants the recordings allow"}
+
+
+def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
+    known = truth(("x",))
+    model = replace(fitted()["x"], dynamics=known)
+    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
+    frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
+    late = np.exp(-2j * np.pi * frequency_Hz * known.delay_s)
+    found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
+    assert found == pytest.approx(known.response(frequency_Hz)[:, 0, 0])
+    assert plant.delay_s == known.delay_s
+    settled = run_axis(plant, shipped("none"), np.full(4000, 1e-5), rng=rng)
+    moved, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)
+    assert settled.position[-1] == pytest.approx(moved[0], rel=1e-3)
+
+
+def shipped(method):
+    """Hand-placed parameters with the known stage's centre."""
+    offsets = {"voltage_offset_V": 5.0, "displacement_offset_m": 2e-6}
+    return lateral_parameters().for_method(method).with_values(offsets)
