@@ -6,5 +6,6 @@ lateral.py           X and Y: observer.py, its poles by tuning.py or its noise b
 vertical.py          Z: rst.py, shaped by shaping.py (band-stops) or youla.py (convex)
 sensitivity.py       what a loop does, from R, S, T and a plant alone
 certificate.py       what is guaranteed with hysteresis in the loop
+from_model.py        families and defaults from an identified axis; stage.py: all axes
 design.py            the record that leaves this floor
 """

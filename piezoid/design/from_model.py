@@ -1,6 +1,8 @@
 """From an identified axis to what its design starts from: plant families, bounds, a default.
 
-    y = a (v + delta[v]) behind the declared poles and the lag,   a = polarity (M + m) / 2
+    y = a (v + delta[v]) behind the declared poles and what was identified
+
+    a = polarity (M + m) / 2
 
 m and M are the ends of the hysteresis' slope sector. In the inverse form the same a turns the
 linearised command v into metres, so that both forms speak of the same volt.
@@ -12,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.design.chain import Chain, Section, family_from_chains
+from piezoid.design.dynamics_chain import MeasuredChain, measured_chain
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import PlantFamily
@@ -52,13 +55,13 @@ def lateral_task(
     forms             wanted; the affine one is left out where its slope sector is not known
     seed              of the replicates drawn from the fit's covariance
 
-    The family holds, besides the nominal plant, the ends of the gain's and the lag's 95 %
-    intervals and of declared poles, alone and at their common corners.
+    The family holds, besides the nominal plant, its four corners: the ends of the gain's 95 %
+    interval with everything slow and everything fast, declared poles and what was identified.
 
     Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
     """
-    chain = _nominal(axis, sampling_rate_Hz)
-    inverse = family_from_chains(chain, _corners(chain, axis))
+    nominal = _nominal(axis, sampling_rate_Hz)
+    inverse = family_from_chains(nominal.chain, _corners(nominal, axis))
     bounds = _bounds(axis, seed)
     families = {"inverse": inverse}
     if "affine" in bounds:
@@ -76,61 +79,78 @@ def lateral_task(
     )
 
 
-def _nominal(axis: AxisModel, sampling_rate_Hz: float) -> Chain:
-    poles_Hz = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
-    if axis.lag.kind == "first_order" and axis.lag.time_s > 0.0:
-        poles_Hz.insert(1, 1.0 / (2.0 * np.pi * axis.lag.time_s))
-    known_Hz = [pole for pole in poles_Hz if pole is not None]
-    if not any(pole_Hz < _SLOWER_THAN_RATE * sampling_rate_Hz for pole_Hz in known_Hz):
-        raise DesignError(
-            f"axis {axis.axis}: no pole is declared and no first-order lag was found, slow enough "
-            f"to matter at {sampling_rate_Hz:g} Hz",
-            needed="what limits the speed of the stage: without it any gain would look safe",
-            remedy="Declare bandwidth_Hz of [amplifier] and [sensor] in lab.toml, or add a "
-            "recording that excites the dynamics, and fit again.",
-        )
+def _nominal(axis: AxisModel, sampling_rate_Hz: float) -> MeasuredChain:
+    """The chain of declared poles with the axis' dynamics, or else with its lag."""
+    declared_Hz = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
     least, greatest = axis.hysteresis.slope_sector_m_per_V
-    return Chain(
+    declared = Chain(
         label="nominal",
         sampling_rate_Hz=sampling_rate_Hz,
         gain=axis.polarity * 0.5 * (least + greatest),
         output_unit="m",
-        sections=tuple(Section(frequency_Hz=pole_Hz) for pole_Hz in known_Hz),
-        delay_s=axis.lag.time_s if axis.lag.kind == "delay" else 0.0,
+        sections=tuple(Section(frequency_Hz=f) for f in declared_Hz if f is not None),
     )
+    if axis.dynamics is None:
+        found = MeasuredChain(chain=_with_lag(declared, axis), mode_half=0.0, gain_ratio=1.0)
+    else:
+        found = measured_chain(declared, axis.dynamics)
+    slow_Hz = _SLOWER_THAN_RATE * sampling_rate_Hz
+    if not any(section.frequency_Hz < slow_Hz for section in found.chain.sections):
+        raise DesignError(
+            f"axis {axis.axis}: no pole is declared and none was found, slow enough to matter at "
+            f"{sampling_rate_Hz:g} Hz",
+            needed="what limits the speed of the stage: without it any gain would look safe",
+            remedy="Declare bandwidth_Hz of [amplifier] and [sensor] in lab.toml, or add a "
+            "recording that excites the dynamics, and fit again.",
+        )
+    return found
 
 
-def _corners(chain: Chain, axis: AxisModel) -> list[Chain]:
+def _with_lag(chain: Chain, axis: AxisModel) -> Chain:
+    if axis.lag.kind == "first_order" and axis.lag.time_s > 0.0:
+        pole = Section(frequency_Hz=1.0 / (2.0 * np.pi * axis.lag.time_s))
+        return replace(chain, sections=(*chain.sections, pole))
+    return replace(chain, delay_s=axis.lag.time_s if axis.lag.kind == "delay" else 0.0)
+
+
+def _corners(nominal: MeasuredChain, axis: AxisModel) -> list[Chain]:
     """Every combination of low and high gain with slow and fast dynamics."""
-    gain = relative_gain_half(axis)
+    gain = max(relative_gain_half(axis), abs(nominal.gain_ratio - 1.0))
     return [
         replace(
-            _slowed(chain, axis, slower),
+            _slowed(nominal, axis, slower),
             label=f"{way} gain, {speed}",
-            gain=chain.gain * (1.0 + sign * gain),
+            gain=nominal.chain.gain * (1.0 + sign * gain),
         )
         for way, sign in (("low", -1.0), ("high", 1.0))
         for speed, slower in (("slow", 1.0), ("fast", -1.0))
     ]
 
 
-def _slowed(chain: Chain, axis: AxisModel, slower: float) -> Chain:
+def _slowed(nominal: MeasuredChain, axis: AxisModel, slower: float) -> Chain:
     """The chain at the slow end (+1) or the fast end (-1) of what is known of it.
 
     A lag that was fitted moves to the end of its interval. One that was not still has an interval:
-    its upper end becomes delay.
+    its upper end becomes delay. The delay left by dynamics is taken to be as sure as a declared
+    pole.
     """
+    chain = nominal.chain
     lag_s = slower * lag_half_s(axis)
-    is_lag = axis.lag.kind == "first_order"
+    is_lag = axis.dynamics is None and axis.lag.kind == "first_order"
     sections = []
     for section in chain.sections:
         time_s = 1.0 / (2.0 * np.pi * section.frequency_Hz)
-        fitted = is_lag and bool(np.isclose(time_s, axis.lag.time_s, rtol=1e-9))
-        moved_s = time_s + (lag_s if fitted else slower * DECLARED_SPREAD * time_s)
-        moved_s = max(moved_s, _LEAST_SHARE * time_s)
-        sections.append(Section(frequency_Hz=float(1.0 / (2.0 * np.pi * moved_s))))
-    delay_s = chain.delay_s if is_lag else max(chain.delay_s + lag_s, 0.0)
-    return replace(chain, sections=tuple(sections), delay_s=delay_s)
+        moved_s = time_s * (1.0 + slower * DECLARED_SPREAD)
+        if section.damping is not None:
+            moved_s = time_s * (1.0 + slower * nominal.mode_half)
+        elif is_lag and np.isclose(time_s, axis.lag.time_s, rtol=1e-9):
+            moved_s = time_s + lag_s
+        moved_Hz = 1.0 / (2.0 * np.pi * max(moved_s, _LEAST_SHARE * time_s))
+        sections.append(replace(section, frequency_Hz=float(moved_Hz)))
+    delay_s = chain.delay_s + (0.0 if is_lag else lag_s)
+    if axis.dynamics is not None:
+        delay_s = chain.delay_s * (1.0 + slower * DECLARED_SPREAD)
+    return replace(chain, sections=tuple(sections), delay_s=max(delay_s, 0.0))
 
 
 def relative_gain_half(axis: AxisModel) -> float:

@@ -8,10 +8,15 @@ import pytest
 from piezoid.design.design import design_from_json
 from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_half
 from piezoid.design.replicates import draw_replicates
+from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
 from piezoid.errors import DesignError, LabFileError, TemplateError
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, AxisModel, Lag
+from piezoid.numerics.frequency import response
+from piezoid.numerics.polynomial import roots_of
 from tests.reports.known_stage import axis_model, stage_model
 
 RATE_Hz = 20e3
@@ -59,6 +64,50 @@ def test_a_fitted_delay_delays_the_plant_by_itself(task: LateralTask) -> None:
     late = lateral_task(rigged(lag=Lag(kind="delay", time_s=3.0 / RATE_Hz)), RATE_Hz)
     B = late.families["inverse"].nominal.B
     assert np.flatnonzero(B)[0] - np.flatnonzero(task.families["inverse"].nominal.B)[0] == 3
+
+
+def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> None:
+    """At a third of the mode the sampled plant lags as the dynamics do, half a sample apart."""
+    dynamics = one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6)
+    axis = rigged(dynamics=dynamics)
+    task = lateral_task(axis, RATE_Hz)
+    poles = roots_of(task.families["inverse"].nominal.A)
+    frequencies_Hz = np.abs(np.log(poles)) * RATE_Hz / (2.0 * np.pi)
+    assert np.isclose(frequencies_Hz, 300.0, rtol=1e-6).sum() == 2
+    nominal = task.families["inverse"].nominal
+    sampled = response(nominal.B, nominal.A, np.array([100.0]), RATE_Hz)[0]
+    expected = dynamics.response([100.0])[0, 0, 0] * np.exp(-2j * np.pi * 100.0 * 0.5 / RATE_Hz)
+    assert np.angle(sampled / expected) == pytest.approx(0.0, abs=1e-3)
+    slow, fast = task.families["inverse"].members[1:3]
+    assert slowest_Hz(slow) < 300.0 < slowest_Hz(fast)
+
+
+def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
+    least, greatest = axis_model().hysteresis.slope_sector_m_per_V
+    return LinearDynamics(
+        inputs=("x",),
+        outputs=("x",),
+        mode_frequency_Hz=np.array([frequency_Hz]),
+        mode_damping=np.array([damping]),
+        mode_gain_m_per_V=np.full((1, 1, 1), 0.5 * (least + greatest)),
+        mode_rate_gain_m_s_per_V=np.zeros((1, 1, 1)),
+        lag_frequency_Hz=np.zeros(0),
+        lag_gain_m_per_V=np.zeros((0, 1, 1)),
+        direct_gain_m_per_V=np.zeros((1, 1)),
+        delay_s=delay_s,
+        declared=(
+            Filter(name="amplifier", frequency_Hz=4e3),
+            Filter(name="sensor", frequency_Hz=8.5e3),
+        ),
+        shape_covariance=np.diag([1e-4, 1e-4, 1e-12]),
+        static_gain_std_m_per_V=np.zeros((1, 1)),
+        hold="zero_order",
+        sampling_rate_Hz=RATE_Hz,
+        band_Hz=(5.0, 1000.0),
+        drive_rms_V=np.ones(1),
+        cost=1.0,
+        expected_cost=1.0,
+    )
 
 
 def test_replicates_scatter_as_the_intervals_say(rng: np.random.Generator) -> None:
