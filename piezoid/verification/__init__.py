@@ -6,6 +6,6 @@ closed_loop.py   the plant and the compiled runtime, sample by sample
 trajectories.py  spirals, rasters, steps;  scenarios.py  the tuple SCENARIOS of what is run
 surface.py       what is under the tip
 tracking.py      records to numbers;       criteria.py   numbers to verdicts with limits
-verify.py        all of it;                verification.py  the record that leaves this floor
-proof.py         the same bits from a rebuilt bundle and from an emulated Cortex-M4F
+verify.py        all of it, stage.py for a model;   verification.py  the record that leaves
+rebuild.py       the same bits from the bundle compiled here and on an emulated Cortex-M4F
 """

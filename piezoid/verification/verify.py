@@ -1,17 +1,16 @@
 """ParameterFile and plants in, Verification out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import source_digest
-from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.closed_loop import LoopRecord, rest_position, run_axis
+from piezoid.verification.bench import Bench, bench_of
+from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.proof import Proof
@@ -26,7 +25,6 @@ from piezoid.verification.verification import (
     Verification,
 )
 
-_REACH = 0.7  # of the way from rest to the nearer end of the references
 _ROUGHNESS_m = 0.1e-9
 _WAVELENGTH = 0.5  # of the radius, the surface's shortest
 
@@ -52,7 +50,7 @@ def verify(
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
-    bench = _bench(file, plants, limits or Limits(), seed)
+    bench = bench_of(file, plants, limits or Limits(), seed)
     for scenario in scenarios:
         if scenario.is_varied:
             _run_varied(bench, scenario, variations)
@@ -77,79 +75,7 @@ def verify(
     )
 
 
-@dataclass(kw_only=True, eq=False)
-class _Bench:
-    """Everything the runs share, and what they have found so far."""
-
-    file: ParameterFile
-    plants: Mapping[str, AxisPlant]
-    limits: Limits
-    seed: int
-    rate_Hz: float
-    lateral: tuple[str, ...]
-    tunnelling: tuple[str, ...]
-    centre_m: Mapping[str, float]
-    radius_m: float
-    runs: int = 0
-    records: dict[str, list[LoopRecord]] = field(default_factory=dict)
-    comparison: list[ComparisonRow] = field(default_factory=list)
-    spirals: list[SpiralRow] = field(default_factory=list)
-    currents: list[CurrentRow] = field(default_factory=list)
-    verdicts: list[Verdict] = field(default_factory=list)
-
-    def methods(self) -> tuple[str, ...]:
-        """Return the methods every lateral axis has, what ships first."""
-        axes = [self.file.axis(name) for name in self.lateral]
-        return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
-
-    def loop(
-        self,
-        axis: AxisParameters,
-        plant: AxisPlant,
-        reference: Array,
-        *,
-        disturbance: Array | None = None,
-        fault: Array | None = None,
-    ) -> LoopRecord:
-        """Run one axis with noise of its own, and remember the record."""
-        self.runs += 1
-        rng = np.random.default_rng([self.seed, self.runs])
-        record = run_axis(plant, axis, reference, rng=rng, disturbance=disturbance, fault=fault)
-        self.records.setdefault(plant.axis, []).append(record)
-        return record
-
-
-def _bench(file: ParameterFile, plants: Sequence[AxisPlant], limits: Limits, seed: int) -> _Bench:
-    by_axis = {plant.axis: plant for plant in plants}
-    for axis in file.axes:
-        if axis.axis not in by_axis:
-            raise ParameterFileError(
-                f"axis {axis.axis} has parameters and no plant",
-                needed="an identified plant for every axis that ships",
-                remedy="Identify that axis, or leave it out of the parameter file.",
-            )
-    tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
-    lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
-    centre_m = {name: rest_position(by_axis[name]) for name in lateral}
-    ends = [
-        abs(float(file.axis(name).values[f"reference_{end}_m"]) - centre_m[name])
-        for name in lateral
-        for end in ("minimum", "maximum")
-    ]
-    return _Bench(
-        file=file,
-        plants=by_axis,
-        limits=limits,
-        seed=seed,
-        rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
-        lateral=lateral,
-        tunnelling=tips,
-        centre_m=centre_m,
-        radius_m=_REACH * min(ends, default=0.0),
-    )
-
-
-def _references(bench: _Bench, path: Path) -> dict[str, Array]:
+def _references(bench: Bench, path: Path) -> dict[str, Array]:
     """Return where each lateral axis is to be: the first follows x, the next y."""
     ways = (path.x, path.y)
     return {
@@ -159,7 +85,7 @@ def _references(bench: _Bench, path: Path) -> dict[str, Array]:
 
 
 def _lateral(
-    bench: _Bench,
+    bench: Bench,
     path: Path,
     method: str | None = None,
     plants: Mapping[str, AxisPlant] | None = None,
@@ -175,7 +101,7 @@ def _lateral(
 
 
 def _tracked(
-    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> Tracking:
     return track(
         {name: r.reference - bench.centre_m[name] for name, r in records.items()},
@@ -187,7 +113,7 @@ def _tracked(
     )
 
 
-def _run(bench: _Bench, scenario: Scenario) -> None:
+def _run(bench: Bench, scenario: Scenario) -> None:
     """Run what ships, the other methods where they are compared, and the tip over a surface."""
     path = scenario.path(bench.rate_Hz)
     records = _lateral(bench, path) if bench.lateral else {}
@@ -198,7 +124,7 @@ def _run(bench: _Bench, scenario: Scenario) -> None:
 
 
 def _judge(
-    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
     if scenario.kind == "steps":  # which may use all the drive there is
         for record in records.values():
@@ -213,7 +139,7 @@ def _judge(
         _compare(bench, scenario, path, found)
 
 
-def _compare(bench: _Bench, scenario: Scenario, path: Path, shipped: Tracking) -> None:
+def _compare(bench: Bench, scenario: Scenario, path: Path, shipped: Tracking) -> None:
     first, *others = bench.methods()
     found = {first: shipped}
     for method in others:
@@ -244,7 +170,7 @@ def _compare(bench: _Bench, scenario: Scenario, path: Path, shipped: Tracking) -
 
 
 def _over_a_surface(
-    bench: _Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> None:
     """Judge every tip while the stage moves it over a rough surface."""
     for name, record in _tips(bench, path, records, bench.plants).items():
@@ -264,7 +190,7 @@ def _over_a_surface(
 
 
 def _tips(
-    bench: _Bench,
+    bench: Bench,
     path: Path,
     records: Mapping[str, LoopRecord],
     plants: Mapping[str, AxisPlant],
@@ -290,7 +216,7 @@ def _junction(plant: AxisPlant) -> Junction:
 
 
 def _run_varied(
-    bench: _Bench, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
+    bench: Bench, scenario: Scenario, variations: Sequence[Sequence[AxisPlant]]
 ) -> None:
     """Judge the worst of the plants the uncertainty allows."""
     path = scenario.path(bench.rate_Hz)
@@ -309,7 +235,7 @@ def _run_varied(
         bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
-def _run_fault(bench: _Bench, scenario: Scenario) -> None:
+def _run_fault(bench: Bench, scenario: Scenario) -> None:
     path = scenario.path(bench.rate_Hz)
     healthy = _tracked(bench, scenario, path, _lateral(bench, path))
     fault = scenario.fault_of(len(path.x), bench.rate_Hz)
@@ -324,5 +250,5 @@ def _run_fault(bench: _Bench, scenario: Scenario) -> None:
     bench.verdicts.append(criteria.noticed(scenario.name, watching, flag))
 
 
-def _has_feedback(bench: _Bench, axis: str) -> bool:
+def _has_feedback(bench: Bench, axis: str) -> bool:
     return bench.file.axis(axis).method in ("dob", "mpi_dob", "rst")

@@ -8,7 +8,8 @@ from piezoid.design.chain import Chain, plant_from_chain
 from piezoid.errors import ParameterFileError
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.runtime.controller import Controller, Status
-from piezoid.verification.closed_loop import cascade, rest_position, run_axis
+from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.loop_plant import cascade, rest_position
 from piezoid.verification.plant import AxisPlant, Hysteresis, Plugged
 from tests.verification.rig import (
     AMPLIFIER,

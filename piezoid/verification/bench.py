@@ -1,0 +1,93 @@
+"""Where scenarios are run: parameters and plants by axis, and what was found so far."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.numerics.arrays import Array
+from piezoid.verification.closed_loop import LoopRecord, run_axis
+from piezoid.verification.criteria import Limits, Verdict
+from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.plant import AxisPlant, Junction
+from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
+
+_REACH = 0.7  # of the way from rest to the nearer end of the references
+
+
+@dataclass(kw_only=True, eq=False)
+class Bench:
+    """Everything the runs share, and what they have found so far."""
+
+    file: ParameterFile
+    plants: Mapping[str, AxisPlant]
+    limits: Limits
+    seed: int
+    rate_Hz: float
+    lateral: tuple[str, ...]
+    tunnelling: tuple[str, ...]
+    centre_m: Mapping[str, float]
+    radius_m: float
+    runs: int = 0
+    records: dict[str, list[LoopRecord]] = field(default_factory=dict)
+    comparison: list[ComparisonRow] = field(default_factory=list)
+    spirals: list[SpiralRow] = field(default_factory=list)
+    currents: list[CurrentRow] = field(default_factory=list)
+    verdicts: list[Verdict] = field(default_factory=list)
+
+    def methods(self) -> tuple[str, ...]:
+        """Return the methods every lateral axis has, what ships first."""
+        axes = [self.file.axis(name) for name in self.lateral]
+        return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
+
+    def loop(
+        self,
+        axis: AxisParameters,
+        plant: AxisPlant,
+        reference: Array,
+        *,
+        disturbance: Array | None = None,
+        fault: Array | None = None,
+    ) -> LoopRecord:
+        """Run one axis with noise of its own, and remember the record."""
+        self.runs += 1
+        rng = np.random.default_rng([self.seed, self.runs])
+        record = run_axis(plant, axis, reference, rng=rng, disturbance=disturbance, fault=fault)
+        self.records.setdefault(plant.axis, []).append(record)
+        return record
+
+
+def bench_of(file: ParameterFile, plants: Sequence[AxisPlant], limits: Limits, seed: int) -> Bench:
+    """Put every axis beside its plant, and choose the radius of all paths.
+
+    Raises ``ParameterFileError`` for an axis without a plant.
+    """
+    by_axis = {plant.axis: plant for plant in plants}
+    for axis in file.axes:
+        if axis.axis not in by_axis:
+            raise ParameterFileError(
+                f"axis {axis.axis} has parameters and no plant",
+                needed="an identified plant for every axis that ships",
+                remedy="Identify that axis, or leave it out of the parameter file.",
+            )
+    tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
+    lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
+    centre_m = {name: rest_position(by_axis[name]) for name in lateral}
+    ends = [
+        abs(float(file.axis(name).values[f"reference_{end}_m"]) - centre_m[name])
+        for name in lateral
+        for end in ("minimum", "maximum")
+    ]
+    return Bench(
+        file=file,
+        plants=by_axis,
+        limits=limits,
+        seed=seed,
+        rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
+        lateral=lateral,
+        tunnelling=tips,
+        centre_m=centre_m,
+        radius_m=_REACH * min(ends, default=0.0),
+    )
