@@ -13,6 +13,7 @@ import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
+from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -28,6 +29,7 @@ BANDS_PER_DECADE = 6
 WINDOWS = 5  # a segment is at most this part of the recording: nine half-overlapping windows
 FEWEST_LINES = 20
 MOST_LINES = 150
+MOST_COST = 4.0  # over its expected value: a fit that explains less says nothing
 AS_GOOD = 1.25  # a structure whose cost is within this of the least counts as equal
 STRUCTURES = (
     Structure(modes=0, lags=1),
@@ -70,12 +72,30 @@ def fit_axis_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> Dynam
         except (ExcitationError, IdentificationError) as refusal:
             return DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
         low_Hz, high_Hz = dynamics.band_Hz
+        if not is_determined(dynamics):
+            text = (
+                f"{recording.name} drives up to {highest_Hz:.0f} Hz, but between {low_Hz:.3g} and "
+                f"{high_Hz:.4g} Hz it determines no mode and no pole; only the lag stands. Record "
+                "a chirp or a multisine through the first resonance"
+            )
+            return DynamicsFound(dynamics=None, remarks=(text,))
         text = (
             f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted "
             f"behind the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
         )
         return DynamicsFound(dynamics=dynamics, remarks=(text,))
     return DynamicsFound(dynamics=None, remarks=())
+
+
+def is_determined(dynamics: LinearDynamics) -> bool:
+    """Tell whether the fit may be read: it explains its lines, and every number in it is known.
+
+    A mode must be resolved; a lag's pole must lie within twice the band. What a rich structure
+    makes of a response without features meets neither, however small its residual.
+    """
+    poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
+    explained = dynamics.cost_ratio <= MOST_COST
+    return explained and poles_known and bool(resolved_modes(dynamics).all())
 
 
 def excites_dynamics(

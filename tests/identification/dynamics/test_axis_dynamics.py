@@ -5,16 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import piezoid_datasets
 from piezoid.identification.dynamics.axis_dynamics import (
     excites_dynamics,
     fit_axis_dynamics,
     with_dynamics,
 )
+from piezoid.identification.fit import rig_of
+from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import resonance
 from piezoid.operators.linear import sample
+from piezoid.records.ingest import ingest_all
+from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.render import render
 from tests.reports.known_stage import HYSTERESIS, axis_model, stage_model
@@ -103,3 +108,12 @@ def test_the_report_shows_gain_phase_coherence_and_poles(
     page = render(stage_model(axis), [chirped])
     for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
         assert words in page
+
+
+def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:
+    lab = read_lab(piezoid_datasets.LAB)
+    (rates,) = ingest_all(piezoid_datasets.recordings()[2:], lab)
+    axis = estimate_axis([rates], "x", rig_of(lab, "x"), orders=((4, 1),))
+    found = fit_axis_dynamics(axis, [rates])
+    assert found.dynamics is None
+    assert all("no mode" in remark for remark in found.remarks)
