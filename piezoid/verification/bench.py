@@ -42,7 +42,7 @@ class Bench:
         axes = [self.file.axis(name) for name in self.lateral]
         return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
 
-    def loop(
+    def run(
         self,
         axis: AxisParameters,
         plant: AxisPlant,

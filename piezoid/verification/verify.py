@@ -96,7 +96,7 @@ def _lateral(
         axis = bench.file.axis(name)
         chosen = axis if method is None else axis.for_method(method)
         plant = (plants or bench.plants)[name]
-        found[name] = bench.loop(chosen, plant, reference, fault=fault)
+        found[name] = bench.run(chosen, plant, reference, fault=fault)
     return found
 
 
@@ -206,7 +206,7 @@ def _tips(
         reference = np.full(len(path.x), response.current_A)
         disturbance = response.decay_per_m * height_m
         axis = bench.file.axis(name)
-        found[name] = bench.loop(axis, plants[name], reference, disturbance=disturbance)
+        found[name] = bench.run(axis, plants[name], reference, disturbance=disturbance)
     return found
 
 
