@@ -88,12 +88,26 @@ def test_what_ships_is_verified_and_nothing_else():
     assert not bare.passed
 
 
+def test_the_faster_the_stage_the_more_of_the_surface_is_in_the_current(whole):
+    steady, hurried = (
+        next(row.ln_current_std for row in whole.currents if row.scenario == f"spiral, {f} Hz")
+        for f in (1, 100)
+    )
+    assert hurried > 3 * steady
+
+
+def furthest(found):
+    return next(v.value for v in found.verdicts if v.name == "furthest from the path")
+
+
 def test_a_runtime_that_does_not_watch_its_sensor_fails_the_frozen_sensor():
     axes = tuple(a.with_values({"stuck_samples": 0}) for a in stage("x", "y").axes)
     frozen = [s for s in SCENARIOS if s.fault == 1.0]
     found = verify(ParameterFile(name="blind", axes=axes), PLANTS[:2], scenarios=frozen)
     failed = {v.name for v in found.verdicts if not v.passed}
     assert "axes whose status did not say so" in failed
+    watching = verify(stage("x", "y"), PLANTS[:2], scenarios=frozen)
+    assert furthest(found) > 2 * furthest(watching) > 0
 
 
 def test_the_worst_plant_the_uncertainty_allows_is_judged():
