@@ -57,7 +57,7 @@ class Sensor(_Table, frozen=True, kw_only=True):
 
 
 class Acquisition(_Table, frozen=True, kw_only=True):
-    """``[acquisition]``: the converters, and the clock of recordings that carry none."""
+    """``[acquisition]``: the controller's converters and rate; of files without a clock too."""
 
     sampling_rate_Hz: float | None = None
     dac_bits: int | None = None

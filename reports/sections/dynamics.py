@@ -15,8 +15,9 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
-from piezoid_reports.quantities import significant, told
+from piezoid_reports.quantities import UNKNOWN, significant, told
 
+WIDEST = 100.0  # an interval over more than two decades says that the number is not known
 LOOKS = {
     "gain": "Good: the model runs through the measured band. Bad: peaks in the measurement that "
     "the model passes by, or a band as wide as the plot.",
@@ -182,5 +183,7 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
 
 
 def _with_interval(value: float, interval: Array, unit: str) -> tuple[str, str]:
+    if 0.0 < interval[0] < interval[1] / WIDEST:
+        return told(float(value), unit), UNKNOWN
     low, high = (told(float(end), unit) for end in interval)
     return told(float(value), unit), f"{low}, {high}"
