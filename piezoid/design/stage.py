@@ -39,6 +39,9 @@ def design_stage(
     forms             of the observer; the inverse one is recommended, the affine one is there to
                       be compared and takes longer
 
+    The tunnelling axis is not among them: a model knows the family of its loop, yet neither the
+    voltages it may use nor its noise. ``design_vertical`` takes them with the family.
+
     Raises ``DesignError`` where no axis can be designed, the rate is not known, or what limits an
     axis is not; ``TemplateError`` where what is asked for cannot be met.
     """
