@@ -14,9 +14,10 @@ from piezoid.verification.replay import called, compare, lay_out, source
 _HOST = ("cc", "gcc", "clang")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 _TARGET = "arm-none-eabi-gcc"
+_LIBRARY = "rdimon.specs"
 _TARGET_FLAGS = (
     *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
-    *("--specs=rdimon.specs", "-nostartfiles", "-DPZ_BOARD", "-DPZ_REAL_FLOAT"),
+    *(f"--specs={_LIBRARY}", "-nostartfiles", "-DPZ_BOARD", "-DPZ_REAL_FLOAT"),
 )
 _EMULATOR = "qemu-system-arm"
 _EMULATED = (
@@ -48,7 +49,7 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     Raises as ``rebuild`` does.
     """
     held = _own(file, contents)
-    missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
+    missing = _missing_for_target()
     if missing:
         said = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
         return Proof(build=said, is_built=False)
@@ -70,6 +71,15 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
         stack_bytes=found.stack_bytes,
         state_bytes=found.state_bytes,
     )
+
+
+def _missing_for_target() -> list[str]:
+    """Return what of compiler, its C library and emulator is not here."""
+    missing = [name for name in (_TARGET, _EMULATOR) if which(name) is None]
+    if not missing:
+        place = called((_TARGET, f"-print-file-name={_LIBRARY}"), Path.cwd()).strip()
+        missing += [_LIBRARY] if place == _LIBRARY else []  # a path where there is one
+    return missing
 
 
 def _on_host(file: ParameterFile, held: Mapping[str, bytes], compiler: str, real: str) -> Proof:
