@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rich.table import Table
 
     from piezoid.design.design import Design
     from piezoid.identification.model import ActuatorModel
+    from piezoid.records.lab import Lab
+    from piezoid.records.recording import Recording
 
 
 def fit(
@@ -49,7 +51,8 @@ def fit(
         design, undesigned = _designed(model, content, told)
         told("writing the report")
         page = render(model, held.recordings, held.sweeps, design, undesigned)
-        files_out = {"model.json": content, "report.html": page.encode()}
+        diagnosis = _diagnosed(held.recordings, declared, model, told)
+        files_out = {"model.json": content, "report.html": page.encode(), **diagnosis}
         if design is not None:
             files_out["design.json"] = design.to_json()
         write_folder(out, files_out)
@@ -58,6 +61,23 @@ def fit(
         _show_design(design, undesigned)
     if not model.applies:
         raise typer.Exit(1)
+
+
+def _diagnosed(
+    recordings: "Sequence[Recording]",
+    lab: "Lab | None",
+    model: "ActuatorModel",
+    told: "Callable[[str], None]",
+) -> dict[str, bytes]:
+    """Return diagnosis.json of the first axis, nothing where no axis was fitted."""
+    from piezoid.diagnosis.diagnose import diagnose
+    from piezoid.diagnosis.diagnosis import write_diagnosis
+
+    if not model.axes:
+        return {}
+    axis = next(iter(model.axes))
+    found = diagnose(recordings, axis=axis, lab=lab, progress=told)
+    return {"diagnosis.json": write_diagnosis(found)}
 
 
 def _designed(

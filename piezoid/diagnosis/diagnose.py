@@ -8,11 +8,11 @@ import numpy as np
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.screening import LEAST_GAIN, Screened, screen
+from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.search import Cause, Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.tracks import tracks_of
-from piezoid.diagnosis.view import view_of
+from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.numerics.noise import white_noise_rms
@@ -42,19 +42,23 @@ def diagnose(
     that no effect stands for is not named, but it may be given to the one that resembles it most;
     ``explained_fraction`` and the noise floor tell how much is left.
     """
-    declared = lab or Lab()
     wanted = axes_of(recordings)[0] if axis is None else axis
-    chosen = moving(recordings, wanted)
-    scales, rig = scales_of(chosen, wanted), rig_of(declared, wanted)
-    clock_Hz = declared.acquisition.sampling_rate_Hz
-    tracks = tracks_of(chosen, wanted, scales, rig, clock_Hz=clock_Hz)
     progress("fitting the envelope")
-    stroke_m = abs(scales.displacement_m)
-    view = view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V)
+    view = view_on(recordings, axis=wanted, lab=lab or Lab())
     outcome = search(view, progress)
     progress("refitting the simulation")
     numbers = simulated(outcome)
     return _diagnosis(wanted, outcome, numbers)
+
+
+def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
+    """Return the view of all recordings in which this axis moves."""
+    chosen = moving(recordings, axis)
+    scales, rig = scales_of(chosen, axis), rig_of(lab, axis)
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
+    stroke_m = abs(scales.displacement_m)
+    return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V)
 
 
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
@@ -213,7 +217,7 @@ def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
 def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
     across_m = 2.0 * outcome.final.stroke_m
     doubt = found.bound - found.share
-    needed = outcome.final.rms / 2.0 * sqrt(2.0 * LEAST_GAIN)
+    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
     limit_m = across_m * max(POWER * doubt, needed, found.effect.least)
     bound_m = across_m * found.bound
     return NotDetected(

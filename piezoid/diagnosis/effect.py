@@ -76,6 +76,8 @@ class Effect:
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
                  judged at the end, when everything else is in
     inject       (recording, share) -> the recording with the effect, share of the stroke
+    worth        part of the error on rows left out that it must take off
+    shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
     least        share of the stroke below which it is not looked for
     """
 
@@ -93,3 +95,5 @@ class Effect:
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
     least: float = 1.2e-4
+    worth: float = 0.03
+    shows_at: float = 2e-3

@@ -10,9 +10,9 @@ from piezoid.diagnosis.folds import Held, Null
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
-REFINEMENTS = 3
+REFINEMENTS = 4
+STEPS = 3
 SURE = 2.7  # standard errors: 0.0035 on one side; Holm over some fourteen tests leaves 0.05
-LEAST_GAIN = 0.03
 OVER_TWIN = 1.6  # times the twin's gain
 
 
@@ -42,7 +42,7 @@ class Screened:
         return (
             self.sound
             and self.held.z > SURE
-            and self.held.gain > max(LEAST_GAIN, OVER_TWIN * self.twin)
+            and self.held.gain > max(self.effect.worth, OVER_TWIN * self.twin)
             and self.share > self.effect.least
         )
 
@@ -101,7 +101,17 @@ def refined(found: Screened, view: View) -> Screened:
     for halving in range(REFINEMENTS):
         for name, width in found.trial.free.items():
             for sign in (-1.0, 1.0):
-                best = _stepped(best, view, name, width, sign / 2**halving)
+                best = _climbed(best, view, name, width, sign / 2**halving)
+    return best
+
+
+def _climbed(best: Screened, view: View, name: str, width: float, part: float) -> Screened:
+    """Step on in one direction for as long as it gets better."""
+    for _ in range(STEPS):
+        again = _stepped(best, view, name, width, part)
+        if again is best:
+            break
+        best = again
     return best
 
 

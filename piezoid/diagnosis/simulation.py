@@ -1,28 +1,29 @@
-"""The simulation's own error before and after: the model that ships, on rows left out.
+"""The simulation's own error before and after, on rows left out.
 
-The modified Prandtl-Ishlinskii model is fitted to the drives and responses as the accepted effects
-leave them; then its tangents and the effects' columns are refitted together, fold by fold.
+The simulation is a modified Prandtl-Ishlinskii model,
+
+    y = h + sum_j v_j S_j(h) + zero and memory of the track,     h = sum_i w_i z_i,
+
+S_j dead zones, on fixed dense thresholds so that weights alone are fitted, with the columns of the
+accepted effects beside it. The dead zones act on the h of a first fit, and both sets of weights
+are then free: one linear problem, refitted fold by fold.
+
+Source: Kuhnen, Eur. J. Control 9 (2003).
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.envelope import PLAYS, DECAYS_s
+from piezoid.diagnosis.extended import Accepted, columns_of, extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.view import View
-from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.rows import Rows, rows_of
-from piezoid.identification.hysteresis.search import Fitted, Settings, search
 from piezoid.numerics.arrays import Array
 
-SHAPE = Shape(plays=10, below=3, above=3, lag="none")
-ROWS = 3000
-ITERATIONS = 9
-LONGEST_LAG_s = 1.0  # the shape has none
+KINKS = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,104 +43,45 @@ class Simulated:
 def simulated(outcome: Outcome) -> Simulated:
     """Return the simulation's errors before, after, and without each thing that was found."""
     accepted = [cause.accepted for cause in outcome.causes if cause.accepted.acts]
-    baseline = _error(outcome.first, ())
-    if not accepted and not outcome.faults:
-        return Simulated(baseline=baseline, final=baseline, without=_structural(outcome, baseline))
-    tangents = _tangents(outcome.final)
-    final = _held_out(tangents, outcome.final, accepted)
-    without = _structural(outcome, final)
+    baseline = error_of(outcome.first)
+    final = error_of(_with(outcome.final, accepted))
+    structural = [cause.found for cause in outcome.causes if not cause.accepted.acts]
+    without = {
+        f.effect.name: final / (1.0 - float(np.clip(f.held.gain, 0, 0.99))) for f in structural
+    }
     for one in accepted:
         rest = [other for other in accepted if other is not one]
-        name = one.effect.name
-        if one.effect.drive is None:
-            without[name] = _held_out(tangents, outcome.final, rest)
-        else:
-            without[name] = _error(extended(outcome.clean, rest), rest)
+        without[one.effect.name] = error_of(extended(outcome.clean, rest))
     if outcome.faults:
-        raw = _error(extended(outcome.first, accepted), accepted)
+        raw = error_of(extended(outcome.first, accepted))
         without |= dict.fromkeys(outcome.faults, raw)
     return Simulated(baseline=baseline, final=final, without=without)
 
 
-def _structural(outcome: Outcome, final: float) -> dict[str, float]:
-    """Return the errors without what the envelope has and a model without it has not."""
-    found = [cause.found for cause in outcome.causes if not cause.accepted.acts]
-    return {f.effect.name: final / (1.0 - min(max(f.held.gain, 0.0), 0.99)) for f in found}
+def _with(view: View, accepted: Sequence[Accepted]) -> View:
+    return replace(view, accepted=columns_of(view, accepted))
 
 
-def _error(view: View, accepted: Sequence[Accepted]) -> float:
-    return _held_out(_tangents(view), view, accepted)
+def error_of(view: View) -> float:
+    """Return the rms the simulation leaves with the view's accepted columns, on rows left out."""
+    plays = view.envelope.columns[:, : PLAYS + 1]
+    own = _own(view)
+    # without the effects: a change of gain would stand for h itself
+    null = Null(columns=np.hstack([plays, own]), response=view.response, block=view.block)
+    h = plays @ null.fit(view.response)[: plays.shape[1]]
+    zones = np.column_stack([np.sign(k) * np.maximum(np.sign(k) * (h - k), 0) for k in KINKS])
+    columns = np.hstack([plays, zones[:, np.abs(zones).max(axis=0) > 0.0], own])
+    columns = np.hstack([columns, view.accepted])
+    return Null(columns=columns, response=view.response, block=view.block).held_out_rms
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Linear:
-    """A fitted simulation at the rows of a view: its tangents, and the response beside it."""
-
-    tangent: Array
-    response: Array
-
-
-def _tangents(view: View) -> _Linear:
-    pieces = _pieces(view)
-    settings = Settings(
-        longest_lag_s=LONGEST_LAG_s, rows=ROWS, follow_zero=False, iterations=ITERATIONS
-    )
-    fitted = search(pieces, SHAPE, settings)
-    coordinates, edges = fitted.task.coordinates, view.envelope.edges
-    tangent = np.zeros((edges[-1], coordinates.total), order="F")
-    simulated_rows = np.zeros(edges[-1])
-    for index, (piece, track) in enumerate(zip(pieces, view.tracks, strict=True)):
-        local = coordinates.local_slice(index)
-        columns = np.r_[0 : coordinates.shared, local]
-        for rows in _rows(fitted, index, piece):
-            which = np.flatnonzero(
-                (track.place >= rows.sample[0]) & (track.place <= rows.sample[-1])
-            )
-            inside = track.place[which] - rows.sample[0]
-            target = edges[index] + which
-            tangent[np.ix_(target, columns)] = rows.tangent[inside]
-            measured = piece.response[track.place[which]]
-            simulated_rows[target] = rows.residual[inside] + measured
-    return _Linear(tangent=tangent, response=view.response - simulated_rows)
-
-
-def _rows(fitted: Fitted, index: int, piece: Piece) -> Iterator[Rows]:
-    return rows_of(fitted.minimum.theta, fitted.task.coordinates, index, piece, sensor_pole=None)
-
-
-def _pieces(view: View) -> tuple[Piece, ...]:
-    """Return the tracks as pieces, without what the accepted effects add to the response."""
-    share = view.null.fit(view.response)[view.envelope.columns.shape[1] :]
-    added = view.accepted @ share
-    edges = view.envelope.edges
-    pieces = []
-    for k, track in enumerate(view.tracks):
-        rows = added[edges[k] : edges[k + 1]]
-        between = np.interp(np.arange(len(track.drive)), track.place, rows)
-        response = track.response - between
-        pieces.append(
-            Piece(
-                name=track.name,
-                recording=k,
-                sampling_rate_Hz=track.rate_Hz,
-                drive=track.drive,
-                response=response,
-                centre_m=0.0,
-                first=0,
-                last=len(track.drive),
-            )
-        )
-    return tuple(pieces)
-
-
-def _held_out(linear: _Linear, view: View, accepted: Sequence[Accepted]) -> float:
-    """Return the rms of tangents and effects, refitted fold by fold, on rows left out."""
-    parts = [
-        one.effect.columns(view, one.parameters)
-        for one in accepted
-        if one.effect.drive is None and one.effect.columns is not None
+def _own(view: View) -> Array:
+    """Return zero and memory of every track: its own columns without slow returns to rest."""
+    envelope = view.envelope
+    kept = [
+        envelope.shared + envelope.own * k + j
+        for k in range(len(view.tracks))
+        for j in range(envelope.own - len(DECAYS_s))
     ]
-    columns = np.hstack([linear.tangent, *parts])
-    moving = np.abs(columns).max(axis=0) > 0.0
-    null = Null(columns=columns[:, moving], response=linear.response, block=view.block)
-    return null.held_out_rms
+    columns = envelope.columns[:, kept]
+    return np.asarray(columns[:, np.abs(columns).max(axis=0) > 0.0])

@@ -81,4 +81,5 @@ EFFECT = Effect(
     drive=_clip,
     size=_size,
     inject=inject,
+    shows_at=8e-3,
 )

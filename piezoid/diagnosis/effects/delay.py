@@ -54,10 +54,11 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(view: View, parameters: Parameters, _: Array) -> float:
+def _size(view: View, parameters: Parameters, coefficient: Array) -> float:
     fastest_Hz = max(track.rate_Hz for track in view.tracks)
     samples = parameters.get("delay_samples", 0.0)
-    return 1e6 * (parameters.get("delay_s", 0.0) + samples / fastest_Hz)
+    time_s = parameters.get("delay_s", 0.0) + samples / fastest_Hz
+    return 1e6 * time_s * float(coefficient[0])
 
 
 def inject(recording: Recording, share: float) -> Recording:

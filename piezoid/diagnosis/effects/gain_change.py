@@ -35,15 +35,15 @@ def _turned(share: Array, place: float, kind: str) -> Array:
 
 def _change(view: View, k: int, place: float, kind: str) -> Array:
     """Return the change in one track, its zero, and what other tracks may differ by."""
-    columns = []
+    own, columns = [], []
     for n, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
         response = static[track.place]
         if n == k:
             share = _turned(track.place / len(track.drive), place, kind)
-            columns += [view.of_track(n, share * response), view.of_track(n, share)]
+            own = [view.of_track(n, share * response), view.of_track(n, share)]
         else:
             columns.append(view.of_track(n, response))
-    return np.column_stack(columns)
+    return np.column_stack([*own, *columns])
 
 
 def _trials(view: View) -> list[Trial]:
@@ -95,4 +95,5 @@ EFFECT = Effect(
     columns=_columns,
     size=_size,
     inject=inject,
+    shows_at=8e-3,
 )

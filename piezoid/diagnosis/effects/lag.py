@@ -45,8 +45,8 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(_: View, parameters: Parameters, __: Array) -> float:
-    return 1e6 * parameters["time_s"]
+def _size(_: View, parameters: Parameters, coefficient: Array) -> float:
+    return 1e6 * parameters["time_s"] * float(coefficient[0])
 
 
 def inject(recording: Recording, share: float) -> Recording:

@@ -50,4 +50,5 @@ EFFECT = Effect(
     trials=_trials,
     against=_against,
     inject=inject,
+    worth=0.15,  # no class of null is as wide as ceramics: a little of this is always there
 )

@@ -22,10 +22,12 @@ from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
 FAR = 8.0  # times the typical distance
 LEAST = 1.5e-3  # of half the stroke
+STEPS = 2.5
 
 
 def spikes(track: Track) -> tuple[Array, Array]:
@@ -39,7 +41,9 @@ def spikes(track: Track) -> tuple[Array, Array]:
     typical = 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
     typical = max(typical, 1e-12)
     high = float(np.quantile(np.abs(distance), 0.99))
-    far = np.maximum(FAR * typical, 3.0 * agree)
+    # on a coarse converter a reading may be one step beside its neighbours
+    coarse = STEPS * step_size(np.round(y, 9))
+    far = np.maximum(max(FAR * typical, coarse), 3.0 * agree)
     return (np.abs(distance) > np.maximum(far, max(LEAST, 2.0 * high))), distance
 
 

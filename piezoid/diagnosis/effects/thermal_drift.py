@@ -75,4 +75,6 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
+    shows_at=8e-3,
+    worth=0.08,  # slow errors of structure are smooth as well
 )

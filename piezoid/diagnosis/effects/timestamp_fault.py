@@ -72,7 +72,11 @@ def _fault(view: View) -> Fault | None:
         zero = float(np.mean(track.response - view.static[k]))
         instant, samples, left = slip_of(track.response, view.static[k] + zero)
         worth = abs(samples) / track.rate_Hz * rate_of(view.static[k], track.rate_Hz)[instant:]
-        if samples == 0 or left > CLEAR or float(np.sqrt(np.mean(worth**2))) < LEAST_SHARE:
+        if (
+            samples == 0
+            or left > min(CLEAR, 0.7 * _whole(track, view.static[k], samples))
+            or float(np.sqrt(np.mean(worth**2))) < LEAST_SHARE
+        ):
             continue
         found.append((left, samples))
         tracks[k] = _in_step(track, instant, samples)
@@ -86,6 +90,12 @@ def _fault(view: View) -> Fault | None:
         spread=1.0 + 0.02 * abs(samples),
         p_value=1e-6,
     )
+
+
+def _whole(track: Track, static: Array, samples: int) -> float:
+    """Return the share of the rms that is left if all readings are late, not some: a delay."""
+    place = np.clip(np.arange(len(static)) - samples, 0, len(static) - 1)
+    return _spread(track.response - static[place]) / _spread(track.response - static)
 
 
 def _in_step(track: Track, instant: int, samples: int) -> Track:
@@ -123,5 +133,6 @@ EFFECT = Effect(
     "column, and nothing else running on the computer.",
     rivals=("delay",),
     fault=_fault,
+    shows_at=1.2e-2,
     inject=inject,
 )

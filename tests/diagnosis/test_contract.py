@@ -1,0 +1,72 @@
+"""What every effect promises, run over all of them: a new one needs no test file to be held to."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid.diagnosis.effects as folder
+from piezoid.diagnosis.effect import HEADINGS, Effect
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.screening import screen
+
+from .bench import healthy, healthy_view, view_of_recordings
+
+NAMES = [effect.name for effect in EFFECTS]
+# asymmetry is part of the simulation and can be missing from nothing
+FOUND = [effect for effect in EFFECTS if effect.name != "asymmetry"]
+
+
+def speaks(effect: Effect, view) -> bool:
+    if effect.fault is not None:
+        return effect.fault(view) is not None
+    found = screen(effect, view)
+    return found is not None and found.speaks
+
+
+def test_every_file_of_the_folder_is_registered_under_its_own_name():
+    files = {path.stem for path in Path(folder.__path__[0]).glob("*.py")} - {"__init__"}
+    assert files == set(NAMES)
+    assert len(NAMES) == 18
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
+def test_an_effect_explains_itself_in_five_headings(effect):
+    lines = effect.explanation.splitlines()
+    places = [lines.index(heading) for heading in HEADINGS]
+    assert places == sorted(places)
+    assert len(effect.experiment) > 40
+    assert set(effect.rivals) <= set(NAMES)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
+def test_an_effect_says_nothing_of_a_healthy_stage(effect):
+    assert not speaks(effect, healthy_view())
+
+
+@pytest.mark.parametrize("effect", FOUND, ids=[e.name for e in FOUND])
+def test_an_effect_speaks_at_twice_the_size_it_declares(effect):
+    recordings, lab = healthy()
+    widest_V = max(float(np.ptp(r.voltage_V())) for r in recordings)
+    struck = list(recordings)
+    for k, recording in enumerate(recordings):
+        # a clip of the full range is not met by small motions; a gain changes at one instant
+        full = np.ptp(recording.voltage_V()) > 0.9 * widest_V
+        met = {"amplifier_saturation": full, "gain_change": k == 0}
+        if met.get(effect.name, True):
+            struck[k] = effect.inject(recording, 2.0 * effect.shows_at)
+    assert speaks(effect, view_of_recordings(tuple(struck), lab))
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
+def test_an_injected_effect_changes_the_displacement_and_nothing_else(effect):
+    recording = healthy()[0][0]
+    if effect.name == "cross_coupling":
+        recording = healthy()[0][-1]
+    struck = effect.inject(recording, 0.01)
+    change_m = struck.displacement_m() - recording.displacement_m()
+    stroke_m = float(np.ptp(recording.displacement_m()))
+    assert 1e-4 * stroke_m < float(np.abs(change_m).max()) < 0.5 * stroke_m
+    assert np.array_equal(struck.voltage_V(), recording.voltage_V())
+    assert replace(struck, channels=recording.channels).name == recording.name
