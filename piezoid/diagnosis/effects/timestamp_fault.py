@@ -69,6 +69,8 @@ def _best_place(
 def _fault(view: View) -> Fault | None:
     tracks, found = list(view.tracks), []
     for k, track in enumerate(view.tracks):
+        if len(track.response) < 4 * WINDOWS:
+            continue
         zero = float(np.mean(track.response - view.static[k]))
         instant, samples, left = slip_of(track.response, view.static[k] + zero)
         worth = abs(samples) / track.rate_Hz * rate_of(view.static[k], track.rate_Hz)[instant:]
