@@ -1,8 +1,8 @@
 """What identified dynamics add to a chain of declared poles: the main mode, and the delay left.
 
-The chain keeps the mode that carries the motion, if the data resolve one within their band. All
-else is summed up where it matters to a loop: the delay makes the chain's phase that of the
-dynamics at a third of the mode, or of the band, and what then differs in gain widens the family.
+The chain keeps the mode that carries the motion, if the data resolve one. All else is summed up
+where it matters to a loop: the delay makes the chain's phase that of the dynamics at a third of
+the mode, or of the band, and what then differs in gain widens the family.
 """
 
 from dataclasses import dataclass, replace
@@ -56,10 +56,13 @@ def measured_chain(declared: Chain, dynamics: LinearDynamics) -> MeasuredChain:
 
 
 def main_mode(dynamics: LinearDynamics) -> int | None:
-    """Return the number of the resolved mode in the band that carries the motion, or None."""
+    """Return the number of the resolved mode that carries the motion, or None.
+
+    A mode just above the last coherent line counts: its flank determines it, and a loop designed
+    without it is not safe.
+    """
     share = np.abs(dynamics.mode_gain_m_per_V[:, 0, 0] / dynamics.static_gain_m_per_V[0, 0])
-    inside = dynamics.mode_frequency_Hz <= dynamics.band_Hz[1]
-    fit = resolved_modes(dynamics) & inside & (share >= MAIN_SHARE)
+    fit = resolved_modes(dynamics) & (share >= MAIN_SHARE)
     return int(np.where(fit, share, -1.0).argmax()) if fit.any() else None
 
 

@@ -82,6 +82,15 @@ def test_identified_dynamics_put_their_mode_and_their_phase_into_the_plant() -> 
     assert slowest_Hz(slow) < 300.0 < slowest_Hz(fast)
 
 
+def test_a_resolved_mode_just_above_the_last_coherent_line_is_designed_for() -> None:
+    dynamics = replace(
+        one_mode(frequency_Hz=300.0, damping=0.04, delay_s=0.0), band_Hz=(5.0, 280.0)
+    )
+    nominal = lateral_task(rigged(dynamics=dynamics), RATE_Hz).families["inverse"].nominal
+    frequencies_Hz = np.abs(np.log(roots_of(nominal.A))) * RATE_Hz / (2.0 * np.pi)
+    assert np.isclose(frequencies_Hz, 300.0, rtol=1e-6).sum() == 2
+
+
 def one_mode(*, frequency_Hz: float, damping: float, delay_s: float) -> LinearDynamics:
     least, greatest = axis_model().hysteresis.slope_sector_m_per_V
     return LinearDynamics(
