@@ -96,4 +96,5 @@ EFFECT = Effect(
     size=_size,
     inject=inject,
     shows_at=8e-3,
+    worth=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )

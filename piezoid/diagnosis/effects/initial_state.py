@@ -62,7 +62,7 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
-    rivals=("creep",),
+    rivals=("creep", "thermal_drift", "gain_change"),
     trials=_trials,
     against=_against,
     inject=inject,

@@ -50,5 +50,7 @@ EFFECT = Effect(
     trials=_trials,
     against=_against,
     inject=inject,
-    worth=0.15,  # no class of null is as wide as ceramics: a little of this is always there
+    shows_at=8e-3,
+    least=4e-4,
+    worth=0.2,  # no class of null is as wide as ceramics: a little of this is always there
 )

@@ -55,9 +55,9 @@ def _columns(view: View, _: Parameters) -> Array:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let a recording drift: a warm-up and a straight line."""
+    """Let a recording drift: the air conditioning and a straight line."""
     way = seconds_of(recording) / max(recording.duration_s, 1e-9)
-    drift_m = 1.0 - np.exp(-2.0 * way) + 0.5 * way
+    drift_m = np.sin(2.0 * np.pi * 0.8 * way) + 0.5 * way
     moved_m = recording.displacement_m()
     return with_displacement(
         recording, moved_m + scaled_to(drift_m - drift_m.mean(), share, recording)
@@ -75,6 +75,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
-    shows_at=8e-3,
-    worth=0.08,  # slow errors of structure are smooth as well
+    shows_at=4e-3,
+    least=3e-4,
+    worth=0.12,  # slow errors of structure are smooth as well
 )
