@@ -81,25 +81,12 @@ def _dynamics_from_json(content: dict[str, Any] | None) -> LinearDynamics | None
 
 
 def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
-    hysteresis = axis.hysteresis
     return {
         "axis": axis.axis,
         "polarity": axis.polarity,
-        "hysteresis": {
-            "play_threshold_V": hysteresis.plays.threshold.tolist(),
-            "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
-            "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
-            "dead_zone_weight": hysteresis.dead_zones.weight.tolist(),
-            "envelope_threshold_V": hysteresis.envelope.threshold.tolist(),
-            "envelope_weight": hysteresis.envelope.weight.tolist(),
-            "voltage_offset_V": hysteresis.voltage_offset_V,
-            "displacement_offset_m": hysteresis.displacement_offset_m,
-        },
-        "lag": {"kind": axis.lag.kind, "time_s": axis.lag.time_s},
-        "rig": {
-            "amplifier_bandwidth_Hz": axis.rig.amplifier_bandwidth_Hz,
-            "sensor_bandwidth_Hz": axis.rig.sensor_bandwidth_Hz,
-        },
+        "hysteresis": _hysteresis_to_json(axis.hysteresis),
+        "lag": dataclasses.asdict(axis.lag),
+        "rig": dataclasses.asdict(axis.rig),
         "dynamics": None if axis.dynamics is None else axis.dynamics.to_json(),
         "valid_range": {"voltage_V": list(axis.voltage_V)},
         "verdict": {
@@ -109,24 +96,31 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         },
         "quality": _quality_to_json(axis.quality),
         "uncertainty": _uncertainty_to_json(axis.uncertainty),
-        "certificate": {
-            "plays_m": axis.certificate.plays_m,
-            "dead_zones_m": axis.certificate.dead_zones_m,
-            "remainder_m": axis.certificate.remainder_m,
-            "found_m": axis.certificate.found_m,
-            "reach_V": axis.certificate.reach_V,
-            "slew_V_per_s": axis.certificate.slew_V_per_s,
-        },
-        "starts": [
-            {
-                "recording": start.recording,
-                "memory_V": start.memory_V.tolist(),
-                "zero_m": start.zero_m.tolist(),
-                "first": start.first,
-                "last": start.last,
-            }
-            for start in axis.starts
-        ],
+        "certificate": dataclasses.asdict(axis.certificate),
+        "starts": [_start_to_json(start) for start in axis.starts],
+    }
+
+
+def _hysteresis_to_json(hysteresis: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
+    return {
+        "play_threshold_V": hysteresis.plays.threshold.tolist(),
+        "play_weight_m_per_V": hysteresis.plays.weight.tolist(),
+        "dead_zone_threshold_m": hysteresis.dead_zones.threshold.tolist(),
+        "dead_zone_weight": hysteresis.dead_zones.weight.tolist(),
+        "envelope_threshold_V": hysteresis.envelope.threshold.tolist(),
+        "envelope_weight": hysteresis.envelope.weight.tolist(),
+        "voltage_offset_V": hysteresis.voltage_offset_V,
+        "displacement_offset_m": hysteresis.displacement_offset_m,
+    }
+
+
+def _start_to_json(start: PieceStart) -> dict[str, Any]:
+    return {
+        "recording": start.recording,
+        "memory_V": start.memory_V.tolist(),
+        "zero_m": start.zero_m.tolist(),
+        "first": start.first,
+        "last": start.last,
     }
 
 

@@ -48,24 +48,11 @@ def constrained_least_squares(
     scale[scale == 0.0] = 1.0
     factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
     rows, unknowns = factor.shape
-    identity = sparse.eye(rows)
-    quadratic = sparse.block_diag([sparse.csc_matrix((unknowns, unknowns)), identity])
-    equations = sparse.vstack(
-        [
-            sparse.hstack([sparse.csc_matrix(factor), -identity]),
-            sparse.hstack(
-                [
-                    sparse.csc_matrix(constraint / scale * height),
-                    sparse.csc_matrix((len(lower), rows)),
-                ]
-            ),
-        ]
-    )
     solver: Any = osqp.OSQP()
     solver.setup(
-        P=sparse.csc_matrix(quadratic),
+        P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
         q=np.zeros(unknowns + rows),
-        A=sparse.csc_matrix(equations),
+        A=_equations(factor, constraint / scale * height),
         l=np.concatenate([target / height, lower]),
         u=np.concatenate([target / height, upper]),
         eps_abs=_TOLERANCE,
@@ -86,6 +73,15 @@ def constrained_least_squares(
         x=x,
         cost=float(np.sum((triangle @ x - target) ** 2)),
         kkt_gap=_stationarity(factor, x * scale, target, constraint / scale, (lower, upper)),
+    )
+
+
+def _equations(factor: Array, constraint: Array) -> sparse.csc_matrix:
+    """Return the rows R x - e = c and A x, for the unknowns x and then the residual e."""
+    nothing = sparse.csc_matrix((len(constraint), len(factor)))
+    residual = sparse.hstack([sparse.csc_matrix(factor), -sparse.eye(len(factor))])
+    return sparse.csc_matrix(
+        sparse.vstack([residual, sparse.hstack([sparse.csc_matrix(constraint), nothing])])
     )
 
 
