@@ -65,9 +65,8 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
             continue
         progress(f"testing {effect.name.replace('_', ' ')}")
         found = screen(effect, final)
-        # what a slow cause leaves over looks like another structure: then nothing is said of it
-        alone = not {one.effect.name for one in accepted} & set(effect.rivals)
-        if found is not None and found.speaks and alone:
+        # what another cause leaves over looks like structure: then nothing is said of structure
+        if found is not None and found.speaks and not accepted:
             causes.append(Cause(accepted=_accepted(found), found=found, without=final))
         elif found is not None:
             silent[effect.name] = found
