@@ -168,7 +168,8 @@ def _size(cause: Cause) -> Size:
     beta, spread = found.held.coefficient, found.held.spread
     if effect.size is None:
         value = 100.0 * found.share
-        across = float(spread[0] / max(abs(beta[0]), 1e-30)) if len(beta) == 1 else 0.15
+        # of the coefficients' length, to first order
+        across = float(np.linalg.norm(beta * spread)) / max(float(beta @ beta), 1e-300)
         reach = 1.96 * min(across, 1.0) * value
     else:
         value = effect.size(cause.without, found.trial.parameters, beta)

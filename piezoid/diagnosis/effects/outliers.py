@@ -16,6 +16,7 @@ Source
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import erfc
 
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -28,10 +29,14 @@ from piezoid.records.recording import Recording
 FAR = 8.0  # times the typical distance
 LEAST = 1.5e-3  # of half the stroke
 STEPS = 2.5
+MEDIAN_OF_FIVE = 1.14  # sample less the median of it and four others, in deviations of the noise
 
 
-def spikes(track: Track) -> tuple[Array, Array]:
-    """Return which samples are spikes, and each sample's distance from its neighbours' median."""
+def spikes(track: Track) -> tuple[Array, Array, float]:
+    """Return which samples are spikes, each one's distance from its neighbours' median, the noise.
+
+    The noise is what such a distance is in a sample that is none, as a standard deviation.
+    """
     y = track.response
     near = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="reflect"), 5)
     middle = np.median(near, axis=1)
@@ -44,22 +49,26 @@ def spikes(track: Track) -> tuple[Array, Array]:
     # on a coarse converter a reading may be one step beside its neighbours
     coarse = STEPS * step_size(np.round(y, 9))
     far = np.maximum(max(FAR * typical, coarse), 3.0 * agree)
-    return (np.abs(distance) > np.maximum(far, max(LEAST, 2.0 * high))), distance
+    wrong = np.abs(distance) > np.maximum(far, max(LEAST, 2.0 * high))
+    return wrong, distance, MEDIAN_OF_FIVE * typical
 
 
 def _fault(view: View) -> Fault | None:
-    tracks, sizes = [], []
+    tracks, sizes, deviations, samples = [], [], [], 0
     for track in view.tracks:
-        wrong, distance = spikes(track)
+        wrong, distance, noise = spikes(track)
+        samples += len(distance)
+        deviations += (np.abs(distance[wrong]) / noise).tolist()
         y = np.where(wrong, track.response - distance, track.response)
         tracks.append(replace(track, response=y) if wrong.any() else track)
         sizes += np.abs(distance[wrong]).tolist()
     if not sizes:
         return None
-    # the smallest of them is FAR deviations out; a normal sample is there once in 1e15
+    # how often normal noise would put the nearest of them so far out among so many samples
+    p_value = min(1.0, samples * float(erfc(min(deviations) / np.sqrt(2.0))))
     size_m = view.stroke_m * max(sizes)
     spread_m = view.stroke_m * float(np.std(sizes)) / np.sqrt(len(sizes)) + 0.02 * size_m
-    return Fault(tracks=tuple(tracks), value=1e9 * size_m, spread=1e9 * spread_m, p_value=1e-9)
+    return Fault(tracks=tuple(tracks), value=1e9 * size_m, spread=1e9 * spread_m, p_value=p_value)
 
 
 def inject(recording: Recording, share: float) -> Recording:

@@ -17,6 +17,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
@@ -34,8 +35,25 @@ def _fault(view: View) -> Fault | None:
     if len(coarse) < len(steps):
         return None
     step_m = view.stroke_m * float(np.median(coarse))
-    # a chance lattice would need every one of thousands of readings within a tenth of a step
-    return Fault(tracks=view.tracks, value=1e9 * step_m, spread=1e7 * step_m, p_value=1e-9)
+    chance = sum(
+        _evidence(track.response, step) for track, step in zip(view.tracks, steps, strict=True)
+    )
+    return Fault(
+        tracks=view.tracks,
+        value=1e9 * step_m,
+        spread=1e7 * step_m,
+        p_value=float(np.exp(-min(chance, 700.0))),
+    )
+
+
+def _evidence(response: Array, step: float) -> float:
+    """Return n R^2, whose exponential is how rarely n free phases point together as these do.
+
+    R = |mean exp(2 pi i y / step)|, over the rows at which the reading changed  [Rayleigh's test]
+    """
+    changed = response[1:][np.diff(response) != 0]
+    together = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
+    return float(len(changed) * together**2)
 
 
 def inject(recording: Recording, share: float) -> Recording:

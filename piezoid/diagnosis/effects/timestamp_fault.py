@@ -80,18 +80,32 @@ def _fault(view: View) -> Fault | None:
             or float(np.sqrt(np.mean(worth**2))) < LEAST_SHARE
         ):
             continue
-        found.append((left, samples))
+        found.append((_chance(track.response - view.static[k], left), samples))
         tracks[k] = _in_step(track, instant, samples)
     if not found:
         return None
     samples = max((s for _, s in found), key=abs)
-    # the residual's rms halves for a change of one integer among thousands of rows
     return Fault(
         tracks=tuple(tracks),
         value=float(samples),
         spread=1.0 + 0.02 * abs(samples),
-        p_value=1e-6,
+        p_value=min(chance for chance, _ in found),
     )
+
+
+def _chance(error: Array, left: float) -> float:
+    """Return an upper limit of the chance that no slip looks as good as this one.
+
+        p <= tried / LR,  LR = left^-n,  n = N (1 - rho) / (1 + rho)
+
+    A likelihood ratio exceeds c with a chance of at most 1 / c where the simple model holds
+    (Markov); n counts the rows that are independent, rho is the correlation of neighbours.
+    """
+    free = error - error.mean()
+    rho = float(np.clip(free[1:] @ free[:-1] / max(free @ free, 1e-300), 0.0, 1.0 - 1e-9))
+    independent = len(free) * (1.0 - rho) / (1.0 + rho)
+    tried = 80.0 * len(free)
+    return float(min(1.0, np.exp(np.log(tried) + independent * np.log(max(left, 1e-12)))))
 
 
 def _whole(track: Track, static: Array, samples: int) -> float:
