@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.fit import fit
-from piezoid.identification.model import AxisModel
+from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import (
@@ -115,6 +115,8 @@ def test_a_sensor_that_falls_as_the_drive_rises_only_changes_the_polarity() -> N
     y = stage(u, rng)
     rising, falling = fit([recording(u, y)])["x"], fit([recording(u, -y)])["x"]
     assert (rising.polarity, falling.polarity) == (1, -1)
+    stored = ActuatorModel(stage="s", axes={"x": falling}, sources={})
+    assert read_model(write_model(stored))["x"].polarity == -1
     np.testing.assert_allclose(
         falling.hysteresis.plays.weight, rising.hysteresis.plays.weight, rtol=1e-6
     )
