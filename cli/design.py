@@ -77,6 +77,6 @@ def _table(found: "Design") -> "Table":
                 "any" if delay_s is None else f"{1e6 * delay_s:.0f} us",
                 f"{1e9 * proven.guaranteed_error_m:.0f} nm"
                 if proven is not None and proven.is_guaranteed
-                else "nothing",
+                else "no bound",
             )
     return table

@@ -51,13 +51,14 @@ def fit(
         design, undesigned = _designed(model, content, told)
         told("writing the report")
         page = render(model, held.recordings, held.sweeps, design, undesigned)
-        diagnosis = _diagnosed(held.recordings, declared, model, told)
+        diagnosis, sentence = _diagnosed(held.recordings, declared, model, told)
         files_out = {"model.json": content, "report.html": page.encode(), **diagnosis}
         if design is not None:
             files_out["design.json"] = design.to_json()
         write_folder(out, files_out)
     if not quiet:
         _show(model, out)
+        typer.echo(sentence)
         _show_design(design, undesigned)
     if not model.applies:
         raise typer.Exit(1)
@@ -68,16 +69,20 @@ def _diagnosed(
     lab: "Lab | None",
     model: "ActuatorModel",
     told: "Callable[[str], None]",
-) -> dict[str, bytes]:
-    """Return diagnosis.json of the first axis, nothing where no axis was fitted."""
+) -> tuple[dict[str, bytes], str]:
+    """Return diagnosis.json of the first axis, and a sentence on it and the axes left out."""
     from piezoid.diagnosis.diagnose import diagnose
     from piezoid.diagnosis.diagnosis import write_diagnosis
 
     if not model.axes:
-        return {}
-    axis = next(iter(model.axes))
+        return {}, "diagnosis: no axis with a drive and a displacement"
+    axis, *others = model.axes
     found = diagnose(recordings, axis=axis, lab=lab, progress=told)
-    return {"diagnosis.json": write_diagnosis(found)}
+    causes = ", ".join(finding.effect for finding in found.findings) or "nothing"
+    sentence = f"diagnosis of axis {axis}: {causes} named"
+    if others:
+        sentence += f"; not diagnosed here: {', '.join(others)} (piezoid diagnose --axis)"
+    return {"diagnosis.json": write_diagnosis(found)}, sentence
 
 
 def _designed(
