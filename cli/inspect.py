@@ -20,6 +20,12 @@ def inspect(
 
     A file that cannot be used as a recording is shown with the reason; the exit status is then 3,
     after all files have been shown.
+
+    [bold]Examples[/bold]
+
+    piezoid inspect sweep.csv check.csv
+
+    piezoid inspect *.csv --lab lab.toml --json > understood.json
     """
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
@@ -28,7 +34,7 @@ def inspect(
     if json:
         typer.echo(_json(inspections))
     else:
-        _show(inspections)
+        show(inspections)
     if any(inspection.refusal for inspection in inspections):
         raise typer.Exit(3)
 
@@ -41,7 +47,8 @@ def _json(inspections: "tuple[Inspection, ...]") -> str:
     return dumps({"schema": "piezoid.inspection/1", "files": content}, indent=1, allow_nan=False)
 
 
-def _show(inspections: "tuple[Inspection, ...]") -> None:
+def show(inspections: "tuple[Inspection, ...]") -> None:
+    """Print what was understood of every file."""
     from rich.console import Console
 
     console = Console(soft_wrap=False)
@@ -108,7 +115,9 @@ def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
 
 
 def _quantity(value: float | None, unit: str) -> str:
-    return "" if value is None else f"{value:.4g} {unit}".strip()
+    from piezoid_reports.quantities import NARROW, told
+
+    return "" if value is None else told(value, unit, 4).replace(NARROW, " ")
 
 
 def _state(column: "ColumnSummary") -> str:

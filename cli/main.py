@@ -13,11 +13,12 @@ from piezoid_cli.design import design
 from piezoid_cli.diagnose import diagnose
 from piezoid_cli.export import export
 from piezoid_cli.fit import fit
+from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.simulate import simulate
 from piezoid_cli.verify import verify
 
-VERBS = (diagnose, fit, inspect, design, export, verify, simulate)
+VERBS = (inspect, init, fit, diagnose, design, export, verify, simulate)
 
 app = typer.Typer(
     name="piezoid",

@@ -26,6 +26,35 @@ def check_free(folder: Path, *, force: bool) -> None:
         )
 
 
+def check_free_file(place: Path, *, force: bool) -> None:
+    """Refuse to replace a file, before any work is done.
+
+    Raises ``typer.BadParameter`` (exit status 2) unless nothing is there, or ``force``.
+    """
+    if place.is_dir():
+        raise typer.BadParameter(f"{place} is a folder; name a file")
+    if place.exists() and not force:
+        raise typer.BadParameter(
+            f"{place} is already there; name another file, or add --force to replace it"
+        )
+
+
+def write_file(place: Path, content: bytes) -> None:
+    """Write one file whole or not at all."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    number, name = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
+    fresh = Path(name)
+    try:
+        with open(number, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        fresh.chmod(0o644)
+        fresh.replace(place)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
 def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
     """Write all files beside the folder, then put the finished one in its place in one step.
 

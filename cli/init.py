@@ -1,0 +1,48 @@
+"""`piezoid init`: a first lab.toml from recordings, after showing what was understood of them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def init(
+    files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
+    out: Annotated[Path, typer.Option(help="The file to write.")] = Path("lab.toml"),
+    force: Annotated[bool, typer.Option(help="Replace the file if it is there.")] = False,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+) -> None:
+    """Write a commented lab.toml from recordings, after showing what was understood.
+
+    Every file that is read without doubt becomes an entry; what only you know (amplifier, sensor,
+    controller) stands there as a comment to complete.
+
+    Exit status 3 means that an entry must be completed before its file can be used; the lab.toml
+    is written all the same, with the reason above the entry.
+
+    [bold]Examples[/bold]
+
+    piezoid init sweep.csv check.csv
+
+    piezoid init data/*.csv --out data/lab.toml
+    """
+    from piezoid.records.inspection import inspect_files
+    from piezoid.records.lab_draft import draft_lab
+    from piezoid_cli.inspect import show
+    from piezoid_cli.output_folder import check_free_file, write_file
+    from piezoid_cli.progress import shown
+
+    check_free_file(out, force=force)
+    with shown(quiet=quiet) as told:
+        told("reading recordings")
+        inspections = inspect_files(files)
+        draft = draft_lab(files, out.parent)
+    if not quiet:
+        show(inspections)
+    write_file(out, draft.text.encode())
+    if not quiet:
+        typer.echo(f"written: {out}; complete what you know, then pass it with --lab {out}")
+    if draft.incomplete:
+        names = ", ".join(draft.incomplete)
+        typer.echo(f"to complete in {out} before it can be used: {names}", err=True)
+        raise typer.Exit(3)

@@ -1,0 +1,157 @@
+"""The first lab.toml: what recordings say of themselves, and the questions they leave open.
+
+What is understood is written as entries; what only the laboratory knows stands there as comments
+with an example, so that nothing is claimed that nobody said.
+"""
+
+import os
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.errors import PiezoidError
+from piezoid.records.assignment import Assigned, assign
+from piezoid.records.collection import is_over_height
+from piezoid.records.ingest import ingest_table
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.readers import read_table
+from piezoid.records.recording import Quantity, Recording
+from piezoid.records.refusal import lab_block
+from piezoid.records.table import Column, RawTable
+from piezoid.records.units import unit_of
+
+HEAD = """\
+# What this laboratory knows about its rig, written by `piezoid init` from the recordings below.
+# Lines that begin with # are not read. Everything is optional: complete what you know, remove
+# the #, and pass the file with --lab. All units are SI and end the names.
+
+[rig]
+# name = "stage 42"              # heads the report
+
+[amplifier]                      # between the controller's output and the piezo
+# gain_V_per_V = 15
+# bandwidth_Hz = 4000            # -3 dB; taken out of what is fitted as the stage's own lag
+# output_min_V = -30             # where the output clips
+# output_max_V = 180
+# slew_V_per_s = 20000           # the fastest it can follow
+
+[sensor]
+# bandwidth_Hz = 8500            # -3 dB
+# gain_V_per_m = 2e5             # needed where a recording holds the sensor's volts
+
+[acquisition]
+# sampling_rate_Hz = 20000       # of the controller; without it no controller is designed
+# dac_bits = 16
+# adc_bits = 16
+# input_range_V = [-10, 10]
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LabDraft:
+    """A lab.toml to begin with.
+
+    text        TOML with comments
+    incomplete  names of files that cannot be used before somebody completes their entry
+    """
+
+    text: str
+    incomplete: tuple[str, ...]
+
+
+def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
+    """Return a lab.toml for these recordings, to be written into a folder.
+
+    A file that is read without doubt becomes an entry which reads it the same way again; any
+    other one becomes the entry to complete, as a comment under the reason.
+    """
+    parts, incomplete = [HEAD], []
+    for path in paths:
+        name = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        text, is_usable = _about(path, name)
+        parts.append(text)
+        if not is_usable:
+            incomplete.append(path.name)
+    return LabDraft(text="\n".join(parts), incomplete=tuple(incomplete))
+
+
+def _about(path: Path, name: str) -> tuple[str, bool]:
+    """Return the text about one file, and whether it can be used as it stands."""
+    try:
+        table = read_table(path)
+    except PiezoidError as error:
+        return commented(f"{name}: {error}"), False
+    if is_over_height(table):
+        text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
+        return commented(text), True
+    try:
+        recording = ingest_table(table, Lab(), None)
+        return _entry(table, recording, name), True
+    except PiezoidError as error:
+        asked = str(error).partition("\n")[0]
+        block = lab_block(table).replace(_toml(table.name), _toml(name), 1)
+        return commented(asked) + commented(block), False
+
+
+def _entry(table: RawTable, recording: Recording, name: str) -> str:
+    found = assign(table, Lab(), RecordingEntry(file=table.name))
+    clock = [("time", found.time)] if found.time is not None else []
+    read = [*clock, *((_key(channel), channel) for channel in found.channels)]
+    columns = ", ".join(f"{key} = {_heading(table, a.column)}" for key, a in read)
+    units = ", ".join(
+        f"{key} = {_toml(a.unit.symbol)}" for key, a in read if unit_of(a.unit.symbol) == a.unit
+    )
+    lines = [
+        "[[recording]]",
+        f"file = {_toml(name)}",
+        f"axis = {_toml(recording.axis)}",
+        f"columns = {{ {columns} }}",
+        f"units = {{ {units} }}",
+    ]
+    return commented(_summary(recording)) + "\n".join(lines) + "\n"
+
+
+def _key(channel: Assigned) -> str:
+    assert channel.quantity is not None
+    return f"{channel.quantity.name.lower()}_{channel.axis}"
+
+
+def _heading(table: RawTable, column: Column) -> str:
+    """Name a column by its heading, or by its number where the heading is not its own."""
+    plain = column.label == column.label.strip() and column.label.isprintable()
+    return (
+        _toml(column.label) if plain and table.find(column.label) is column else str(column.number)
+    )
+
+
+def _summary(recording: Recording) -> str:
+    lines = [
+        f"{recording.name}: {recording.samples} samples, {recording.sampling_rate_Hz:.9g} Hz, "
+        f"{recording.duration_s:.6g} s"
+    ]
+    for channel in recording.channels:
+        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {channel.quantity.value}"
+        low, high = float(np.min(channel.values)), float(np.max(channel.values))
+        lines.append(
+            f"  {channel.quantity.name.lower()} of {channel.axis}: {low:.4g} to {high:.4g}{unit}"
+        )
+    lines += [f"  {problem.kind}: {problem.text}" for problem in recording.problems]
+    return "\n".join(lines)
+
+
+def commented(text: str) -> str:
+    """Return a text as comments that no name in it can end."""
+    return "".join(f"# {_harmless(line)}".rstrip() + "\n" for line in text.splitlines() or [""])
+
+
+def _harmless(line: str) -> str:
+    return "".join(c if unicodedata.category(c)[0] != "C" else ascii(c)[1:-1] for c in line)
+
+
+def _toml(text: str) -> str:
+    """Return a TOML basic string; every character that is none of ours as its code."""
+    escaped = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in text)
+    return '"' + "".join(escaped) + '"'

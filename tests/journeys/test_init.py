@@ -1,0 +1,123 @@
+"""`piezoid init`: the first lab.toml says what was understood, claims nothing, and works."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import piezoid_datasets
+from piezoid.records.ingest import ingest, ingest_all
+from piezoid.records.lab import read_lab
+from piezoid.records.lab_draft import commented, draft_lab
+from piezoid_cli.main import app
+
+HOSTILE = ('po"s [um]', "pos\\n [um]", "pos # [um]", "pos\u202e [um]", "pos 'x' [um]")
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["init", *map(str, arguments)])
+    return result.exit_code, result.output
+
+
+def sweep(path: Path, heading: str = "pos [um]", drive: str = "voltage [V]") -> Path:
+    time_s = np.arange(200) / 100
+    rows = np.column_stack([time_s, np.sin(time_s), np.cos(time_s)])
+    quoted = ",".join('"' + name.replace('"', '""') + '"' for name in (drive, heading))
+    lines = [f"{t:.2f},{u:.5f},{y:.5f}" for t, u, y in rows]
+    path.write_text(f"time [s],{quoted}\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def test_the_lab_file_reads_the_recordings_as_they_were_read_without_it(tmp_path: Path) -> None:
+    files = piezoid_datasets.recordings()[:2]
+    status, shown = run(*files, "--out", tmp_path / "lab.toml")
+    assert status == 0, shown
+    assert "x_sweep.csv: text table" in shown
+    declared = ingest_all(files, read_lab(tmp_path / "lab.toml"))
+    for one, other in zip(ingest_all(files), declared, strict=True):
+        assert one.axis == other.axis
+        assert one.sampling_rate_Hz == other.sampling_rate_Hz
+        assert np.array_equal(one.voltage_V(), other.voltage_V())
+        assert np.array_equal(one.displacement_m(), other.displacement_m())
+
+
+def test_what_only_the_laboratory_knows_is_a_comment(tmp_path: Path) -> None:
+    draft = draft_lab([sweep(tmp_path / "a.csv")], tmp_path)
+    held = tomllib.loads(draft.text)
+    assert not any(held[table] for table in ("rig", "amplifier", "sensor", "acquisition"))
+    completed = re.sub(r"^# (\w+ = [^#\n]*).*$", r"\1", draft.text, flags=re.MULTILINE)
+    (tmp_path / "lab.toml").write_text(completed)
+    assert read_lab(tmp_path / "lab.toml").amplifier.gain_V_per_V == 15
+
+
+@pytest.mark.parametrize("heading", HOSTILE)
+def test_no_heading_breaks_out_of_the_file(tmp_path: Path, heading: str) -> None:
+    path = sweep(tmp_path / "a.csv", heading)
+    draft = draft_lab([path], tmp_path)
+    (tmp_path / "lab.toml").write_text(draft.text, encoding="utf-8")
+    assert not draft.incomplete
+    assert np.array_equal(
+        ingest(path, read_lab(tmp_path / "lab.toml")).displacement_m(),
+        ingest(path).displacement_m(),
+    )
+
+
+def test_a_heading_that_stands_twice_is_named_by_number(tmp_path: Path) -> None:
+    path = sweep(tmp_path / "a.csv")
+    path.write_text(path.read_text().replace("\n", ",\n").replace(",\n", ',"pos [um]"\n', 1))
+    draft = draft_lab([path], tmp_path)
+    assert tomllib.loads(draft.text)["recording"][0]["columns"]["displacement_x"] == 3
+    (tmp_path / "lab.toml").write_text(draft.text)
+    assert ingest(path, read_lab(tmp_path / "lab.toml")).samples == 200
+
+
+def test_an_ambiguous_file_becomes_an_entry_to_complete_and_the_status_says_so(
+    tmp_path: Path,
+) -> None:
+    path = sweep(tmp_path / "a.csv", "pos")
+    status, shown = run(path, "--out", tmp_path / "lab.toml")
+    assert status == 3
+    assert "to complete" in shown
+    text = (tmp_path / "lab.toml").read_text()
+    assert "without a unit" in text
+    assert "recording" not in tomllib.loads(text)
+    block = text[text.index("# [[recording]]") :]
+    (tmp_path / "lab.toml").write_text(
+        re.sub("^# ", "", block, flags=re.MULTILINE)
+        .replace('voltage = "..."', 'voltage = "voltage [V]"', 1)
+        .replace('displacement = "..."', 'displacement = "pos"', 1)
+        .replace('voltage = "..."', 'voltage = "V"', 1)
+        .replace('displacement = "..."', 'displacement = "um"', 1)
+    )
+    assert float(np.ptp(ingest(path, read_lab(tmp_path / "lab.toml")).displacement_m())) < 3e-6
+
+
+def test_a_lab_file_that_is_there_is_kept_unless_forced(tmp_path: Path) -> None:
+    path = sweep(tmp_path / "a.csv")
+    (tmp_path / "lab.toml").write_text("precious")
+    status, shown = run(path, "--out", tmp_path / "lab.toml")
+    assert status == 2
+    assert "--force" in shown
+    assert (tmp_path / "lab.toml").read_text() == "precious"
+    assert run(path, "--out", tmp_path / "lab.toml", "--force", "--quiet") == (0, "")
+    assert read_lab(tmp_path / "lab.toml").recordings[0].file == "a.csv"
+
+
+def test_files_are_named_from_the_folder_of_the_lab_file(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "rig").mkdir()
+    path = sweep(tmp_path / "data" / "a.csv")
+    draft = draft_lab([path], tmp_path / "rig")
+    (tmp_path / "rig" / "lab.toml").write_text(draft.text)
+    lab = read_lab(tmp_path / "rig" / "lab.toml")
+    assert lab.recordings[0].file == "../data/a.csv"
+    assert len(lab.entries_of(path)) == 1
+
+
+def test_no_line_of_a_name_escapes_its_comment() -> None:
+    text = commented("one\ntwo\r[rig]\u2028three\x0bfour\x00")
+    assert all(line.startswith("# ") for line in text.split("\n")[:-1])
+    assert tomllib.loads(text) == {}
