@@ -1,19 +1,15 @@
-"""`piezoid fit`: recordings in, a folder with model.json and report.html out."""
+"""`piezoid fit`: recordings in, the whole folder of a stage out."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from rich.table import Table
 
-    from piezoid.design.design import Design
     from piezoid.identification.model import ActuatorModel
-    from piezoid.records.lab import Lab
-    from piezoid.records.recording import Recording
+    from piezoid_cli.calibration import Calibration
 
 
 def fit(
@@ -22,104 +18,103 @@ def fit(
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
 ) -> None:
-    """Fit a stage and design its controllers: write model.json, design.json and report.html.
+    """Do all of it: fit a stage, diagnose it, design its controllers, verify what ships.
 
-    Example: piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
+    Writes model.json, diagnosis.json, design.json, params.json, bundle/ (C source to compile),
+    verification.json and report.html. Without a controller's sampling rate in lab.toml, or with
+    nothing that limits the stage's speed, there is no controller, and the report says what is
+    missing.
 
-    Without a controller's sampling rate in lab.toml, or with nothing that limits the stage's
-    speed, no controller is designed, and the report says what is missing.
+    Exit status 1 means that a verdict failed, or that the model class does not apply; the report
+    says why.
 
-    Exit status 1 means that the model class does not apply; the report says why.
+    [bold]Examples[/bold]
+
+    piezoid fit sweep.csv --out stage42/
+
+    piezoid fit sweep.csv check.csv rates.csv --lab lab.toml --out stage42/ --force
+
+    piezoid fit *.csv --lab lab.toml --out stage42/ --json | jq .axes.x.held_out_rms_m
     """
+    from piezoid_cli.calibration import calibrate
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
 
     check_free(out, force=force)
-    with shown(quiet=quiet) as told:
-        told("reading recordings")
-        from piezoid.identification.fit import fit as fit_model
-        from piezoid.identification.store import write_model
-        from piezoid.records.collection import collect
-        from piezoid.records.lab import read_lab
-        from piezoid_reports.render import render
+    with shown(quiet=quiet or json) as told:
+        found = calibrate(files, lab, told)
+        write_folder(out, found.files)
+    if json:
+        from json import dumps
 
-        declared = None if lab is None else read_lab(lab)
-        held = collect(files, declared)
-        model = fit_model(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
-        content = write_model(model)
-        design, undesigned = _designed(model, content, told)
-        told("writing the report")
-        page = render(model, held.recordings, held.sweeps, design, undesigned)
-        diagnosis, sentence = _diagnosed(held.recordings, declared, model, told)
-        files_out = {"model.json": content, "report.html": page.encode(), **diagnosis}
-        if design is not None:
-            files_out["design.json"] = design.to_json()
-        write_folder(out, files_out)
-    if not quiet:
-        _show(model, out)
-        typer.echo(sentence)
-        _show_design(design, undesigned)
-    if not model.applies:
+        typer.echo(dumps(summary_of(found), indent=1, allow_nan=False))
+    elif not quiet:
+        _show(found, out)
+    if not found.passed:
         raise typer.Exit(1)
 
 
-def _diagnosed(
-    recordings: "Sequence[Recording]",
-    lab: "Lab | None",
-    model: "ActuatorModel",
-    told: "Callable[[str], None]",
-) -> tuple[dict[str, bytes], str]:
-    """Return diagnosis.json of the first axis, and a sentence on it and the axes left out."""
-    from piezoid.diagnosis.diagnose import diagnose
-    from piezoid.diagnosis.diagnosis import write_diagnosis
-
-    if not model.axes:
-        return {}, "diagnosis: no axis with a drive and a displacement"
-    axis, *others = model.axes
-    found = diagnose(recordings, axis=axis, lab=lab, progress=told)
-    causes = ", ".join(finding.effect for finding in found.findings) or "nothing"
-    sentence = f"diagnosis of axis {axis}: {causes} named"
-    if others:
-        sentence += f"; not diagnosed here: {', '.join(others)} (piezoid diagnose --axis)"
-    return {"diagnosis.json": write_diagnosis(found)}, sentence
-
-
-def _designed(
-    model: "ActuatorModel", content: bytes, told: "Callable[[str], None]"
-) -> "tuple[Design | None, str]":
-    """Return the recommended controllers, or why there are none.
-
-    `piezoid design` adds the affine form beside them, for comparison; that takes longer.
-    """
-    from json import loads
-
-    from piezoid.design.stage import design_stage
-    from piezoid.errors import DesignError
-
-    if not model.axes:
-        return None, ""
-    try:
-        digest = loads(content)["digest"]
-        found = design_stage(model, model_digest=digest, forms=("inverse",), progress=told)
-    except DesignError as refusal:
-        return None, str(refusal)
-    return found, ""
+def summary_of(found: "Calibration") -> dict[str, Any]:
+    """Return what a script wants to know of a stage."""
+    causes = [] if found.diagnosis is None else found.diagnosis.findings
+    verdicts = () if found.verification is None else found.verification.verdicts
+    return {
+        "schema": "piezoid.summary/1",
+        "stage": found.model.stage,
+        "passed": found.passed,
+        "axes": {
+            name: {
+                "applies": axis.verdict.applies,
+                "reason": axis.verdict.reason,
+                "held_out_rms_m": axis.quality.held_out_rms_m,
+                "held_out_rms_percent": axis.quality.held_out_rms_percent,
+                "noise_rms_m": axis.quality.noise_rms_m,
+                "error_bound_m": axis.certificate.bound_m,
+            }
+            for name, axis in found.model.axes.items()
+        },
+        "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
+        "causes": [finding.effect for finding in causes],
+        "undesigned": found.undesigned,
+        "verdicts_passed": sum(verdict.passed for verdict in verdicts),
+        "verdicts": len(verdicts),
+        "files": sorted(found.files),
+    }
 
 
-def _show_design(design: "Design | None", undesigned: str) -> None:
+def _show(found: "Calibration", out: Path) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from piezoid_cli.design import show
+    from piezoid_cli.design import show as show_design
 
-    if design is not None:
-        show(design)
-    elif undesigned:
-        Console().print(Text(f"no controller: {undesigned}", style="dim"))
+    _show_model(found.model)
+    typer.echo(_diagnosis_sentence(found))
+    if found.design is not None:
+        show_design(found.design)
+    if found.undesigned:
+        Console().print(Text(f"no controller: {found.undesigned}", style="dim"))
+    if found.verification is not None:
+        passed = sum(verdict.passed for verdict in found.verification.verdicts)
+        line = f"verification: {passed} of {len(found.verification.verdicts)} verdicts passed"
+        Console().print(Text(line, style="" if found.verification.passed else "bold red"))
+    typer.echo(f"report: {out / 'report.html'}")
 
 
-def _show(model: "ActuatorModel", out: Path) -> None:
+def _diagnosis_sentence(found: "Calibration") -> str:
+    if found.diagnosis is None:
+        return "diagnosis: no axis with a drive and a displacement"
+    causes = ", ".join(found.diagnosis.names) or "nothing"
+    sentence = f"diagnosis of axis {found.diagnosis.axis}: {causes} named"
+    others = [axis for axis in found.model.axes if axis != found.diagnosis.axis]
+    if others:
+        sentence += f"; not diagnosed here: {', '.join(others)} (piezoid diagnose --axis)"
+    return sentence
+
+
+def _show_model(model: "ActuatorModel") -> None:
     from rich.console import Console
     from rich.text import Text
 
@@ -141,7 +136,6 @@ def _show(model: "ActuatorModel", out: Path) -> None:
             console.print(Text(reason, style="bold red"))
         for remark in axis.verdict.remarks:
             console.print(Text(f"axis {axis.axis}: {remark}", style="dim"))
-    console.print(Text(f"report: {out / 'report.html'}"))
 
 
 def _table(model: "ActuatorModel") -> "Table":

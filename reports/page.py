@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from piezoid.design.design import Design
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
+from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Axis, Canvas, Layer
 from piezoid_reports.traces import Trace
 
@@ -25,6 +27,9 @@ class Page:
     sweeps        Z spectroscopies the junction was fitted to
     design        controllers, where they were designed
     undesigned    why they were not, or empty
+    diagnosis     of one axis, where it was made
+    verification  of what ships, where it was run
+    files         sealed files of the folder by name, for the chain of digests
     """
 
     model: ActuatorModel
@@ -34,6 +39,9 @@ class Page:
     sweeps: tuple[RawTable, ...] = ()
     design: Design | None = None
     undesigned: str = ""
+    diagnosis: Diagnosis | None = None
+    verification: Verification | None = None
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:

@@ -3,17 +3,20 @@
 import base64
 import hashlib
 import json
-from collections.abc import Sequence
-from importlib.resources import files
+from collections.abc import Mapping, Sequence
+from importlib.resources import files as files_of
+from types import MappingProxyType
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from piezoid.design.design import Design
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
+from piezoid.verification.verification import Verification
 from piezoid_reports.page import Page
 from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import OF_DESIGN, OF_STAGE, SECTIONS, Render
@@ -26,6 +29,10 @@ def render(
     sweeps: Sequence[RawTable] = (),
     design: Design | None = None,
     undesigned: str = "",
+    *,
+    diagnosis: Diagnosis | None = None,
+    verification: Verification | None = None,
+    files: Mapping[str, bytes] = MappingProxyType({}),
 ) -> str:
     """Return report.html.
 
@@ -34,6 +41,9 @@ def render(
     sweeps      Z spectroscopies its junction was fitted to
     design      its controllers
     undesigned  why there are none
+    diagnosis   of one of its axes
+    verification  of what ships
+    files       of the folder the page belongs to, for their digests
     """
     page = Page(
         model=model,
@@ -43,6 +53,9 @@ def render(
         sweeps=tuple(sweeps),
         design=design,
         undesigned=undesigned,
+        diagnosis=diagnosis,
+        verification=verification,
+        files=files,
     )
     return _written(page, SECTIONS if model.axes else OF_STAGE)
 
@@ -88,7 +101,7 @@ def _hash(text: str) -> str:
 
 
 def _text(name: str) -> str:
-    return (files("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
+    return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
 
 
 def _environment() -> Environment:

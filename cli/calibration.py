@@ -1,0 +1,152 @@
+"""The whole way of one stage: recordings in, every file of its folder out, nothing printed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from json import loads
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from piezoid.errors import DesignError, ParameterFileError
+
+if TYPE_CHECKING:
+    from piezoid.design.design import Design
+    from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.export.parameter_file import ParameterFile
+    from piezoid.identification.model import ActuatorModel
+    from piezoid.records.lab import Lab
+    from piezoid.records.recording import Recording
+    from piezoid.verification.verification import Verification
+
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """One stage, from its recordings to the verdict on what ships.
+
+    diagnosis     of the first axis; None without an axis
+    design        None where none could be made; ``undesigned`` then says why
+    verification  of what ships; None without a design
+    files         name and bytes of everything that belongs into the folder
+    """
+
+    model: "ActuatorModel"
+    diagnosis: "Diagnosis | None"
+    design: "Design | None"
+    undesigned: str
+    parameters: "ParameterFile | None"
+    verification: "Verification | None"
+    files: Mapping[str, bytes]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the model applies to every axis, and no verdict on the controller failed."""
+        return self.model.applies and (self.verification is None or self.verification.passed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Controller:
+    design: "Design | None" = None
+    parameters: "ParameterFile | None" = None
+    verification: "Verification | None" = None
+    reason: str = ""
+
+
+def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibration:
+    """Fit, diagnose, design, export, verify and report one stage.
+
+    Raises what reading and fitting raise; a stage for which no controller can be designed is a
+    calibration without one.
+    """
+    told("reading recordings")
+    from piezoid.identification.fit import fit
+    from piezoid.identification.store import write_model
+    from piezoid.records.collection import collect
+    from piezoid.records.lab import read_lab
+    from piezoid_reports.render import render
+
+    declared = None if lab is None else read_lab(lab)
+    held = collect(files, declared)
+    model = fit(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
+    content = {"model.json": write_model(model)}
+    diagnosis = _diagnosed(held.recordings, declared, model, told)
+    if diagnosis is not None:
+        from piezoid.diagnosis.diagnosis import write_diagnosis
+
+        content["diagnosis.json"] = write_diagnosis(diagnosis)
+    controller = _controller(model, content["model.json"], told)
+    content |= _files_of(controller)
+    told("writing the report")
+    page = render(
+        model,
+        held.recordings,
+        held.sweeps,
+        controller.design,
+        controller.reason,
+        diagnosis=diagnosis,
+        verification=controller.verification,
+        files=content,
+    )
+    return Calibration(
+        model=model,
+        diagnosis=diagnosis,
+        design=controller.design,
+        undesigned=controller.reason,
+        parameters=controller.parameters,
+        verification=controller.verification,
+        files={**content, "report.html": page.encode()},
+    )
+
+
+def _diagnosed(
+    recordings: "Sequence[Recording]", lab: "Lab | None", model: "ActuatorModel", told: Told
+) -> "Diagnosis | None":
+    """Return the diagnosis of the first axis; `piezoid diagnose --axis` makes those of others."""
+    from piezoid.diagnosis.diagnose import diagnose
+
+    if not model.axes:
+        return None
+    return diagnose(recordings, axis=next(iter(model.axes)), lab=lab, progress=told)
+
+
+def _controller(model: "ActuatorModel", content: bytes, told: Told) -> _Controller:
+    """Return the recommended controllers and what became of them, or why there are none.
+
+    `piezoid design` adds the affine form beside them, for comparison; that takes longer.
+    """
+    from piezoid.design.stage import design_stage
+    from piezoid.export.stage import export_stage
+    from piezoid.verification.stage import verify_stage
+
+    if not model.axes:
+        return _Controller()
+    try:
+        digest = loads(content)["digest"]
+        design = design_stage(model, model_digest=digest, forms=("inverse",), progress=told)
+    except DesignError as refusal:
+        return _Controller(reason=str(refusal))
+    try:
+        told("exporting")
+        design_digest = loads(design.to_json())["digest"]
+        parameters = export_stage(model, design, design_digest=design_digest)
+        told("running the compiled controller against the stage")
+        found = verify_stage(parameters, model)
+    except ParameterFileError as refusal:
+        return _Controller(design=design, reason=str(refusal))
+    return _Controller(design=design, parameters=parameters, verification=found)
+
+
+def _files_of(controller: _Controller) -> dict[str, bytes]:
+    from piezoid.export.bundle import bundle
+    from piezoid.export.parameter_file import to_json
+
+    files = {}
+    if controller.design is not None:
+        files["design.json"] = controller.design.to_json()
+    if controller.parameters is not None:
+        files["params.json"] = to_json(controller.parameters)
+        held = bundle(controller.parameters).files
+        files |= {f"bundle/{name}": text for name, text in held.items()}
+    if controller.verification is not None:
+        files["verification.json"] = controller.verification.to_json()
+    return files
