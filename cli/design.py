@@ -22,9 +22,13 @@ def design(
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
 
-    Example: piezoid design stage42/ --spec design.toml
-
     Exit status 4 means that no controller meets what is asked; the message says which could.
+
+    [bold]Examples[/bold]
+
+    piezoid design stage42/
+
+    piezoid design stage42/ --rate 20000 --spec design.toml
     """
     from json import loads
 

@@ -18,16 +18,23 @@ def diagnose(
     axis: Annotated[str | None, typer.Option(help="Which axis; default: the first.")] = None,
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="For scripts: print diagnosis.json itself.")
+    ] = False,
 ) -> None:
     """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json.
 
-    Example: piezoid diagnose sweep.csv staircase.csv --lab lab.toml --out stage42/
+    [bold]Examples[/bold]
+
+    piezoid diagnose sweep.csv staircase.csv --lab lab.toml --out diag42/
+
+    piezoid diagnose *.csv --lab lab.toml --axis y --out diag42y/ --json | jq .findings[].effect
     """
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
 
     check_free(out, force=force)
-    with shown(quiet=quiet) as told:
+    with shown(quiet=quiet or json) as told:
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find
         from piezoid.diagnosis.diagnosis import write_diagnosis
@@ -36,8 +43,11 @@ def diagnose(
 
         declared = None if lab is None else read_lab(lab)
         found = find(collect(files, declared).recordings, axis=axis, lab=declared, progress=told)
-        write_folder(out, {"diagnosis.json": write_diagnosis(found)})
-    if not quiet:
+        content = write_diagnosis(found)
+        write_folder(out, {"diagnosis.json": content})
+    if json:
+        typer.echo(content, nl=False)
+    elif not quiet:
         _show(found, out)
 
 

@@ -12,7 +12,9 @@ def export(
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
 
-    Example: piezoid export stage42/
+    [bold]Example[/bold]
+
+    piezoid export stage42/ && cc -std=c99 stage42/bundle/*.c -o controller
     """
     from json import loads
 

@@ -1,6 +1,7 @@
 """`piezoid` and the order of its verbs; the only place where errors become messages."""
 
 import os
+import signal
 import sys
 
 import typer
@@ -17,6 +18,8 @@ from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.simulate import simulate
 from piezoid_cli.verify import verify
+
+INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 VERBS = (inspect, init, fit, diagnose, design, export, verify, simulate)
 
@@ -35,23 +38,47 @@ for verb in VERBS:
 def piezoid() -> None:
     """From recordings of a piezo stage to a calibrated, verified controller.
 
-    Start with [bold]piezoid inspect sweep.csv[/bold], then
-    [bold]piezoid fit sweep.csv --out stage/[/bold].
+    [bold]The usual way[/bold]: see what was understood, write a lab.toml to complete, then all of
+    it at once. Open stage42/report.html, compile stage42/bundle/.
 
-    Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution.
-    With --debug anywhere, an error shows its traceback.
+    piezoid inspect sweep.csv check.csv
+
+    piezoid init sweep.csv check.csv
+
+    piezoid fit sweep.csv check.csv --lab lab.toml --out stage42/
+
+    Every verb has examples in its own help, as in: piezoid fit --help
+
+    Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
+    130 interrupted. With --debug anywhere, an error shows its traceback.
+    """
+
+
+class Interrupted(BaseException):
+    """Somebody pressed Ctrl-C: what is half done is cleared away, and nothing else happens.
+
+    A KeyboardInterrupt would end with status 1, which says that a verdict failed.
     """
 
 
 def main() -> None:
     """Run the command line; errors end as one message and an exit status."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    signal.signal(signal.SIGINT, _interrupt)
     try:
         app(arguments)
+    except Interrupted:
+        sys.stderr.write("interrupted: nothing is left half written\n")
+        sys.exit(INTERRUPTED)
     except Exception as error:
         if len(arguments) < len(sys.argv) - 1:
             raise
         sys.exit(_told(error))
+
+
+def _interrupt(number: int, _frame: object) -> None:
+    signal.signal(number, signal.SIG_IGN)  # a second press must not disturb the clearing away
+    raise Interrupted
 
 
 def _told(error: Exception) -> int:

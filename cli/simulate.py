@@ -30,27 +30,36 @@ def simulate(
         bool, typer.Option(help="Do not cycle the drive before recording: unknown memory.")
     ] = False,
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
     """Record a virtual stage: CSV files, a lab.toml, and apart from them the truth.
 
-    Example: piezoid simulate --out virtual/ --seed 7 --effect creep --effect slew_limit=0.6
-
     Known names are listed when one is not known. The laboratory shares no code with the model.
+
+    [bold]Examples[/bold]
+
+    piezoid simulate --out virtual/ --seed 7
+
+    piezoid simulate --out virtual/ --seed 7 --effect creep --effect slew_limit=0.6
     """
     from piezoid_cli.output_folder import check_free, write_folder
+    from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.campaign import draw_campaign
     from piezoid_datasets.virtual_lab.write import campaign_files
 
     check_free(out, force=force)
     sizes = dict(_sized(text) for text in effect or ())
-    try:
-        campaign = draw_campaign(
-            seed, effects=sizes, truth=truth, plans=recording, careless=careless
-        )
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
-    write_folder(out, campaign_files(campaign))
-    _show(campaign, out)
+    with shown(quiet=quiet) as told:
+        told("recording the virtual stage")
+        try:
+            campaign = draw_campaign(
+                seed, effects=sizes, truth=truth, plans=recording, careless=careless
+            )
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        write_folder(out, campaign_files(campaign))
+    if not quiet:
+        _show(campaign, out)
 
 
 def _sized(text: str) -> tuple[str, float | None]:

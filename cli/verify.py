@@ -26,12 +26,19 @@ def verify(
     ] = "",
     seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="For scripts: print verification.json itself.")
+    ] = False,
 ) -> None:
     """Run the compiled controller of params.json against the stage; write verification.json.
 
-    Example: piezoid verify stage42/ --rebuild --target cortex-m4
-
     Exit status 1 means that a verdict failed; verification.json is written all the same.
+
+    [bold]Examples[/bold]
+
+    piezoid verify stage42/
+
+    piezoid verify stage42/ --rebuild --target cortex-m4 --json | jq .passed
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
@@ -39,16 +46,23 @@ def verify(
     from piezoid.identification.store import read_model
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
+    from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import same_model
 
     file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
     content = (stage / "model.json").read_bytes()
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     model = read_model(content, str(stage / "model.json"))
-    proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
-    found = verify_stage(file, model, proofs=proofs, seed=seed)
-    add_to_folder(stage, {"verification.json": found.to_json()})
-    if not quiet:
+    with shown(quiet=quiet or json) as told:
+        told("compiling and comparing" if rebuild or target else "running the controller")
+        proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
+        told("running the compiled controller against the stage")
+        found = verify_stage(file, model, proofs=proofs, seed=seed)
+        written = found.to_json()
+        add_to_folder(stage, {"verification.json": written})
+    if json:
+        typer.echo(written, nl=False)
+    elif not quiet:
         show(found, file)
         typer.echo(f"verification: {stage / 'verification.json'}")
     if not found.passed:

@@ -1,0 +1,52 @@
+"""The help teaches: every verb shows how it is typed, and what is typed there is understood."""
+
+import re
+import shlex
+
+import click
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid_cli.main import VERBS, app
+
+COMMAND = typer.main.get_command(app)
+
+
+def examples(verb: str) -> list[str]:
+    shown = CliRunner(env={"COLUMNS": "200"}).invoke(app, [verb, "--help"]).output
+    _, _, taught = shown.partition("Example")
+    return re.findall(rf"piezoid {verb} [^\n]*", taught.partition("─")[0])
+
+
+@pytest.mark.parametrize("verb", [verb.__name__ for verb in VERBS])
+def test_every_example_of_a_verb_is_one_it_accepts(verb: str) -> None:
+    assert isinstance(COMMAND, click.Group | typer.core.TyperGroup)
+    lines = examples(verb)
+    assert lines
+    command = COMMAND.commands[verb]
+    for line in lines:
+        words = shlex.split(re.split(r"[|>&]", line)[0])[2:]
+        # Parsing refuses an option that is not there; nothing is run.
+        command.make_context(verb, words)
+
+
+def test_every_verb_says_in_one_line_what_it_is_for() -> None:
+    for verb in VERBS:
+        first = (verb.__doc__ or "").partition("\n")[0]
+        assert first.endswith(".")
+        assert len(first) < 99
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh"])
+def test_shells_can_complete_the_verbs(shell: str) -> None:
+    asked = {
+        "_PIEZOID_COMPLETE": f"complete_{shell}",
+        "_TYPER_COMPLETE_ARGS": "piezoid d",
+        "COMP_WORDS": "piezoid d",
+        "COMP_CWORD": "1",
+    }
+    found = CliRunner().invoke(app, [], env=asked, prog_name="piezoid")
+    assert "diagnose" in found.output
+    assert "design" in found.output
+    assert "verify" not in found.output

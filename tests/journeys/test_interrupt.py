@@ -1,0 +1,81 @@
+"""Ctrl-C: the folder is what it was before, nothing lies beside it, and the status says so."""
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import piezoid_datasets
+
+# Begins the verb's work, and says so, before it waits to be interrupted.
+FIT = """
+import sys
+import piezoid_cli.calibration as calibration
+from piezoid_cli.main import main
+
+def calibrate(files, lab, told):
+    print("working", flush=True)
+    return original(files, lab, told)
+
+original, calibration.calibrate = calibration.calibrate, calibrate
+main()
+"""
+WRITE = """
+import sys
+import piezoid_cli.init
+import piezoid_cli.output_folder as folder
+from piezoid_cli.main import _interrupt, Interrupted
+from pathlib import Path
+import signal
+signal.signal(signal.SIGINT, _interrupt)
+print("working", flush=True)
+try:
+    n = 0
+    while True:
+        n += 1
+        folder.write_folder(Path("stage"), {f"{i}.bin": b"%d" % n * 20000 for i in range(8)})
+except Interrupted:
+    sys.exit(130)
+"""
+
+
+def interrupted(code: str, place: Path, after_s: float, *arguments: str | Path) -> int:
+    process = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=place,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"working\n"
+    time.sleep(after_s)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    assert b"Traceback" not in said
+    return process.returncode
+
+
+@pytest.mark.parametrize("after_s", [0.1, 1.5])
+def test_an_interrupted_fit_leaves_what_was_there(tmp_path: Path, after_s: float) -> None:
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "stage" / "model.json").write_text("precious")
+    sweep = piezoid_datasets.recordings()[0]
+    status = interrupted(FIT, tmp_path, after_s, "fit", sweep, "--out", "stage", "--force")
+    assert status == 130
+    assert [p.name for p in tmp_path.iterdir()] == ["stage"]
+    assert [p.name for p in (tmp_path / "stage").iterdir()] == ["model.json"]
+    assert (tmp_path / "stage" / "model.json").read_text() == "precious"
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.017, 0.05])
+def test_interrupted_while_writing_the_folder_is_whole_and_alone(
+    tmp_path: Path, after_s: float
+) -> None:
+    assert interrupted(WRITE, tmp_path, after_s) == 130
+    assert {p.name for p in tmp_path.iterdir()} <= {"stage"}
+    held = [p.read_bytes() for p in (tmp_path / "stage").glob("*")]
+    assert len(held) in (0, 8)
+    assert len(set(held)) <= 1
