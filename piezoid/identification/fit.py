@@ -11,6 +11,7 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
+from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
@@ -33,21 +34,22 @@ def fit(
     progress    told what is being done
 
     Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
-    both a drive and a displacement and there are no sweeps.
+    both a drive and a displacement and there are neither sweeps nor closed loops.
     """
     refuse_one_name_twice(recordings, sweeps)
     axes = axes_of(recordings)
-    if not axes and not sweeps:
+    if not axes and not sweeps and not any(is_loop(recording) for recording in recordings):
         held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
         raise ExcitationError(
             f"{', '.join(r.name for r in recordings)}: only {', '.join(held)} is recorded",
-            needed="a drive voltage and a displacement of the same axis",
+            needed="a drive voltage and a displacement of the same axis, or the drive, current "
+            "and reference of a tunnelling loop",
             remedy="Record both, or name the columns in lab.toml.",
         )
     declared = lab or Lab()
     files: list[Recording | RawTable] = [*recordings, *sweeps]
-    progress("tunnelling: fitting the current over the height" if sweeps else "fitting axes")
-    tunnelling = fit_junction(sweeps) if sweeps else None
+    progress("fitting the tunnelling current, where there is one")
+    tunnelling = fit_junction(sweeps, recordings, declared)
     return ActuatorModel(
         stage=declared.name or files[0].name.partition(".")[0],
         axes={

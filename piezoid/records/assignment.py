@@ -200,8 +200,10 @@ def _converted(
     axis: str,
 ) -> tuple[Assigned, tuple[Problem, ...]]:
     """Convert a column to SI units, volts of a sensor by the sensor's gain."""
-    wanted = Dimension.TIME if quantity is None else DIMENSION_OF[quantity]
     unit = _unit_for(entry, column, quantity, axis)
+    if quantity is Quantity.REFERENCE:
+        return _as_recorded(column, quantity, axis, unit), ()
+    wanted = Dimension.TIME if quantity is None else DIMENSION_OF[quantity]
     problems: tuple[Problem, ...] = ()
     if unit is None and quantity is Quantity.VOLTAGE and entry.columns:
         unit = Unit(symbol="V", dimension=Dimension.VOLTAGE)
@@ -225,6 +227,13 @@ def _converted(
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
     return assigned, problems
+
+
+def _as_recorded(column: Column, quantity: Quantity, axis: str, unit: Unit | None) -> Assigned:
+    """A reference may be in any unit and need not have one: only its shape is used."""
+    unit = unit or Unit(symbol="", dimension=Dimension.OTHER)
+    values = column.values * unit.factor + unit.offset
+    return Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
 
 
 def _unit_for(

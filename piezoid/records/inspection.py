@@ -150,7 +150,7 @@ def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
                 assigned.values,
                 meaning=f"{quantity.name.lower()} of {assigned.axis}" if quantity else "time",
                 unit=assigned.unit.symbol,
-                si_unit=quantity.value if quantity else "s",
+                si_unit=assigned.unit.si_symbol,
             )
     meaning = meaning_of(column.heading)
     if meaning.role is not Role.UNREAD:

@@ -5,22 +5,23 @@
     [actuator]       gain_m_per_V
     [sensor]         bandwidth_Hz, gain_V_per_m
     [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
+    [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
+                     barrier_range_eV, ceiling_A, retract_V, retract_s, lost_s
+    [verification]   limits by name, in place of the defaults
     [axis.z.sensor]  the same tables for one axis, each replacing the one above it
     [[recording]]    file, axis, columns, units, sampling_rate_Hz, start_s, stop_s
 
 Everything is optional. An unknown name is refused: it is a typing error more often than news.
 """
 
-import math
 import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
-from piezoid.errors import LabFileError
 from piezoid.provenance import digest_of_bytes
+from piezoid.records.lab_check import check_number, check_range, refusal
 
 
 class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -65,14 +66,42 @@ class Acquisition(_Table, frozen=True, kw_only=True):
     input_range_V: tuple[float, float] | None = None
 
 
+class Tunnelling(_Table, frozen=True, kw_only=True):
+    """``[tunnelling]``: the loop that holds a tunnelling current.
+
+    set_point_A            the current the loop holds, with its sign
+    floor_A                > 0: below it the controller takes no logarithm, the tip is lost
+    bandwidth_Hz           of the current sensor; the fitted pole stands in where it is missing
+    feedback_ohm           resistor of the current sensor, for its Johnson noise
+    extension_uncertainty  relative standard uncertainty of the tip's extension per volt
+    barrier_range_eV       (low, high) apparent barriers the loop must hold, beside those identified
+    ceiling_A              > 0: from here on the tip is retracted at once
+    retract_V              where to; the lowest command where it is missing
+    retract_s              for how long
+    lost_s                 an unusable current for so long retracts as well
+    """
+
+    set_point_A: float | None = None
+    floor_A: float | None = None
+    bandwidth_Hz: float | None = None
+    feedback_ohm: float | None = None
+    extension_uncertainty: float = 0.0
+    barrier_range_eV: tuple[float, float] | None = None
+    ceiling_A: float | None = None
+    retract_V: float | None = None
+    retract_s: float = 0.01
+    lost_s: float = 1e-3
+
+
 class RecordingEntry(_Table, frozen=True, kw_only=True):
     """``[[recording]]``: how one file is to be read.
 
     file              its name, from lab.toml's folder
     axis              the axis it is about
     columns           ``time``, ``voltage``, ``displacement``, ``current``, ``temperature``,
-                      ``humidity``, each also with ``_x``, ``_y``, ``_z``: a heading, or a number
-                      from 1; only what is named here is read
+                      ``humidity``, ``reference``, each also with ``_x``, ``_y``, ``_z``: a
+                      heading, or a number from 1; only what is named here is read. A reference is
+                      a dither of the set point or of the drive: it depends on nothing measured
     units             by the same names
     sampling_rate_Hz  of this file, if it has no time column
     start_s, stop_s   the part to use, in seconds from its first sample
@@ -101,6 +130,8 @@ class _Contents(_Table, frozen=True, kw_only=True):
     actuator: Actuator = Actuator()
     sensor: Sensor = Sensor()
     acquisition: Acquisition = Acquisition()
+    tunnelling: Tunnelling = Tunnelling()
+    verification: dict[str, float] = {}
     recording: tuple[RecordingEntry, ...] = ()
     axis: dict[str, AxisRig] = {}
 
@@ -113,7 +144,8 @@ class Lab:
     place        the file's name, for messages
     folder       where recordings are named from
     digest       of the file's bytes, empty without a file
-    amplifier, actuator, sensor, acquisition   its tables
+    amplifier, actuator, sensor, acquisition, tunnelling   its tables
+    verification  limits by name; what they mean is known where they are judged
     recordings   its ``[[recording]]`` entries
     axes         what differs on single axes
     """
@@ -126,6 +158,8 @@ class Lab:
     actuator: Actuator = field(default_factory=Actuator)
     sensor: Sensor = field(default_factory=Sensor)
     acquisition: Acquisition = field(default_factory=Acquisition)
+    tunnelling: Tunnelling = field(default_factory=Tunnelling)
+    verification: dict[str, float] = field(default_factory=dict)
     recordings: tuple[RecordingEntry, ...] = ()
     axes: dict[str, AxisRig] = field(default_factory=dict)
 
@@ -157,15 +191,15 @@ def read_lab(path: Path) -> Lab:
         content = path.read_bytes()
         record = tomllib.loads(content.decode("utf-8-sig"))
     except OSError as error:
-        raise _refusal(path, error.strerror or str(error), "a file that can be read") from error
+        raise refusal(path, error.strerror or str(error), "a file that can be read") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise _refusal(path, str(error), "text in TOML, UTF-8") from error
+        raise refusal(path, str(error), "text in TOML, UTF-8") from error
     try:
         contents = msgspec.convert(record, _Contents, strict=True)
     except msgspec.ValidationError as error:
         message, _, where = str(error).partition(" - at `$")
         place = where.rstrip("`").lstrip(".") or "the top"
-        raise _refusal(path, f"{place}: {message}", "the names and types of a lab.toml") from error
+        raise refusal(path, f"{place}: {message}", "the names and types of a lab.toml") from error
     lab = Lab(
         name=contents.rig.name,
         place=path.name,
@@ -175,6 +209,8 @@ def read_lab(path: Path) -> Lab:
         actuator=contents.actuator,
         sensor=contents.sensor,
         acquisition=contents.acquisition,
+        tunnelling=contents.tunnelling,
+        verification=contents.verification,
         recordings=contents.recording,
         axes=contents.axis,
     )
@@ -182,17 +218,13 @@ def read_lab(path: Path) -> Lab:
     return lab
 
 
-_POSITIVE = ("bandwidth_Hz", "slew_V_per_s", "sampling_rate_Hz", "dac_bits", "adc_bits")
-_NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m")
-_LARGEST_BITS = 64
-
-
 def _check(path: Path, lab: Lab) -> None:
-    tables: list[tuple[str, Any]] = [
+    tables: list[tuple[str, _Table]] = [
         ("[amplifier]", lab.amplifier),
         ("[actuator]", lab.actuator),
         ("[sensor]", lab.sensor),
         ("[acquisition]", lab.acquisition),
+        ("[tunnelling]", lab.tunnelling),
     ]
     for name, rig in lab.axes.items():
         held = (("amplifier", rig.amplifier), ("actuator", rig.actuator), ("sensor", rig.sensor))
@@ -200,36 +232,15 @@ def _check(path: Path, lab: Lab) -> None:
     tables += [(f"[[recording]] {entry.file!r}", entry) for entry in lab.recordings]
     for place, table in tables:
         for key in table.__struct_fields__:
-            _check_number(path, place, key, getattr(table, key))
+            check_number(path, place, key, getattr(table, key))
         if isinstance(table, Amplifier):
-            _check_range(path, place, "output", table.output_min_V, table.output_max_V)
+            check_range(path, place, "output", table.output_min_V, table.output_max_V)
         if isinstance(table, RecordingEntry):
-            _check_range(path, place, "start_s, stop_s", table.start_s, table.stop_s)
+            check_range(path, place, "start_s, stop_s", table.start_s, table.stop_s)
     if lab.acquisition.input_range_V is not None:
-        _check_range(path, "[acquisition]", "input_range_V", *lab.acquisition.input_range_V)
-
-
-def _check_number(path: Path, place: str, key: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return
-    if not math.isfinite(value):
-        raise _refusal(path, f"{place} {key} is {value}", "a finite number")
-    if key in _POSITIVE and not value > 0:
-        raise _refusal(path, f"{place} {key} is {value}", "a number above zero")
-    if key in _NOT_ZERO and value == 0:
-        raise _refusal(path, f"{place} {key} is zero", "a gain that is not zero")
-    if key.endswith("_bits") and value > _LARGEST_BITS:
-        raise _refusal(path, f"{place} {key} is {value}", f"at most {_LARGEST_BITS} bits")
-
-
-def _check_range(path: Path, place: str, name: str, low: float | None, high: float | None) -> None:
-    if low is not None and high is not None and not low < high:
-        raise _refusal(path, f"{place} {name} goes from {low} to {high}", "a range that ascends")
-
-
-def _refusal(path: Path, found: str, needed: str) -> LabFileError:
-    return LabFileError(
-        f"{path.name}: {found}",
-        needed=f"needed is {needed}",
-        remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
-    )
+        check_range(path, "[acquisition]", "input_range_V", *lab.acquisition.input_range_V)
+    if lab.tunnelling.barrier_range_eV is not None:
+        low_eV, high_eV = lab.tunnelling.barrier_range_eV
+        check_number(path, "[tunnelling]", "barrier_eV", low_eV)
+        check_number(path, "[tunnelling]", "barrier_eV", high_eV)
+        check_range(path, "[tunnelling]", "barrier_range_eV", low_eV, high_eV)

@@ -48,8 +48,13 @@ def several_axes(entry: RecordingEntry, channels: tuple[Channel, ...]) -> tuple[
 
 
 def incomplete(channels: tuple[Channel, ...]) -> tuple[Problem, ...]:
-    """Return a problem for each of drive and response that is missing."""
+    """Return a problem for each of drive and response that is missing.
+
+    With a reference beside drive and current it is a closed loop, which needs no displacement.
+    """
     held = {c.quantity for c in channels}
+    if {Quantity.VOLTAGE, Quantity.CURRENT, Quantity.REFERENCE} <= held:
+        return ()
     wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
     return tuple(
         Problem(

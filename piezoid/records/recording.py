@@ -11,13 +11,17 @@ from piezoid.numerics.arrays import Array, frozen, same_length
 
 
 class Quantity(Enum):
-    """What a channel measures; the value is the SI unit its samples are in."""
+    """What a channel measures; the value is the SI unit its samples are in.
+
+    REFERENCE is an external dither: it may be in any unit, and only lab.toml can name it.
+    """
 
     VOLTAGE = "V"
     DISPLACEMENT = "m"
     CURRENT = "A"
     TEMPERATURE = "K"
     HUMIDITY = "1"
+    REFERENCE = "any unit"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

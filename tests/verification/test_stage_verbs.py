@@ -17,7 +17,8 @@ from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.identification.store import read_model, write_model
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.model import LoopPlant, TunnellingModel
+from piezoid.identification.tunnelling.loop_model import LoopPlant
+from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, lateral_plant
 from piezoid.verification.stage import verify_stage

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.confidence import Confidence, Reason
 from piezoid.identification.tunnelling.instrument_fit import (
     InstrumentFit,
@@ -23,12 +24,17 @@ from piezoid.identification.tunnelling.instrument_fit import (
 )
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
-from piezoid.identification.tunnelling.loop_spectra import spectra_of_all, spectra_of_dither
+from piezoid.identification.tunnelling.loop_spectra import (
+    LoopSpectra,
+    spectra_of_all,
+    spectra_of_dither,
+)
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
 _FLAT_SHARE = 0.02  # of the sampling rate: the plant's poles of kilohertz leave it flat below
+_OPPOSED = 0.5  # of full correlation: noise alone stays well below
 _WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the gain's interval
 _MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
 
@@ -99,6 +105,7 @@ def identify_closed_loop(
     is what a plain transfer function gives on the same record; it is there to be compared.
     """
     spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz)
+    _refuse_falling(spectra, record)
     fit = fit_with_instrument(
         spectra,
         spectra.reference,
@@ -131,6 +138,22 @@ def identify_closed_loop(
         confidence=confidence,
         reasons=reasons,
     )
+
+
+def _refuse_falling(spectra: LoopSpectra, record: LoopRecord) -> None:
+    """A current that falls as the drive rises is of another sign of the drive than ours."""
+    flat = spectra.frequency_Hz <= _FLAT_SHARE * record.sampling_rate_Hz
+    instrument = spectra.reference.conj()
+    drive = np.mean(spectra.drive * instrument, axis=0)[flat]
+    output = np.mean(spectra.output * instrument, axis=0)[flat]
+    both = float(np.sqrt(np.sum(np.abs(drive) ** 2) * np.sum(np.abs(output) ** 2)))
+    along = float(np.sum(drive.conj() * output).real)
+    if along < -_OPPOSED * both:
+        raise ExcitationError(
+            f"{record.label}: the current falls as the drive rises",
+            needed="a drive counted positive where it extends the tip",
+            remedy="Change the sign of the drive's column.",
+        )
 
 
 def _naive(record: LoopRecord) -> tuple[float, float]:

@@ -101,15 +101,35 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
     )
 
 
+def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
+    """Return the mean of several records' logs and half its 95 % interval, (3,) each.
+
+    Where the spread between records cannot be seen, only what each leaves uncertain counts.
+    """
+    logs = np.array([fit.logs for fit in fits])
+    within, between = _covariances(fits, logs)
+    seen = between is not None
+    total = within if between is None else between + within
+    reach = _quantile(len(fits)) if seen else _NORMAL_95
+    return logs.mean(axis=0), reach * np.sqrt(np.diag(total) / len(fits))
+
+
 def _covariance_of_next(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, bool]:
     """Covariance of one further junction about the mean, and whether spread could be seen."""
+    within, between = _covariances(fits, logs)
+    if between is None:
+        return within, False
+    return between + (between + within) / len(fits), True
+
+
+def _covariances(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, Array | None]:
+    """Covariance within a record, and between records where there are enough to see it."""
     within = np.mean([fit.covariance for fit in fits], axis=0)
     if len(fits) < _FEWEST_RECORDS:
-        return within, False
+        return within, None
     scatter = np.cov(logs, rowvar=False)
     values, vectors = np.linalg.eigh(scatter - within)
-    between = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return between + (between + within) / len(fits), True
+    return within, (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _quantile(records: int) -> float:

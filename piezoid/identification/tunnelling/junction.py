@@ -1,25 +1,73 @@
-"""The tunnelling part of a stage: gap law from Z spectroscopies, forward and backward apart."""
+"""The tunnelling part of a stage: gap law from Z spectroscopies, plant from closed loops."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
+from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.directions import DirectionShift, compare_directions
+from piezoid.identification.tunnelling.family import spread_family
+from piezoid.identification.tunnelling.joint_barrier import join_barriers
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, loops_of
+from piezoid.identification.tunnelling.loop_model import (
+    LoopPlant,
+    describe_loop_plant,
+    summarise_record,
+)
+from piezoid.identification.tunnelling.loop_noise import (
+    LoopNoise,
+    is_long_enough,
+    measure_loop_noise,
+)
+from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
 from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
+from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.records.faults import step_size
+from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
 
 
-def fit_junction(sweeps: Sequence[RawTable]) -> TunnellingModel:
-    """Fit the gap law to every sweep of Z spectroscopies taken with one tip.
+def fit_junction(
+    sweeps: Sequence[RawTable], recordings: Sequence[Recording] = (), lab: Lab | None = None
+) -> TunnellingModel | None:
+    """Fit the gap law to sweeps over height and the plant to closed loops, of one tip.
 
-    sweeps  at least one table over height; all sweeps of one direction share decay and offset,
-            each keeps its own zero of height
+    sweeps      tables over height; all sweeps of one direction share decay and offset, each keeps
+                its own zero of height
+    recordings  over time; those with drive, current and reference are closed loops
+    lab         what the laboratory declares, which closed loops cannot do without
 
-    Raises what ``read_z_spectroscopy`` and ``fit_barrier`` raise.
+    None where neither is there. Raises what ``read_z_spectroscopy``, ``fit_barrier``,
+    ``loops_of`` and ``identify_closed_loop`` raise.
     """
+    law = fit_sweeps_of_tip(sweeps) if sweeps else None
+    if not any(is_loop(recording) for recording in recordings):
+        return law
+    loop = fit_loops(*loops_of(recordings, lab or Lab()))
+    if law is None or law.gap_law is None:
+        return TunnellingModel(gap_law=None, loop_plant=loop)
+    laws = [law.gap_law] + ([law.backward] if law.backward is not None else [])
+    joint = join_barriers(
+        [(held.decay_per_m, held.decay_interval_per_m) for held in laws],
+        (
+            decay_of_barrier(loop.barrier_eV),
+            (
+                decay_of_barrier(loop.barrier_interval_eV[0]),
+                decay_of_barrier(loop.barrier_interval_eV[1]),
+            ),
+        ),
+    )
+    return replace(law, loop_plant=loop, joint=joint)
+
+
+def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
+    """Fit the gap law to every sweep of Z spectroscopies taken with one tip."""
     curves = curves_of(sweeps)
     fits = {
         direction: fit_barrier(held)
@@ -36,20 +84,70 @@ def fit_junction(sweeps: Sequence[RawTable]) -> TunnellingModel:
     )
 
 
+def fit_loops(rig: LoopRig, loops: Sequence[LoopRecord]) -> LoopPlant:
+    """Identify the plant of every closed-loop record, their mean, and the family around them."""
+    fits = [
+        identify_closed_loop(
+            loop,
+            amplifier_pole_Hz=rig.amplifier_pole_Hz,
+            drive_gain_m_per_V=rig.drive_gain_m_per_V,
+            drive_gain_relative_uncertainty=rig.extension_uncertainty,
+        )
+        for loop in loops
+    ]
+    return describe_loop_plant(
+        fits,
+        spread_family(fits, drive_gain_m_per_V=rig.drive_gain_m_per_V),
+        drive_gain_m_per_V=rig.drive_gain_m_per_V,
+        drive_gain_relative_uncertainty=rig.extension_uncertainty,
+        rig=rig,
+        records=[
+            summarise_record(fit, noise_of_loop(loop, rig, fit.plant), _period_s(loop))
+            for fit, loop in zip(fits, loops, strict=True)
+        ],
+    )
+
+
+def noise_of_loop(loop: LoopRecord, rig: LoopRig, plant: JunctionPlant) -> LoopNoise | None:
+    """Return what moved the gap during a record; None where it is too short to tell.
+
+    Converter steps are those the columns show; a column without steps counts as none. Without a
+    declared bandwidth of the current sensor the plant's pole stands in, half the rate at most.
+    """
+    if not is_long_enough(loop):
+        return None
+    pole_Hz = min(plant.sensor_pole_Hz, 0.5 * loop.sampling_rate_Hz)
+    return measure_loop_noise(
+        loop,
+        plant,
+        decay_per_m=plant.gain_nepers_per_V / rig.drive_gain_m_per_V,
+        drive_step_V=step_size(loop.drive_V),
+        chain=CurrentChain(
+            bandwidth_Hz=rig.bandwidth_Hz or pole_Hz,
+            feedback_ohm=rig.feedback_ohm,
+            adc_step_A=step_size(loop.current_A),
+        ),
+    )
+
+
+def _period_s(loop: LoopRecord) -> float | None:
+    return None if loop.period_samples is None else loop.period_samples / loop.sampling_rate_Hz
+
+
 def curves_of(sweeps: Sequence[RawTable]) -> tuple[ApproachCurve, ...]:
     """Return every sweep of every table, in their order."""
     return tuple(curve for table in sweeps for curve in read_z_spectroscopy(table))
 
 
 def remarks_on_currents(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """Return why the currents of recordings over time say nothing of the junction's plant."""
+    """Return why currents over time say nothing of the junction's plant, where they do not."""
     return tuple(
         f"{recording.name}: its current over time was not used. The plant between drive and "
-        "current needs set point, floor and an external dither beside drive and current, which "
-        "a recording cannot hold: build a LoopRecord of the arrays and pass it to "
-        "identify_closed_loop"
+        "current needs the external dither beside them: name its column 'reference' in "
+        "lab.toml, and declare the loop under [tunnelling]"
         for recording in recordings
         if any(channel.quantity is Quantity.CURRENT for channel in recording.channels)
+        and not is_loop(recording)
     )
 
 

@@ -178,8 +178,13 @@ def power_density(signal: Array, sampling_rate_Hz: float) -> tuple[Array, Array]
     return lines_of(length, sampling_rate_Hz), density
 
 
+def is_long_enough(record: LoopRecord) -> bool:
+    """Whether a record lasts half a second, to tell mains lines apart."""
+    return record.samples >= _LEAST_DURATION_s * record.sampling_rate_Hz
+
+
 def _refuse_short(record: LoopRecord, chain: CurrentChain) -> None:
-    if record.samples < _LEAST_DURATION_s * record.sampling_rate_Hz:
+    if not is_long_enough(record):
         raise ExcitationError(
             f"{record.label}: {record.samples / record.sampling_rate_Hz:.3g} s",
             needed=f"at least {_LEAST_DURATION_s} s, to tell mains lines apart",

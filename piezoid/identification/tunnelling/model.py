@@ -6,11 +6,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit
-from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.directions import DirectionShift
-from piezoid.identification.tunnelling.family import PlantFamily
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.joint_barrier import JointBarrier
+from piezoid.identification.tunnelling.loop_model import LoopPlant, loop_from_json
+
+__all__ = ["GapLaw", "LoopPlant", "TunnellingModel", "describe_gap_law"]
 
 Interval = tuple[float, float]
 
@@ -44,36 +45,6 @@ class GapLaw:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopPlant:
-    """From a closed loop: the plant, its intervals, the naive gain, and the family.
-
-    plant                    nominal
-    gain_interval            95 %, nepers per volt
-    sensor_pole_interval_Hz  95 %; an upper end may be infinite
-    delay_interval_s         95 %
-    barrier_eV               apparent, and its 95 % interval
-    naive_gain               nepers per volt, for comparison only
-    naive_reason             why it differs
-    family                   the plants a controller has to hold, nominal first
-    family_records           how many records the family rests on
-    confidence, reasons      how far to trust it
-    """
-
-    plant: JunctionPlant
-    gain_interval: Interval
-    sensor_pole_interval_Hz: Interval
-    delay_interval_s: Interval
-    barrier_eV: float
-    barrier_interval_eV: Interval
-    naive_gain: float
-    naive_reason: str
-    family: tuple[JunctionPlant, ...]
-    family_records: int
-    confidence: Confidence
-    reasons: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
 class TunnellingModel:
     """The tunnelling junction: from sweeps, from the closed loop, or from both.
 
@@ -81,12 +52,14 @@ class TunnellingModel:
     loop_plant  None where no loop was recorded
     backward    of the backward sweeps; None unless there are both
     shift       between both; None too where no current stands clear of the noise in both
+    joint       of sweeps and loop together; None unless there are both
     """
 
     gap_law: GapLaw | None
     loop_plant: LoopPlant | None
     backward: GapLaw | None = None
     shift: DirectionShift | None = None
+    joint: JointBarrier | None = None
 
     def __post_init__(self) -> None:
         if self.gap_law is None and self.loop_plant is None:
@@ -101,12 +74,13 @@ class TunnellingModel:
     def from_json(content: Mapping[str, Any]) -> "TunnellingModel":
         """Return the record that ``to_json`` wrote, number for number."""
         law, loop = content["gap_law"], content["loop_plant"]
-        backward, shift = content["backward"], content["shift"]
+        backward, shift, joint = content["backward"], content["shift"], content["joint"]
         return TunnellingModel(
             gap_law=None if law is None else _law_from_json(law),
-            loop_plant=None if loop is None else _loop_from_json(loop),
+            loop_plant=None if loop is None else loop_from_json(loop),
             backward=None if backward is None else _law_from_json(backward),
             shift=None if shift is None else _shift_from_json(shift),
+            joint=None if joint is None else _joint_from_json(joint),
         )
 
 
@@ -123,24 +97,6 @@ def describe_gap_law(fit: BarrierFit) -> GapLaw:
         floor_A=fit.noise.floor_A,
         gap_jitter_m=fit.gap_jitter_m,
         sweep_decay_per_m=fit.sweep_decay_per_m,
-        confidence=fit.confidence,
-        reasons=tuple(reason.text for reason in fit.reasons),
-    )
-
-
-def describe_loop_plant(fit: ClosedLoopFit, family: PlantFamily) -> LoopPlant:
-    """Take from a closed-loop fit and the family around it what a model carries on."""
-    return LoopPlant(
-        plant=fit.plant,
-        gain_interval=fit.gain_interval,
-        sensor_pole_interval_Hz=fit.sensor_pole_interval_Hz,
-        delay_interval_s=fit.delay_interval_s,
-        barrier_eV=fit.barrier_eV,
-        barrier_interval_eV=fit.barrier_interval_eV,
-        naive_gain=fit.naive_gain,
-        naive_reason=fit.naive_reason,
-        family=family.members,
-        family_records=family.records,
         confidence=fit.confidence,
         reasons=tuple(reason.text for reason in fit.reasons),
     )
@@ -174,14 +130,10 @@ def _shift_from_json(content: Mapping[str, Any]) -> DirectionShift:
     return DirectionShift(**{**content, **{name: _interval(content[name]) for name in names}})
 
 
-def _loop_from_json(content: Mapping[str, Any]) -> LoopPlant:
-    names = ("gain_interval", "sensor_pole_interval_Hz", "delay_interval_s", "barrier_interval_eV")
-    intervals = {name: _interval(content[name]) for name in names}
-    plants = {
-        "plant": JunctionPlant(**content["plant"]),
-        "family": tuple(JunctionPlant(**member) for member in content["family"]),
-    }
-    return LoopPlant(**{**content, **intervals, **plants, **_judgement(content)})
+def _joint_from_json(content: Mapping[str, Any]) -> JointBarrier:
+    names = ("ratio_interval", "decay_interval_per_m", "barrier_interval_eV")
+    intervals = {n: None if content[n] is None else _interval(content[n]) for n in names}
+    return JointBarrier(**{**content, **intervals})
 
 
 def _judgement(content: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,11 +8,8 @@ import pytest
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.family import spread_family
-from piezoid.identification.tunnelling.model import (
-    TunnellingModel,
-    describe_gap_law,
-    describe_loop_plant,
-)
+from piezoid.identification.tunnelling.loop_model import describe_loop_plant
+from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import identified, loop_records
 from tests.identification.tunnelling.sweeps import sweep
@@ -77,7 +74,7 @@ def test_the_model_comes_back_number_for_number(
     family = spread_family(fits, drive_gain_m_per_V=18e-9)
     model = TunnellingModel(
         gap_law=describe_gap_law(fit_barrier([sweep(rng)])),
-        loop_plant=describe_loop_plant(fits[0], family),
+        loop_plant=describe_loop_plant(fits, family, drive_gain_m_per_V=18e-9),
     )
     text = json.dumps(model.to_json(), allow_nan=False)
     assert TunnellingModel.from_json(json.loads(text)) == model

@@ -1,0 +1,168 @@
+"""Closed-loop records out of recordings: lab.toml says which column is the external dither.
+
+    drive in volts at the converter -> amplifier -> Z piezo: g_z = its gain times the actuator's
+
+Every declaration that is missing is asked for by the line to write; nothing is assumed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import LabFileError, RecordingError
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Quantity, Recording
+
+_LOOP = (Quantity.VOLTAGE, Quantity.CURRENT, Quantity.REFERENCE)
+_NEAR = 2.0  # factor between the declared set point and the median current
+_RATE_TOLERANCE = 0.01
+_REPEATS = 1e-6  # of the span: how well the periods of a dither agree, as files print them
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopRig:
+    """What the laboratory declares of the axis that regulates a current.
+
+    axis                   its name
+    set_point_A            with the current's sign
+    floor_A                > 0
+    amplifier_pole_Hz      of the amplifier in front of the Z piezo
+    drive_gain_m_per_V     g_z > 0, extension of the tip per volt at the converter
+    bandwidth_Hz           of the current sensor; None where not declared
+    feedback_ohm           of the current sensor; None where not declared
+    extension_uncertainty  relative standard uncertainty of g_z
+    """
+
+    axis: str
+    set_point_A: float
+    floor_A: float
+    amplifier_pole_Hz: float
+    drive_gain_m_per_V: float
+    bandwidth_Hz: float | None
+    feedback_ohm: float | None
+    extension_uncertainty: float
+
+
+def is_loop(recording: Recording) -> bool:
+    """Whether a recording holds drive, current and reference of its axis."""
+    return all(recording.find(quantity, recording.axis) is not None for quantity in _LOOP)
+
+
+def rig_of_loop(lab: Lab, axis: str) -> LoopRig:
+    """Return what lab.toml declares of an axis, or refuse with the lines that are missing."""
+    amplifier, declared = lab.amplifier_of(axis), lab.tunnelling
+    extension = lab.actuator_of(axis).gain_m_per_V
+    needed = {
+        "[tunnelling]\nset_point_A": declared.set_point_A,
+        "[tunnelling]\nfloor_A": declared.floor_A,
+        f"[axis.{axis}.amplifier]\nbandwidth_Hz": amplifier.bandwidth_Hz,
+        f"[axis.{axis}.amplifier]\ngain_V_per_V": amplifier.gain_V_per_V,
+        f"[axis.{axis}.actuator]\ngain_m_per_V": extension,
+    }
+    missing = [name for name, value in needed.items() if value is None]
+    if missing:
+        lines = "\n".join(f"{name} = ..." for name in missing)
+        raise LabFileError(
+            f"{lab.place}: the closed loop of axis {axis} lacks "
+            f"{', '.join(name.replace(chr(10), ' ') for name in missing)}",
+            needed="set point and floor of the loop, and what lies between converter and tip",
+            remedy=f"Write into lab.toml, one table for each heading:\n\n{lines}\n",
+        )
+    gain = {name: float(value) for name, value in needed.items() if value is not None}
+    set_point_A, floor_A, pole_Hz, volts, metres = gain.values()
+    if not volts * metres > 0.0:
+        raise LabFileError(
+            f"{lab.place}: the extension of axis {axis} is {volts * metres:.3g} m per volt",
+            needed="a drive counted positive where it extends the tip",
+            remedy="Write the gains positive, and the drive's column with that sign.",
+        )
+    return LoopRig(
+        axis=axis,
+        set_point_A=set_point_A,
+        floor_A=floor_A,
+        amplifier_pole_Hz=pole_Hz,
+        drive_gain_m_per_V=volts * metres,
+        bandwidth_Hz=declared.bandwidth_Hz,
+        feedback_ohm=declared.feedback_ohm,
+        extension_uncertainty=declared.extension_uncertainty,
+    )
+
+
+def loops_of(recordings: Sequence[Recording], lab: Lab) -> tuple[LoopRig, tuple[LoopRecord, ...]]:
+    """Return the closed loops among recordings and their rig.
+
+    recordings  at least one ``is_loop``, all of one axis and one rate
+    """
+    held = [recording for recording in recordings if is_loop(recording)]
+    kinds = sorted({(r.axis, r.sampling_rate_Hz) for r in held})
+    if len(kinds) != 1:
+        told = ", ".join(f"{axis} at {rate_Hz:g} Hz" for axis, rate_Hz in kinds)
+        raise RecordingError(
+            f"the closed loops are of {told}",
+            needed="one tip, one axis and one rate of the controller",
+            remedy="Fit the tips one by one.",
+        )
+    axis, rate_Hz = kinds[0]
+    _refuse_decimated(lab, held[0].name, rate_Hz)
+    rig = rig_of_loop(lab, axis)
+    return rig, tuple(read_loop(recording, rig, place=lab.place) for recording in held)
+
+
+def read_loop(recording: Recording, rig: LoopRig, *, place: str = "lab.toml") -> LoopRecord:
+    """Take the longest uninterrupted stretch of a recording as a closed-loop record.
+
+    A reference that repeats itself is used period by period; any other as it is.
+    """
+    stretch = max(recording.pieces, key=lambda part: part.stop - part.start)
+    found = [recording.find(quantity, rig.axis) for quantity in _LOOP]
+    drive_V, current_A, reference = (c.values[stretch] for c in found if c is not None)
+    median_A = float(np.median(current_A))
+    if not 1.0 / _NEAR < abs(median_A / rig.set_point_A) < _NEAR:
+        raise LabFileError(
+            f"{place}: [tunnelling] set_point_A is {rig.set_point_A:.3g} A, the median current of "
+            f"{recording.name} is {median_A:.3g} A",
+            needed=f"a set point within a factor of {_NEAR:g} of the current the loop held",
+            remedy="Correct the set point, or the unit of the current's column.",
+        )
+    return LoopRecord(
+        label=recording.name,
+        sampling_rate_Hz=recording.sampling_rate_Hz,
+        set_point_A=rig.set_point_A,
+        floor_A=rig.floor_A,
+        reference=reference,
+        drive_V=drive_V,
+        current_A=current_A,
+        period_samples=period_of(reference),
+    )
+
+
+def period_of(reference: Array) -> int | None:
+    """Return after how many samples a signal repeats itself, at least twice; None if never."""
+    level = reference - reference.mean()
+    span = float(np.ptp(level))
+    if not span > 0.0:
+        return None
+    length = len(level)
+    spectrum = np.fft.rfft(level, 2 * length)
+    common = np.fft.irfft(np.abs(spectrum) ** 2)[: length // 2 + 1]
+    # Of a repeated signal the overlap with itself, shifted by a period, is all of its power.
+    share = common / np.maximum(np.arange(length, length - len(common), -1), 1)
+    for shift in np.flatnonzero(share > 0.5 * share[0]):
+        if shift > 1 and np.abs(level[shift:] - level[:-shift]).max() <= _REPEATS * span:
+            return int(shift)
+    return None
+
+
+def _refuse_decimated(lab: Lab, name: str, rate_Hz: float) -> None:
+    """A loop recorded at another rate than it ran at is not the loop."""
+    declared_Hz = lab.acquisition.sampling_rate_Hz
+    if declared_Hz is not None and abs(rate_Hz / declared_Hz - 1.0) > _RATE_TOLERANCE:
+        raise LabFileError(
+            f"{lab.place}: the controller runs at {declared_Hz:g} Hz, {name} is recorded at "
+            f"{rate_Hz:g} Hz",
+            needed="every tick of the loop: what happens between rows is folded into them",
+            remedy="Record each tick, or correct sampling_rate_Hz under [acquisition].",
+        )

@@ -1,0 +1,54 @@
+"""What the numbers of a lab.toml may be."""
+
+import math
+from pathlib import Path
+
+from piezoid.errors import LabFileError
+
+_POSITIVE = (
+    "bandwidth_Hz",
+    "slew_V_per_s",
+    "sampling_rate_Hz",
+    "dac_bits",
+    "adc_bits",
+    "floor_A",
+    "ceiling_A",
+    "barrier_eV",
+    "retract_s",
+    "lost_s",
+    "feedback_ohm",
+)
+_NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A")
+_SHARES = ("extension_uncertainty",)
+_LARGEST_BITS = 64
+
+
+def check_number(path: Path, place: str, key: str, value: object) -> None:
+    """Refuse a number that cannot be what its name says; anything else passes."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    if not math.isfinite(value):
+        raise refusal(path, f"{place} {key} is {value}", "a finite number")
+    if key in _POSITIVE and not value > 0:
+        raise refusal(path, f"{place} {key} is {value}", "a number above zero")
+    if key in _NOT_ZERO and value == 0:
+        raise refusal(path, f"{place} {key} is zero", "a number that is not zero")
+    if key in _SHARES and not 0 <= value < 1:
+        raise refusal(path, f"{place} {key} is {value}", "a share from 0 to below 1")
+    if key.endswith("_bits") and value > _LARGEST_BITS:
+        raise refusal(path, f"{place} {key} is {value}", f"at most {_LARGEST_BITS} bits")
+
+
+def check_range(path: Path, place: str, name: str, low: float | None, high: float | None) -> None:
+    """Refuse a range that does not ascend."""
+    if low is not None and high is not None and not low < high:
+        raise refusal(path, f"{place} {name} goes from {low} to {high}", "a range that ascends")
+
+
+def refusal(path: Path, found: str, needed: str) -> LabFileError:
+    """Return the error of a lab.toml, naming the file."""
+    return LabFileError(
+        f"{path.name}: {found}",
+        needed=f"needed is {needed}",
+        remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
+    )
