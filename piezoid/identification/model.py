@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import filter_columns, first_order, lag_of
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.tunnelling.model import TunnellingModel
@@ -189,6 +190,7 @@ class AxisModel:
     voltage_V    (low, high) range of the drive in the data: outside it the model extrapolates
     dynamics     from the hysteresis' output, as a drive, to the displacement, declared poles
                  included; None where no recording excites them
+    extensions   what a diagnosis added, in the order in which they act
     """
 
     axis: str
@@ -203,30 +205,69 @@ class AxisModel:
     uncertainty: Uncertainty
     certificate: Certificate
     dynamics: LinearDynamics | None = None
+    extensions: tuple[Extension, ...] = ()
 
     @property
     def virgin_memory_V(self) -> Array:
         """The de-poled state."""
         return self.hysteresis.virgin_memory()
 
-    def simulate(self, voltage_V: Array, sampling_rate_Hz: float, memory_V: Array) -> Array:
+    def simulate(
+        self,
+        voltage_V: Array,
+        sampling_rate_Hz: float,
+        memory_V: Array,
+        where: Where | None = None,
+    ) -> Array:
         """Return the displacement this axis makes of a drive.
 
         voltage_V         (samples,)  V
         sampling_rate_Hz  Hz
         memory_V          (plays,)    V, admissible, before the first sample
+        where             the piece of a recording, for extensions that belong to one
         returned          (samples,)  m
         """
-        driven = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, sampling_rate_Hz)
-        output_m, _ = self.hysteresis.run(driven, memory_V)
-        column = output_m[:, None]
-        lagged, _ = lag_of(self.lag.kind, self.lag.time_s, sampling_rate_Hz).run(column)
+        here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(voltage_V))
+        moved_m = self.moved(voltage_V, memory_V, here)
+        return self.read(self.hysteresis.displacement_offset_m + moved_m)
+
+    def moved(self, voltage_V: Array, memory_V: Array, where: Where) -> Array:
+        """Return the displacement away from the zero, before the sensor reads it, (samples,)."""
+        driven = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, where.rate_Hz)
+        for extension in self.extensions:
+            driven = extension.drive(driven, where.rate_Hz)
+        output_m = self._hysteresis_of(driven, memory_V, where.rate_Hz)
+        moved_m = self.polarity * (output_m - self.hysteresis.displacement_offset_m)
+        for extension in self.extensions:
+            moved_m = extension.response(moved_m, where)
+        lag = lag_of(self.lag.kind, self.lag.time_s, where.rate_Hz)
+        lagged, _ = lag.run(moved_m[:, None])
         if self.rig.sensor_bandwidth_Hz is not None:
             time_s = 1.0 / (2 * np.pi * self.rig.sensor_bandwidth_Hz)
             state = np.repeat(lagged[:1], 2, axis=0)
-            lagged = filter_columns(lagged, first_order(time_s, sampling_rate_Hz), state)
-        offset_m = self.hysteresis.displacement_offset_m
-        return np.asarray(offset_m + self.polarity * (lagged[:, 0] - offset_m))
+            lagged = filter_columns(lagged, first_order(time_s, where.rate_Hz), state)
+        total_m: Array = lagged[:, 0]
+        for extension in self.extensions:
+            total_m = total_m + extension.added(where)
+        return total_m
+
+    def read(self, position_m: Array) -> Array:
+        """Return what the sensor says of a position."""
+        for extension in self.extensions:
+            position_m = extension.reading(position_m)
+        return position_m
+
+    def _hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part."""
+        operator = self.hysteresis
+        inner_V = operator.envelope.run(driven_V - operator.voltage_offset_V)
+        h_m, _ = operator.plays.run(inner_V, memory_V)
+        reversible_m = operator.plays.weight[0] * inner_V
+        for extension in self.extensions:
+            walls_m = h_m - reversible_m
+            later_m = extension.irreversible(walls_m, rate_Hz)
+            h_m = h_m if later_m is walls_m else reversible_m + later_m
+        return operator.dead_zones.run(h_m) + operator.displacement_offset_m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,10 +3,11 @@
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.extensions.extension import Where
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Quantity, Recording
 
 
 def starts_of(axis_model: AxisModel, recording: Recording) -> tuple[PieceStart, ...]:
@@ -18,7 +19,8 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
     """Return the displacement the model makes of a recording it was fitted on.
 
         y[k] = Gamma[u](k) - y_off + sum_j zero_j hat_j(k)
-    Every piece runs free from its fitted memory; its zero is interpolated between its own knots.
+    with the model's extensions around Gamma. Every piece runs free from its fitted memory; its
+    zero is interpolated between its own knots.
 
     returned  (samples,)  m; NaN in pieces too short to have been fitted
 
@@ -33,19 +35,35 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
             needed="the recording the model was fitted on, each under a name of its own",
             remedy="Give the recordings of the fit, or fit again with this one.",
         )
-    voltage_V = recording.voltage_V(axis_model.axis)
     displacement_m = np.full(recording.samples, np.nan)
     for part, start in zip(pieces, starts, strict=True):
-        displacement_m[part] = _piece(axis_model, voltage_V[part], recording, start)
+        displacement_m[part] = _piece(axis_model, recording, part, start)
     return displacement_m
 
 
-def _piece(
-    axis_model: AxisModel, voltage_V: Array, recording: Recording, start: PieceStart
-) -> Array:
-    moved_m = axis_model.simulate(voltage_V, recording.sampling_rate_Hz, start.memory_V)
-    zero_m = zero_of(start, len(voltage_V))
-    return np.asarray(moved_m - axis_model.hysteresis.displacement_offset_m + zero_m)
+def where_of(recording: Recording, axis: str, part: slice) -> Where:
+    """Return a piece of a recording as extensions see it, with other axes that move."""
+    others = {
+        channel.axis: channel.values[part]
+        for channel in recording.channels
+        if channel.quantity is Quantity.VOLTAGE
+        and channel.axis != axis
+        and np.ptp(channel.values) > 0.0
+    }
+    return Where(
+        recording=recording.name,
+        rate_Hz=recording.sampling_rate_Hz,
+        first=part.start,
+        samples=part.stop - part.start,
+        others_V=others,
+    )
+
+
+def _piece(axis_model: AxisModel, recording: Recording, part: slice, start: PieceStart) -> Array:
+    where = where_of(recording, axis_model.axis, part)
+    voltage_V = recording.voltage_V(axis_model.axis)[part]
+    moved_m = axis_model.moved(voltage_V, start.memory_V, where)
+    return axis_model.read(zero_of(start, where.samples) + moved_m)
 
 
 def zero_of(start: PieceStart, samples: int) -> Array:

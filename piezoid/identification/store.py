@@ -8,6 +8,7 @@ import numpy as np
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import (
     SCHEMA,
@@ -97,6 +98,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         "quality": _quality_to_json(axis.quality),
         "uncertainty": _uncertainty_to_json(axis.uncertainty),
         "certificate": dataclasses.asdict(axis.certificate),
+        "extensions": [extension.to_json() for extension in axis.extensions],
         "starts": [_start_to_json(start) for start in axis.starts],
     }
 
@@ -188,6 +190,8 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         uncertainty=_uncertainty_from_json(record["uncertainty"]),
         certificate=Certificate(**record["certificate"]),
         dynamics=_dynamics_from_json(record["dynamics"]),
+        # Files of before there were any have no such entry.
+        extensions=tuple(extension_from_json(e) for e in record.get("extensions", ())),
     )
 
 

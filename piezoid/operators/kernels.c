@@ -217,3 +217,25 @@ void pk_first_order(size_t samples, size_t columns, size_t stride, double *value
         previous_output[i] = y;
     }
 }
+
+void pk_slew(size_t samples, const double *input, double step, double *output) {
+    double held = samples > 0 ? input[0] : 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        const double away = input[k] - held;
+        held += away > step ? step : (away < -step ? -step : away);
+        output[k] = held;
+    }
+}
+
+void pk_creep(size_t samples, const double *input, double part, double threshold, double *output) {
+    double x = samples > 0 ? input[0] : 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        output[k] = x;
+        const double away = input[k] - x;
+        if (away > threshold) {
+            x += part * (away - threshold);
+        } else if (away < -threshold) {
+            x += part * (away + threshold);
+        }
+    }
+}

@@ -75,4 +75,11 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
 void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
                     double b0, double b1, double *previous_input, double *previous_output);
 
+/* A signal that goes at most `step` from sample to sample; output must not alias input. */
+void pk_slew(size_t samples, const double *input, double step, double *output);
+
+/* A state that goes by `part` of what it is farther than `threshold` from the input, one sample
+ * late; output must not alias input. */
+void pk_creep(size_t samples, const double *input, double part, double threshold, double *output);
+
 #endif

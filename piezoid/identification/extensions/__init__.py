@@ -1,0 +1,53 @@
+"""All extensions an axis model may have, upstream first: adding one is adding a file and a line.
+
+``EXTENSIONS`` is the order in which a model applies them.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
+from piezoid.identification.extensions.converter_hold import ConverterHold
+from piezoid.identification.extensions.creep_ladder import CreepLadder
+from piezoid.identification.extensions.creep_operator import CreepOperator
+from piezoid.identification.extensions.cross_axis import CrossAxis
+from piezoid.identification.extensions.delay import Delay
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.extensions.mains_lines import MainsLines
+from piezoid.identification.extensions.periodic_error import PeriodicError
+from piezoid.identification.extensions.rate_dependence import RateDependence
+from piezoid.identification.extensions.slew_limit import SlewLimit
+from piezoid.identification.extensions.thermal_drift import ThermalDrift
+
+EXTENSIONS: tuple[type[Extension], ...] = (
+    SlewLimit,
+    AmplifierLimits,
+    RateDependence,
+    CreepLadder,
+    CreepOperator,
+    GainChange,
+    LinearMode,
+    FirstOrderLag,
+    Delay,
+    ConverterHold,
+    CrossAxis,
+    ThermalDrift,
+    MainsLines,
+    PeriodicError,
+)
+
+
+def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
+    """Return extensions in the order in which a model applies them."""
+    return tuple(sorted(extensions, key=lambda extension: EXTENSIONS.index(type(extension))))
+
+
+def extension_from_json(entries: Mapping[str, Any]) -> Extension:
+    """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
+    for known in EXTENSIONS:
+        if known.kind == entries["kind"]:
+            return known.from_json(entries)
+    raise ValueError(f"extension kind {entries['kind']!r}")

@@ -1,0 +1,56 @@
+"""The supply ends before the command does."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.numerics.arrays import Array
+
+FARTHEST_V = 1e5
+
+
+@dataclass(frozen=True, kw_only=True)
+class AmplifierLimits(Extension):
+    """Saturation in front of the hysteresis, which remembers the clipped voltage.
+
+        u -> min(max(u, low), high)
+
+    low_V, high_V  V, in the units of the recorded drive; None: no limit on that side
+    """
+
+    kind: ClassVar[str] = "amplifier_limits"
+
+    low_V: float | None = None
+    high_V: float | None = None
+
+    def __post_init__(self) -> None:
+        given = self._given
+        if not given:
+            raise ValueError("an amplifier without limits is none")
+        for value in given:
+            within("amplifier limit", value, -FARTHEST_V, FARTHEST_V)
+        if len(given) == 2 and not given[0] < given[1]:
+            raise ValueError(f"amplifier limits are {given}, expected rising")
+
+    @property
+    def _given(self) -> tuple[float, ...]:
+        return tuple(value for value in (self.low_V, self.high_V) if value is not None)
+
+    def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
+        """Return the clipped voltage."""
+        low = -np.inf if self.low_V is None else self.low_V
+        high = np.inf if self.high_V is None else self.high_V
+        return np.asarray(np.clip(voltage_V, low, high))
+
+    def free(self) -> Free:
+        """Return the limits there are."""
+        span_V = max(abs(value) for value in self._given)
+        return free(self._given, -FARTHEST_V, FARTHEST_V, max(2e-4 * span_V, 1e-9))
+
+    def moved_to(self, value: Array) -> Self:
+        """Return other limits on the same sides."""
+        rest = value.tolist()
+        low = None if self.low_V is None else rest.pop(0)
+        return type(self)(low_V=low, high_V=None if self.high_V is None else rest.pop(0))

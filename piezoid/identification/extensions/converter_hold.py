@@ -1,0 +1,42 @@
+"""The converter holds every value for a period of its clock."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import later
+from piezoid.numerics.arrays import Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConverterHold(Extension):
+    """Half a period of delay that the laboratory declares with its clock: nothing to fit.
+
+    hold_s  s, >= 0, half a period of the converter's clock
+
+    It belongs to the recordings: a controller's own converter holds again.
+    """
+
+    kind: ClassVar[str] = "converter_hold"
+    instant: ClassVar[bool] = True
+
+    hold_s: float
+
+    def __post_init__(self) -> None:
+        within("hold_s", self.hold_s, 0.0, 1.0)
+
+    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+        """Return the delay."""
+        return self.hold_s
+
+    def response(self, moved: Array, where: Where) -> Array:
+        """Return the later displacement; in front of the hysteresis it would be the same."""
+        return later(moved, self.hold_s * where.rate_Hz)
+
+    def free(self) -> Free:
+        """Return nothing."""
+        return free((), 0.0, 0.0, 1.0)
+
+    def moved_to(self, value: Array) -> Self:  # noqa: ARG002
+        """Return the same."""
+        return self

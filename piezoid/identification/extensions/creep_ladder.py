@@ -1,0 +1,67 @@
+"""Creep as a ladder of relaxations behind the hysteresis."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import relaxed
+from piezoid.numerics.arrays import Array
+
+MOST = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class CreepLadder(Extension):
+    """Displacement that goes on after the drive has stopped, in every decade of time.
+
+        y = m + sum_i c_i x_i,   tau_i dx_i/dt = m - x_i            [Jung & Gweon 2000]
+
+    tau_i  time_s  (rungs,)  s, rising
+    c_i    share   (rungs,)  1, 0 to 0.5
+
+    Steady before the first sample: what a stage still owes from before a recording is its zero's.
+    """
+
+    kind: ClassVar[str] = "creep_ladder"
+
+    time_s: tuple[float, ...]
+    share: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.time_s) != len(self.share) or not self.time_s:
+            raise ValueError(f"creep has {len(self.time_s)} times and {len(self.share)} shares")
+        if any(np.diff(self.time_s) <= 0.0):
+            raise ValueError(f"creep times are {self.time_s}, expected rising")
+        for time_s, share in zip(self.time_s, self.share, strict=True):
+            within("creep time_s", time_s, 1e-6, 1e9)
+            within("creep share", share, 0.0, MOST)
+
+    def response(self, moved: Array, where: Where) -> Array:
+        """Return the displacement with what crept."""
+        total = np.array(moved)
+        for time_s, share in zip(self.time_s, self.share, strict=True):
+            if share > 0.0:
+                total += share * relaxed(moved, time_s, where.rate_Hz)
+        return total
+
+    @property
+    def per_decade(self) -> float:
+        """Share of a step for each decade of time, on average over the ladder."""
+        if len(self.time_s) == 1:
+            return self.share[0]
+        spacing = np.log10(self.time_s[-1] / self.time_s[0]) / (len(self.time_s) - 1)
+        return float(np.mean(self.share) / spacing)
+
+    def free(self) -> Free:
+        """Return the shares."""
+        return free(self.share, 0.0, MOST, 1e-3)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return the ladder with other shares."""
+        return type(self)(time_s=self.time_s, share=tuple(value.tolist()))
+
+    def prior(self) -> Array:
+        """Return neighbouring shares as nearly alike: barriers are spread evenly."""
+        return np.diff(np.eye(len(self.share)), axis=0)

@@ -1,0 +1,73 @@
+"""The answer of this axis to another one's drive."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+
+LARGEST = 1e3
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrossAxis(Extension):
+    """A static and a hysteretic response to another axis.
+
+        added = a v + b v^2 + sum_i w_i F_(r_i)[v],   v = u_other - centre
+
+    a    gain_m_per_V        m/V
+    b    curvature_m_per_V_per_V  m/V^2
+    r_i  play_threshold_V    (plays,)  V, > 0
+    w_i  play_weight_m_per_V (plays,)  m/V
+
+    Where a recording does not hold the other axis' drive, that axis is taken to rest.
+    """
+
+    kind: ClassVar[str] = "cross_axis"
+
+    axis: str
+    centre_V: float
+    gain_m_per_V: float
+    curvature_m_per_V_per_V: float
+    play_threshold_V: tuple[float, ...] = ()
+    play_weight_m_per_V: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if len(self.play_threshold_V) != len(self.play_weight_m_per_V):
+            raise ValueError(
+                f"{len(self.play_threshold_V)} thresholds, {len(self.play_weight_m_per_V)} weights"
+            )
+        for threshold_V in self.play_threshold_V:
+            within("play_threshold_V", threshold_V, 1e-12, 1e6)
+        within("centre_V", self.centre_V, -1e6, 1e6)
+        for value in self.free().value:
+            within("cross-axis gain", float(value), -LARGEST, LARGEST)
+
+    def columns(self, where: Where) -> Array | None:
+        """Return v, v^2 and the plays of v; None where the other axis rests."""
+        if self.axis not in where.others_V:
+            return None
+        v = np.ascontiguousarray(where.others_V[self.axis] - self.centre_V)
+        threshold = np.array(self.play_threshold_V)
+        plays, _ = play_columns(v, threshold, np.full(len(threshold), v[0]))
+        return np.column_stack([v, v**2, plays])
+
+    def free(self) -> Free:
+        """Return all gains."""
+        value = (self.gain_m_per_V, self.curvature_m_per_V_per_V, *self.play_weight_m_per_V)
+        return free(value, -LARGEST, LARGEST, 1e-12)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return other gains."""
+        gain, curvature, *weight = value.tolist()
+        return type(self)(
+            axis=self.axis,
+            centre_V=self.centre_V,
+            gain_m_per_V=gain,
+            curvature_m_per_V_per_V=curvature,
+            play_threshold_V=self.play_threshold_V,
+            play_weight_m_per_V=tuple(weight),
+        )

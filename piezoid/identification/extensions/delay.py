@@ -1,0 +1,52 @@
+"""A pure delay between the channels."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import later
+from piezoid.numerics.arrays import Array
+
+LONGEST_s = 1.0
+MOST_SAMPLES = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Delay(Extension):
+    """Everything comes later: a cable, a servo, or a converter that holds rows back.
+
+        y(t) = m(t - delay_s - delay_samples / rate)
+
+    delay_s        s, >= 0; the fit moves it
+    delay_samples  1, >= 0; converters are late in rows, not in seconds
+    """
+
+    kind: ClassVar[str] = "delay"
+    instant: ClassVar[bool] = True
+
+    delay_s: float = 0.0
+    delay_samples: float = 0.0
+
+    def __post_init__(self) -> None:
+        within("delay_s", self.delay_s, 0.0, LONGEST_s)
+        within("delay_samples", self.delay_samples, 0.0, MOST_SAMPLES)
+
+    def late_s(self, rate_Hz: float) -> float:
+        """Return the delay in a recording of this rate."""
+        return self.delay_s + self.delay_samples / rate_Hz
+
+    def response(self, moved: Array, where: Where) -> Array:
+        """Return the later displacement."""
+        return later(moved, self.late_s(where.rate_Hz) * where.rate_Hz)
+
+    def free(self) -> Free:
+        """Return the one of the two that is not 0."""
+        if self.delay_samples > 0.0:
+            return free(self.delay_samples, 0.0, MOST_SAMPLES, 0.01)
+        return free(self.delay_s, 0.0, LONGEST_s, max(1e-3 * self.delay_s, 1e-8))
+
+    def moved_to(self, value: Array) -> Self:
+        """Return another delay of the same sort."""
+        if self.delay_samples > 0.0:
+            return type(self)(delay_s=self.delay_s, delay_samples=max(float(value[0]), 1e-9))
+        return type(self)(delay_s=float(value[0]))

@@ -1,0 +1,155 @@
+"""What one extension of an axis model must provide; simulation and fit know nothing else of it.
+
+    command -> drive -> reversible + irreversible part -> dead zones -> response -> + added
+            -> reading
+
+An extension acts at one of these places and leaves the others alone. All numbers are in SI units.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.numerics.arrays import Array, frozen
+
+Samples = NDArray[np.int_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Where:
+    """One uninterrupted piece of one recording, as far as extensions need to know it.
+
+    recording  its name
+    rate_Hz    > 0
+    first      sample of the recording at which the piece begins
+    samples    how many it has
+    others_V   drives of other axes by axis, (samples,)
+    """
+
+    recording: str
+    rate_Hz: float
+    first: int = 0
+    samples: int = 0
+    others_V: Mapping[str, Array] = field(default_factory=dict)
+
+    @property
+    def time_s(self) -> Array:
+        """Return the time of every sample since the recording began, (samples,)."""
+        return (self.first + np.arange(self.samples)) / self.rate_Hz
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Free:
+    """The numbers of an extension that a fit may move.
+
+    value, lower, upper  (numbers,)
+    step                 (numbers,)  a change that is felt and still small
+    """
+
+    value: Array
+    lower: Array
+    upper: Array
+    step: Array
+
+    def __post_init__(self) -> None:
+        for name in ("value", "lower", "upper", "step"):
+            given = np.atleast_1d(np.asarray(getattr(self, name), dtype=np.float64))
+            object.__setattr__(self, name, frozen(np.where(np.isinf(given), 0.0, given), name))
+            if name in ("lower", "upper"):
+                object.__setattr__(self, name, given)
+
+
+def free(value: Any, lower: Any, upper: Any, step: Any) -> Free:
+    """Return the numbers with bounds and steps of one each, or one for all."""
+    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    shape = values.shape
+    return Free(
+        value=values,
+        lower=np.broadcast_to(np.asarray(lower, dtype=np.float64), shape),
+        upper=np.broadcast_to(np.asarray(upper, dtype=np.float64), shape),
+        step=np.broadcast_to(np.asarray(step, dtype=np.float64), shape),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extension:
+    """Something a diagnosis adds to an axis model; this one adds nothing.
+
+    kind       its name in model.json
+    instant    whether ``response`` follows within samples: then tangents pass it as well
+    in_metres  whether what ``prior`` compares are metres
+    """
+
+    kind: ClassVar[str] = ""
+    instant: ClassVar[bool] = False
+    in_metres: ClassVar[bool] = False
+
+    def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
+        """Return the voltage that reaches the ceramic."""
+        return voltage_V
+
+    def irreversible(self, part_m: Array, rate_Hz: float) -> Array:  # noqa: ARG002
+        """Return the part of the displacement that is not reversible, as it comes about."""
+        return part_m
+
+    def response(self, moved: Array, where: Where) -> Array:  # noqa: ARG002
+        """Return what the stage makes of the hysteresis' output; linear, steady before sample 0.
+
+        moved  (samples,) or (samples, columns)
+        """
+        return moved
+
+    def added(self, where: Where) -> Array | float:
+        """Return what is added whatever the drive does, (samples,) in m, or 0."""
+        columns = self.columns(where)
+        return 0.0 if columns is None else np.asarray(columns @ self.free().value)
+
+    def columns(self, where: Where) -> Array | None:  # noqa: ARG002
+        """Return d added / d numbers, (samples, numbers); None where nothing is added."""
+        return None
+
+    def reading(self, position_m: Array) -> Array:
+        """Return what the sensor says of a position."""
+        return position_m
+
+    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+        """Return by how much slow motion comes later."""
+        return 0.0
+
+    def gain(self, where: Where) -> Array | float:  # noqa: ARG002
+        """Return the factor by which motion is larger, (samples,) or one number."""
+        return 1.0
+
+    def free(self) -> Free:
+        """Return the numbers a fit may move."""
+        raise NotImplementedError(self.kind)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return the extension with other numbers."""
+        raise NotImplementedError(self.kind)
+
+    def prior(self) -> Array:
+        """Return rows whose product with the numbers is near 0 beforehand, (rows, numbers)."""
+        return np.zeros((0, len(self.free().value)))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content for model.json."""
+        return {"kind": self.kind, **asdict(self)}
+
+    @classmethod
+    def from_json(cls, entries: Mapping[str, Any]) -> Self:
+        """Read it back."""
+        return cls(**{name: _tuples(value) for name, value in entries.items() if name != "kind"})
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
+
+
+def within(place: str, value: float, low: float, high: float) -> None:
+    """Refuse a number outside [low, high] or not finite."""
+    if not low <= value <= high or not np.isfinite(value):
+        raise ValueError(f"{place} is {value!r}, expected {low:g} to {high:g}")

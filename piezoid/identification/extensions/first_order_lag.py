@@ -1,0 +1,44 @@
+"""A first-order pole behind the hysteresis."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import relaxed
+from piezoid.numerics.arrays import Array
+
+LONGEST_s = 10.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstOrderLag(Extension):
+    """An overdamped filter that nobody declared.
+
+        lag_s dy/dt = m - y
+
+    lag_s  s, >= 0
+    """
+
+    kind: ClassVar[str] = "first_order_lag"
+    instant: ClassVar[bool] = True
+
+    lag_s: float
+
+    def __post_init__(self) -> None:
+        within("lag_s", self.lag_s, 0.0, LONGEST_s)
+
+    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+        """Return the lag."""
+        return self.lag_s
+
+    def response(self, moved: Array, where: Where) -> Array:
+        """Return the displacement behind the pole."""
+        return relaxed(moved, self.lag_s, where.rate_Hz)
+
+    def free(self) -> Free:
+        """Return the lag."""
+        return free(self.lag_s, 0.0, LONGEST_s, max(1e-3 * self.lag_s, 1e-8))
+
+    def moved_to(self, value: Array) -> Self:
+        """Return another lag."""
+        return type(self)(lag_s=float(value[0]))

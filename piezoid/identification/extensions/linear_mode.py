@@ -1,0 +1,59 @@
+"""One mechanical mode behind the hysteresis."""
+
+from dataclasses import dataclass
+from math import pi
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import rung
+from piezoid.numerics.arrays import Array
+
+LEAST_QUALITY, MOST_QUALITY = 0.5, 1e4
+MOST_PART = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearMode(Extension):
+    """The stage is a mass on a spring, or a part of it is.
+
+        y = m + p (x - m),   x'' + (w / Q) x' + w^2 x = w^2 m,   w = 2 pi f
+
+    f  frequency_Hz   > 0
+    Q  quality        0.5 to 1e4
+    p  participation  0 to 3; 1: everything passes through the mode
+    """
+
+    kind: ClassVar[str] = "linear_mode"
+    instant: ClassVar[bool] = True
+
+    frequency_Hz: float
+    quality: float
+    participation: float = 1.0
+
+    def __post_init__(self) -> None:
+        within("mode frequency_Hz", self.frequency_Hz, 1e-3, 1e7)
+        within("mode quality", self.quality, LEAST_QUALITY, MOST_QUALITY)
+        within("mode participation", self.participation, 0.0, MOST_PART)
+
+    def late_s(self, rate_Hz: float) -> float:  # noqa: ARG002
+        """Return by how much slow motion comes later."""
+        return self.participation / (2.0 * pi * self.frequency_Hz * self.quality)
+
+    def response(self, moved: Array, where: Where) -> Array:
+        """Return the displacement with what rings."""
+        ringing = rung(moved, self.frequency_Hz, self.quality, where.rate_Hz)
+        return np.asarray(moved + self.participation * (ringing - moved))
+
+    def free(self) -> Free:
+        """Return frequency, quality and participation."""
+        value = np.array([self.frequency_Hz, self.quality, self.participation])
+        lower = (0.7 * self.frequency_Hz, LEAST_QUALITY, 0.0)
+        upper = (1.4 * self.frequency_Hz, MOST_QUALITY, MOST_PART)
+        return free(value, lower, upper, value * 1e-4 + 1e-9)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return another mode."""
+        f, quality, part = value.tolist()
+        return type(self)(frequency_Hz=f, quality=quality, participation=part)

@@ -1,0 +1,158 @@
+"""The grid hums in the reading."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import hats
+from piezoid.numerics.arrays import Array
+
+WANDER_s = 6.0  # how long the grid keeps a phase
+MOST_KNOTS = 12
+ROWS_PER_PERIOD = 2.2
+LOUDEST_m = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hum:
+    """The hum of one piece.
+
+    recording       its name
+    first           sample at which the piece begins
+    harmonic        (lines,)  multiples of the grid's frequency its rate can show
+    cosine_m, sine_m  (lines * knots,)  amplitudes at even instants, line by line
+    """
+
+    recording: str
+    first: int
+    harmonic: tuple[int, ...]
+    cosine_m: tuple[float, ...]
+    sine_m: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        count = len(self.harmonic)
+        if count == 0 or len(self.cosine_m) % count or len(self.cosine_m) != len(self.sine_m):
+            raise ValueError(f"{len(self.cosine_m)} amplitudes for {count} lines")
+        for amplitude_m in (*self.cosine_m, *self.sine_m):
+            within("hum amplitude", amplitude_m, -LOUDEST_m, LOUDEST_m)
+
+    @property
+    def amplitude_m(self) -> float:
+        """Rms over the knots of the amplitude of the first line."""
+        knots = len(self.cosine_m) // len(self.harmonic)
+        first = np.hypot(self.cosine_m[:knots], self.sine_m[:knots])
+        return float(np.sqrt(np.mean(first**2)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MainsLines(Extension):
+    """Lines at the grid's frequency with phases that wander; simulated, not shipped.
+
+    frequency_Hz  of the grid
+    hums          one for every piece
+    """
+
+    kind: ClassVar[str] = "mains_lines"
+    in_metres: ClassVar[bool] = True
+
+    frequency_Hz: float
+    hums: tuple[Hum, ...]
+
+    def __post_init__(self) -> None:
+        within("mains frequency_Hz", self.frequency_Hz, 1.0, 1e4)
+
+    @classmethod
+    def of(
+        cls, pieces: Sequence[Where], frequency_Hz: float, harmonics: tuple[int, ...] = (1, 2, 3)
+    ) -> Self:
+        """Return silence yet, for every piece whose rate can show the first line."""
+        hums = []
+        for piece in pieces:
+            audible = tuple(
+                n for n in harmonics if piece.rate_Hz > ROWS_PER_PERIOD * n * frequency_Hz
+            )
+            if audible:
+                knots = min(1 + int(piece.samples / piece.rate_Hz / WANDER_s), MOST_KNOTS)
+                silent = (0.0,) * (len(audible) * knots)
+                hums.append(
+                    Hum(
+                        recording=piece.recording,
+                        first=piece.first,
+                        harmonic=audible,
+                        cosine_m=silent,
+                        sine_m=silent,
+                    )
+                )
+        return cls(frequency_Hz=frequency_Hz, hums=tuple(hums))
+
+    def columns(self, where: Where) -> Array | None:
+        """Return cosines and sines under their hats, at the places of this piece."""
+        found, first = None, 0
+        total = sum(2 * len(hum.cosine_m) for hum in self.hums)
+        for hum in self.hums:
+            count = len(hum.cosine_m)
+            if (hum.recording, hum.first) == (where.recording, where.first):
+                found = np.zeros((where.samples, total))
+                found[:, first : first + 2 * count] = self._waves(hum, where)
+            first += 2 * count
+        return found
+
+    def _waves(self, hum: Hum, where: Where) -> Array:
+        knots = len(hum.cosine_m) // len(hum.harmonic)
+        place = np.linspace(0.0, knots - 1.0, where.samples)
+        under = hats(place, knots)
+        turn = 2.0 * np.pi * self.frequency_Hz * where.time_s[:, None]
+        parts = [np.cos(n * turn) * under for n in hum.harmonic]
+        return np.hstack(parts + [np.sin(n * turn) * under for n in hum.harmonic])
+
+    def free(self) -> Free:
+        """Return all amplitudes."""
+        value = [a for hum in self.hums for a in (*hum.cosine_m, *hum.sine_m)]
+        return free(value, -LOUDEST_m, LOUDEST_m, 1e-10)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return other amplitudes."""
+        rest, hums = value.tolist(), []
+        for hum in self.hums:
+            count = len(hum.cosine_m)
+            cosine_m, sine_m = tuple(rest[:count]), tuple(rest[count : 2 * count])
+            rest = rest[2 * count :]
+            hums.append(
+                Hum(
+                    recording=hum.recording,
+                    first=hum.first,
+                    harmonic=hum.harmonic,
+                    cosine_m=cosine_m,
+                    sine_m=sine_m,
+                )
+            )
+        return type(self)(frequency_Hz=self.frequency_Hz, hums=tuple(hums))
+
+    def prior(self) -> Array:
+        """Return the change of every amplitude from knot to knot: a phase wanders slowly."""
+        from scipy.linalg import block_diag
+
+        parts = []
+        for hum in self.hums:
+            knots = len(hum.cosine_m) // len(hum.harmonic)
+            parts += [np.diff(np.eye(knots), axis=0)] * (2 * len(hum.harmonic))
+        wide = sum(2 * len(hum.cosine_m) for hum in self.hums)
+        return np.asarray(block_diag(*parts)).reshape(-1, wide)
+
+    @classmethod
+    def from_json(cls, entries: Mapping[str, Any]) -> Self:
+        """Read it back."""
+        hums = tuple(
+            Hum(
+                recording=hum["recording"],
+                first=hum["first"],
+                harmonic=tuple(hum["harmonic"]),
+                cosine_m=tuple(hum["cosine_m"]),
+                sine_m=tuple(hum["sine_m"]),
+            )
+            for hum in entries["hums"]
+        )
+        return cls(frequency_Hz=entries["frequency_Hz"], hums=hums)

@@ -1,0 +1,73 @@
+"""The reading is wrong once every period of displacement."""
+
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.numerics.arrays import Array
+
+ROUNDS = 60
+LARGEST = 0.9 / (2.0 * np.pi)  # of a wavelength: beyond, a reading has several positions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicError(Extension):
+    """A cyclic error of the sensor, of first and higher order.
+
+        y = x + sum_n a_n cos(2 pi n x / wavelength) + b_n sin(2 pi n x / wavelength)
+
+    wavelength_m     m, > 0
+    cosine_m, sine_m (orders,)  m                                     [Heydemann 1981]
+    """
+
+    kind: ClassVar[str] = "periodic_error"
+
+    wavelength_m: float
+    cosine_m: tuple[float, ...]
+    sine_m: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        within("wavelength_m", self.wavelength_m, 1e-12, 1.0)
+        if len(self.cosine_m) != len(self.sine_m) or not self.cosine_m:
+            raise ValueError(f"{len(self.cosine_m)} cosines, {len(self.sine_m)} sines")
+        orders = np.arange(1, len(self.cosine_m) + 1)
+        within("steepness", float(orders @ self.amplitude_m), 0.0, LARGEST * self.wavelength_m)
+
+    @property
+    def amplitude_m(self) -> Array:
+        """Return the amplitude of every order."""
+        return np.hypot(self.cosine_m, self.sine_m)
+
+    def reading(self, position_m: Array) -> Array:
+        """Return what the sensor says of a position."""
+        turn = 2.0 * np.pi / self.wavelength_m * position_m
+        total = np.array(position_m, dtype=np.float64)
+        for n, (a, b) in enumerate(zip(self.cosine_m, self.sine_m, strict=True), start=1):
+            total += a * np.cos(n * turn) + b * np.sin(n * turn)
+        return total
+
+    def corrected(self, reading_m: Array) -> Array:
+        """Return the position a reading stands for; the error is a contraction."""
+        position_m = np.array(reading_m, dtype=np.float64)
+        for _ in range(ROUNDS):
+            position_m = reading_m - (self.reading(position_m) - position_m)
+        return position_m
+
+    def free(self) -> Free:
+        """Return wavelength and amplitudes."""
+        value = (self.wavelength_m, *self.cosine_m, *self.sine_m)
+        most = LARGEST * self.wavelength_m / (2.0 * len(self.cosine_m) ** 2)
+        lower = (0.99 * self.wavelength_m, *[-most] * (len(value) - 1))
+        upper = (1.01 * self.wavelength_m, *[most] * (len(value) - 1))
+        steps = (1e-6 * self.wavelength_m, *[1e-5 * self.wavelength_m] * (len(value) - 1))
+        return free(value, lower, upper, steps)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return another wavelength and other amplitudes."""
+        wavelength_m, *rest = value.tolist()
+        orders = len(self.cosine_m)
+        return type(self)(
+            wavelength_m=wavelength_m, cosine_m=tuple(rest[:orders]), sine_m=tuple(rest[orders:])
+        )

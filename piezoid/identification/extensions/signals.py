@@ -1,0 +1,56 @@
+"""Linear filters of one signal or of many columns, steady before the first sample."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from piezoid.identification.hysteresis.filters import filter_columns, first_order
+from piezoid.numerics.arrays import Array
+
+
+def relaxed(moved: Array, time_s: float, rate_Hz: float) -> Array:
+    """Return a signal behind a first-order lag, straight between samples."""
+    columns = moved if moved.ndim == 2 else moved[:, None]
+    state = np.repeat(columns[:1], 2, axis=0)
+    return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(moved.shape)
+
+
+def later(moved: Array, samples: float) -> Array:
+    """Return a signal that many samples later, straight between samples."""
+    whole = int(np.floor(samples))
+    part = samples - whole
+    held = np.repeat(moved[:1], min(whole + 1, len(moved) + 1), axis=0)
+    joined = np.concatenate([held, moved])
+    return np.asarray((1.0 - part) * joined[1 : 1 + len(moved)] + part * joined[: len(moved)])
+
+
+def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
+    """Return a signal behind one mode, x'' + (w / Q) x' + w^2 x = w^2 u, straight between samples.
+
+    moved  (samples,) or (samples, columns)
+    """
+    from scipy.signal import lfilter
+
+    b, a = _mode(frequency_Hz, quality, rate_Hz)
+    start = moved[:1]
+    return np.asarray(lfilter(b, a, moved - start, axis=0) + start)
+
+
+@lru_cache(maxsize=256)
+def _mode(frequency_Hz: float, quality: float, rate_Hz: float) -> tuple[Array, Array]:
+    """Return numerator and denominator of the exact sampling behind a first-order hold."""
+    from scipy.signal import cont2discrete
+
+    w = 2.0 * np.pi * frequency_Hz
+    system = ([w * w], [1.0, w / quality, w * w])
+    b, a, _ = cont2discrete(system, 1.0 / rate_Hz, method="foh")
+    return np.asarray(b).ravel(), np.asarray(a)
+
+
+def hats(place: Array, knots: int) -> Array:
+    """Return smooth hats with their tops at 0, 1, .. knots - 1, (samples, knots); they add to 1.
+
+    place  (samples,)  0 to knots - 1; what lies outside counts as the end
+    """
+    away = np.abs(np.clip(place, 0.0, knots - 1.0)[:, None] - np.arange(knots))
+    return np.asarray(np.where(away < 1.0, 0.5 * (1.0 + np.cos(np.pi * away)), 0.0))

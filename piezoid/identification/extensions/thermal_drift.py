@@ -1,0 +1,98 @@
+"""The stage moves slowly whatever the drive does."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.signals import hats
+from piezoid.numerics.arrays import Array
+
+KNOTS = 6
+LEAST_s = 5.0
+FARTHEST_m = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriftCurve:
+    """The drift of one piece, against its beginning.
+
+    recording  its name
+    first      sample at which the piece begins
+    level_m    (knots - 1,)  m, at even instants of the piece; at its beginning it is 0
+    """
+
+    recording: str
+    first: int
+    level_m: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        for level_m in self.level_m:
+            within("drift level_m", level_m, -FARTHEST_m, FARTHEST_m)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ThermalDrift(Extension):
+    """A smooth zero for every recording; simulated, not shipped: an observer takes it away."""
+
+    kind: ClassVar[str] = "thermal_drift"
+    in_metres: ClassVar[bool] = True
+
+    curves: tuple[DriftCurve, ...]
+
+    @classmethod
+    def of(cls, pieces: Sequence[Where]) -> Self:
+        """Return no drift yet, for every piece that is long enough to show one."""
+        curves = tuple(
+            DriftCurve(recording=p.recording, first=p.first, level_m=(0.0,) * (KNOTS - 1))
+            for p in pieces
+            if p.samples >= LEAST_s * p.rate_Hz
+        )
+        return cls(curves=curves)
+
+    def columns(self, where: Where) -> Array | None:
+        """Return the hats of this piece among the places of all."""
+        found, total = None, sum(len(curve.level_m) for curve in self.curves)
+        first = 0
+        for curve in self.curves:
+            count = len(curve.level_m)
+            if (curve.recording, curve.first) == (where.recording, where.first):
+                place = np.linspace(0.0, count, where.samples)
+                found = np.zeros((where.samples, total))
+                found[:, first : first + count] = hats(place, count + 1)[:, 1:]
+            first += count
+        return found
+
+    def free(self) -> Free:
+        """Return all levels."""
+        value = [level for curve in self.curves for level in curve.level_m]
+        return free(value, -FARTHEST_m, FARTHEST_m, 1e-9)
+
+    def moved_to(self, value: Array) -> Self:
+        """Return other levels."""
+        rest, curves = value.tolist(), []
+        for curve in self.curves:
+            count = len(curve.level_m)
+            level_m, rest = tuple(rest[:count]), rest[count:]
+            curves.append(
+                DriftCurve(recording=curve.recording, first=curve.first, level_m=level_m)
+            )
+        return type(self)(curves=tuple(curves))
+
+    def prior(self) -> Array:
+        """Return the step from each knot to the next: heat is slow."""
+        count = len(self.curves[0].level_m) if self.curves else 0
+        steps = np.eye(count) - np.eye(count, k=-1)
+        return np.asarray(np.kron(np.eye(len(self.curves)), steps), dtype=np.float64)
+
+    @classmethod
+    def from_json(cls, entries: Mapping[str, Any]) -> Self:
+        """Read it back."""
+        return cls(
+            curves=tuple(
+                DriftCurve(**{**curve, "level_m": tuple(curve["level_m"])})
+                for curve in entries["curves"]
+            )
+        )

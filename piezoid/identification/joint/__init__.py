@@ -1,0 +1,1 @@
+"""The joint fit of an axis model and its extensions, with its error on rows left out."""

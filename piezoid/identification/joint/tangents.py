@@ -1,0 +1,131 @@
+"""Derivatives of the reading by all numbers, at the rows that count.
+
+The columns of the hysteresis pass what follows within samples (delays, lags, modes) exactly where
+that matters; where motion is slow, the filters are a delay and two rows are enough for each that
+counts. Creep is left out of them: it is a part in a hundred of a column, and the search is judged
+by the true error anyway. What extensions add enters exactly, their other numbers by differences.
+"""
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Samples
+from piezoid.identification.hysteresis.static import Static
+from piezoid.identification.joint.chain import (
+    Followed,
+    first_memory,
+    follow,
+    late_s,
+    passed,
+)
+from piezoid.identification.joint.parts import Part
+from piezoid.identification.joint.vector import State
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import PlayTangents, first_carry, play_tangents
+
+CHUNK = 8192
+SLOW = 0.004  # of the motion: what a delay may miss of the filters
+LARGEST = 16_000_000  # numbers in one array of columns
+LAG_STEP = 1e-3  # samples
+
+
+def tangents_of(state: State, index: int, part: Part, followed: Followed) -> Array:
+    """Return d reading / d vector, (rows, numbers)."""
+    coordinates = state.coordinates
+    rows = np.zeros((len(part.place), len(state.vector)))
+    static = _behind(state, index, part, followed)
+    plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
+    rows[:, : lag.start] = static[:, : lag.start]
+    rows[:, coordinates.memory_slice(index)] = static[:, static.shape[1] - plays :]
+    rows[:, coordinates.offset_slice(index)] = 1.0
+    if lag.stop > lag.start:
+        rows[:, lag] = _by_lag(state, index, part, followed)[:, None]
+    for number, place in enumerate(state.slices):
+        rows[:, place] = _by_extension(state, number, index, part, followed)
+    return rows
+
+
+def _behind(state: State, index: int, part: Part, followed: Followed) -> Array:
+    """Return the columns of the hysteresis behind the filters, at the rows that count."""
+    rate_Hz = part.where.rate_Hz
+    late = late_s(state, rate_Hz) * rate_Hz
+    place = np.maximum(part.place - late, 0.0)
+    lower = np.minimum(np.floor(place).astype(int), len(followed.drive) - 1)
+    upper = np.minimum(lower + 1, len(followed.drive) - 1)
+    share = (place - lower)[:, None]
+    shifted = (1.0 - share[:, 0]) * followed.static[lower] + share[:, 0] * followed.static[upper]
+    true = passed(state, part, followed.static, instant=True)[part.place]
+    width = state.coordinates.slices["lag"].start + state.coordinates.shape.plays
+    wide = len(followed.drive) * (width + 1) > LARGEST
+    if wide or np.std(true - shifted) < SLOW * np.std(true):
+        needed = np.unique(np.concatenate([lower, upper]))
+        columns = _columns(state, index, followed.drive, needed)
+        before = columns[np.searchsorted(needed, lower)]
+        after = columns[np.searchsorted(needed, upper)]
+        columns = (1.0 - share) * before + share * after
+    else:
+        every = np.arange(int(part.place[-1]) + 1)
+        columns = _columns(state, index, followed.drive, every)
+        columns = passed(state, part, columns, instant=True)[part.place]
+    gain = np.ones(len(followed.drive))
+    for extension in state.extensions:
+        gain = gain * extension.gain(part.where)
+    return np.asarray(columns * gain[part.place, None])
+
+
+def _columns(state: State, index: int, drive: Array, samples: Samples) -> Array:
+    """Return the static columns at some samples, in the order of the vector, memory last."""
+    operator = state.operator
+    slopes = state.theta[state.coordinates.memory_slice(index)]
+    static = Static(operator=operator, slopes=slopes, first=float(drive[0]))
+    carry = first_carry(first_memory(state, index, drive))
+    parts = []
+    for first in range(0, int(samples[-1]) + 1, CHUNK):
+        u = np.ascontiguousarray(drive[first : first + CHUNK])
+        tangents = play_tangents(operator.envelope.run(u), operator.threshold, carry)
+        carry = tangents.carry
+        a, b = np.searchsorted(samples, [first, first + CHUNK])
+        picked = samples[a:b] - first
+        if len(picked):
+            parts.append(static.columns(u[picked], _taken(tangents, picked))[:, 1:])
+    return np.concatenate(parts)
+
+
+def _taken(tangents: PlayTangents, picked: Samples) -> PlayTangents:
+    return PlayTangents(
+        state=tangents.state[picked],
+        threshold=tangents.threshold[picked],
+        memory=tangents.memory[picked],
+        carry=tangents.carry,
+    )
+
+
+def _by_lag(state: State, index: int, part: Part, followed: Followed) -> Array:
+    step_s = LAG_STEP / part.where.rate_Hz
+    theta = state.theta.copy()
+    theta[state.coordinates.slices["lag"]] += step_s
+    moved = State(
+        coordinates=state.coordinates,
+        theta=theta,
+        extensions=state.extensions,
+        scales=state.scales,
+        rig=state.rig,
+    )
+    again = follow(moved, index, part).reading
+    return np.asarray((again - followed.reading)[part.place] / step_s)
+
+
+def _by_extension(state: State, number: int, index: int, part: Part, followed: Followed) -> Array:
+    extension = state.extensions[number]
+    columns = extension.columns(part.where)
+    if columns is not None:
+        return np.asarray(columns[part.place] / state.scales.displacement_m)
+    free = extension.free()
+    found = np.zeros((len(part.place), len(free.value)))
+    for j, step in enumerate(free.step):
+        # A step that would leave the range goes the other way.
+        signed = step if free.value[j] + step <= free.upper[j] else -step
+        value = free.value.copy()
+        value[j] += signed
+        again = follow(state.with_extension(number, extension.moved_to(value)), index, part)
+        found[:, j] = (again.reading - followed.reading)[part.place] / signed
+    return found

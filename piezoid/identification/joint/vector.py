@@ -1,0 +1,139 @@
+"""What the joint fit varies: the numbers of the hysteresis, then those of the extensions."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezoid.identification.extensions import in_order
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.coordinates import (
+    Coordinates,
+    Scaled,
+    Shape,
+    operator_of,
+    vector_of,
+)
+from piezoid.identification.hysteresis.physical import envelope_stretch
+from piezoid.identification.hysteresis.pieces import Rig, Scales
+from piezoid.identification.joint.parts import Part, scales_from
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import LINEAR, from_slopes
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class State:
+    """One point of the search.
+
+    coordinates  what the first numbers mean
+    theta        (total,)  as in the fit of the hysteresis alone
+    extensions   with their own numbers, in the order in which they act
+    scales, rig  as the parts were scaled
+    """
+
+    coordinates: Coordinates
+    theta: Array
+    extensions: tuple[Extension, ...]
+    scales: Scales
+    rig: Rig
+
+    @cached_property
+    def operator(self) -> Scaled:
+        """Return the operator."""
+        return operator_of(self.theta, self.coordinates)
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Return where the numbers of each extension stand in the whole vector."""
+        edges = [len(self.theta)]
+        for extension in self.extensions:
+            edges.append(edges[-1] + len(extension.free().value))
+        return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
+
+    @property
+    def vector(self) -> Array:
+        """Return all numbers."""
+        return np.concatenate([self.theta, *(e.free().value for e in self.extensions)])
+
+    def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
+        """Return lower and upper bounds of all numbers."""
+        lower, upper = self.coordinates.bounds(longest_lag_s)
+        frees = [e.free() for e in self.extensions]
+        return (
+            np.concatenate([lower, *(f.lower for f in frees)]),
+            np.concatenate([upper, *(f.upper for f in frees)]),
+        )
+
+    def at(self, vector: Array) -> "State":
+        """Return the point with these numbers; thresholds stay within the drive's reach."""
+        theta = self.coordinates.within_reach(vector[: len(self.theta)])
+        extensions = tuple(
+            extension.moved_to(vector[place])
+            for extension, place in zip(self.extensions, self.slices, strict=True)
+        )
+        return replace(self, theta=theta, extensions=extensions)
+
+    def with_extension(self, index: int, extension: Extension) -> "State":
+        """Return the point with one extension otherwise."""
+        extensions = list(self.extensions)
+        extensions[index] = extension
+        return replace(self, extensions=tuple(extensions))
+
+
+def state_of(
+    model: AxisModel, parts: Sequence[Part], extensions: Sequence[Extension], *, lag: bool
+) -> State:
+    """Return the point at which a model stands, with extensions put to it.
+
+    lag  whether the model's own lag is kept and fitted
+    """
+    scales = scales_from(model)
+    operator = _scaled(model, scales, keep_lag=lag)
+    shape = Shape(
+        plays=len(operator.gap),
+        below=operator.zero,
+        above=len(operator.knot) - operator.zero - 1,
+        lag=model.lag.kind if lag else "none",
+        bends=operator.envelope.zero,
+    )
+    coordinates = Coordinates(shape=shape, offsets=(1,) * len(parts))
+    theta = vector_of(operator, coordinates)
+    stretch_V = envelope_stretch(operator) * scales.voltage_V
+    for index, part in enumerate(parts):
+        if part.start is not None:
+            zero_m = float(part.start.zero_m.mean()) - part.piece.centre_m
+            theta[coordinates.offset_slice(index)] = zero_m / scales.displacement_m
+            slopes = np.diff(part.start.memory_V / stretch_V) / operator.gap
+            theta[coordinates.memory_slice(index)] = np.clip(slopes, -1.0, 1.0)
+    return State(
+        coordinates=coordinates,
+        theta=theta,
+        extensions=in_order(extensions),
+        scales=scales,
+        rig=model.rig,
+    )
+
+
+def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:
+    """Return a model's operator in scaled units, central slopes 1: the inverse of ``physical``."""
+    hysteresis, stroke_m = model.hysteresis, abs(scales.displacement_m)
+    envelope, zones = hysteresis.envelope, hysteresis.dead_zones
+    stretch = float(envelope.slope[envelope.zero])
+    centre = float(zones.slope[zones.zero])
+    threshold = hysteresis.plays.threshold / (stretch * scales.voltage_V)
+    bent = envelope.zero > 0
+    return Scaled(
+        gap=np.diff(threshold),
+        threshold=threshold[1:],
+        weight=hysteresis.plays.weight * (centre * stretch * scales.voltage_V / stroke_m),
+        knot=zones.threshold * (centre / stroke_m),
+        slope=zones.slope / centre,
+        zero=zones.zero,
+        lag_s=model.lag.time_s if keep_lag else 0.0,
+        envelope=from_slopes(envelope.threshold / scales.voltage_V, envelope.slope / stretch)
+        if bent
+        else LINEAR,
+    )

@@ -1,0 +1,37 @@
+"""Operators with a limit: a largest speed, and relaxation beyond a threshold."""
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.library import KERNELS, address, contiguous
+
+
+def slewed(signal: Array, step: float) -> Array:
+    """Return a signal that goes at most a step from sample to sample.
+
+        z[k] = z[k-1] + clamp(u[k] - z[k-1], -step, step),   z[0] = u[0]
+
+    signal    (samples,)
+    step      scalar, > 0, in the signal's unit
+    returned  (samples,)
+    """
+    given = contiguous(signal)
+    found = np.empty_like(given)
+    KERNELS.pk_slew(len(given), address(given), step, address(found))
+    return found
+
+
+def crept(signal: Array, part: float, threshold: float) -> Array:
+    """Return what follows a signal slowly, and only where it is farther away than a threshold.
+
+        x[k+1] = x[k] + part max(e - r, min(e + r, 0)),  e = u[k] - x[k],  x[0] = u[0]
+
+    signal     (samples,)
+    part       scalar, 0 to 1: 1 - exp(-T / tau)
+    threshold  scalar, r >= 0, in the signal's unit
+    returned   (samples,)                                   [Kuhnen & Krejci 2007]
+    """
+    given = contiguous(signal)
+    found = np.empty_like(given)
+    KERNELS.pk_creep(len(given), address(given), part, threshold, address(found))
+    return found

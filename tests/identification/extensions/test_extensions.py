@@ -1,0 +1,85 @@
+"""Promises of the family: registered, silent where nothing is there, back from JSON, checked."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid.identification.extensions as family
+from piezoid.identification.extensions import EXTENSIONS, extension_from_json
+from piezoid.identification.extensions.extension import Extension
+from tests.identification.extensions.samples import RATE_Hz, one_of_each, where
+
+ids = {"ids": lambda extension: extension.kind}
+
+
+def test_every_file_of_the_folder_is_registered() -> None:
+    folder = Path(family.__file__).parent
+    files = {path.stem for path in folder.glob("*.py")}
+    assert files - {"__init__", "extension", "signals"} == {
+        known.__module__.rpartition(".")[2] for known in EXTENSIONS
+    }
+    assert len({known.kind for known in EXTENSIONS}) == len(EXTENSIONS)
+    assert {type(extension) for extension in one_of_each()} == set(EXTENSIONS)
+
+
+@pytest.mark.parametrize("extension", one_of_each(), **ids)
+def test_json_brings_back_the_last_bit(extension: Extension) -> None:
+    assert extension_from_json(json.loads(json.dumps(extension.to_json()))) == extension
+
+
+def test_a_kind_nobody_knows_is_refused_by_name() -> None:
+    with pytest.raises(ValueError, match="'warp_drive'"):
+        extension_from_json({"kind": "warp_drive"})
+
+
+@pytest.mark.parametrize("extension", one_of_each(), **ids)
+def test_moving_to_its_own_numbers_changes_nothing(extension: Extension) -> None:
+    free = extension.free()
+    assert extension.moved_to(free.value) == extension
+    assert ((free.lower <= free.value) & (free.value <= free.upper)).all()
+    assert (free.step > 0.0).all()
+    assert extension.prior().shape[1] == len(free.value)
+
+
+@pytest.mark.parametrize("extension", one_of_each(), **ids)
+def test_no_extension_changes_its_input_and_each_acts_somewhere(extension: Extension) -> None:
+    here = where()
+    time_s = here.time_s
+    drive_V = 5.0 + 5.0 * np.sin(2 * np.pi * 7.0 * time_s)
+    moved_m = 1e-6 * drive_V
+    before = drive_V.copy(), moved_m.copy()
+    felt = (
+        np.any(extension.drive(drive_V, RATE_Hz) != drive_V)
+        or np.any(extension.irreversible(moved_m, RATE_Hz) != moved_m)
+        or np.any(extension.response(moved_m, here) != moved_m)
+        or np.any(extension.added(here) != 0.0)
+        or np.any(extension.reading(moved_m) != moved_m)
+    )
+    assert felt
+    np.testing.assert_array_equal(drive_V, before[0])
+    np.testing.assert_array_equal(moved_m, before[1])
+
+
+@pytest.mark.parametrize("extension", one_of_each(), **ids)
+def test_a_stage_at_rest_stays_at_rest_behind_every_response(extension: Extension) -> None:
+    still_m = np.full(3000, 2e-6)
+    answered_m = extension.response(still_m, where(3000, "other.csv"))
+    np.testing.assert_allclose(answered_m, answered_m[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.instant], **ids)
+def test_a_slow_ramp_comes_later_by_what_the_extension_says(extension: Extension) -> None:
+    time_s = where().time_s
+    behind = time_s - extension.response(time_s, where())
+    assert behind[-1] == pytest.approx(extension.late_s(RATE_Hz), rel=1e-3)
+
+
+@pytest.mark.parametrize("extension", [e for e in one_of_each() if e.instant], **ids)
+def test_columns_are_answered_one_by_one(extension: Extension) -> None:
+    columns = np.random.default_rng(1).standard_normal((400, 3)).cumsum(axis=0)
+    together = extension.response(columns, where(400))
+    for j in range(3):
+        alone = extension.response(columns[:, j].copy(), where(400))
+        np.testing.assert_allclose(together[:, j], alone, atol=1e-12)

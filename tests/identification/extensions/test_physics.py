@@ -1,0 +1,134 @@
+"""Each extension against a law it must obey."""
+
+import numpy as np
+import pytest
+
+from piezoid.identification.extensions import (
+    AmplifierLimits,
+    CreepLadder,
+    CreepOperator,
+    CrossAxis,
+    Delay,
+    GainChange,
+    LinearMode,
+    MainsLines,
+    PeriodicError,
+    RateDependence,
+    ThermalDrift,
+)
+from piezoid.identification.extensions.extension import Where
+from tests.identification.extensions.samples import RATE_Hz, where
+
+
+def test_a_ladder_creeps_by_as_much_in_every_decade() -> None:
+    time_s = tuple(np.geomspace(0.01, 1000.0, 11).tolist())
+    ladder = CreepLadder(time_s=time_s, share=(0.005,) * 11)
+    step = np.concatenate([[0.0], np.ones(200_000)])
+    crept = ladder.response(step, Where(recording="hold", rate_Hz=1000.0, samples=len(step)))
+    for decade_s in (0.1, 1.0, 10.0):
+        early, late = (int(1000 * t) for t in (decade_s, 10 * decade_s))
+        assert crept[late] - crept[early] == pytest.approx(0.01, rel=0.03)
+    assert ladder.per_decade == pytest.approx(0.01)
+
+
+def test_the_creep_operator_without_thresholds_is_a_ladder() -> None:
+    moved_m = 1e-6 * np.sin(2 * np.pi * 0.5 * where().time_s)
+    ladder = CreepLadder(time_s=(0.5, 5.0), share=(0.02, 0.03))
+    operator = CreepOperator(time_s=(0.5, 5.0), threshold_m=(0.0, 0.0), share=(0.02, 0.03))
+    np.testing.assert_allclose(
+        operator.response(moved_m, where()), ladder.response(moved_m, where()), atol=1e-10
+    )
+
+
+def test_a_mode_rings_at_its_frequency_with_its_quality() -> None:
+    mode = LinearMode(frequency_Hz=40.0, quality=25.0)
+    time_s = where(8000).time_s
+    rung = mode.response(np.sin(2 * np.pi * 40.0 * time_s), where(8000))
+    # At resonance all passes through with gain Q; eight time constants Q / (pi f) have gone by.
+    assert np.abs(rung[-200:]).max() == pytest.approx(25.0, rel=0.01)
+    half = LinearMode(frequency_Hz=40.0, quality=25.0, participation=0.5)
+    plain = np.sin(2 * np.pi * 40.0 * time_s)
+    np.testing.assert_allclose(half.response(plain, where(8000)), (plain + rung) / 2)
+
+
+def test_a_delay_in_rows_is_the_same_number_of_rows_at_every_rate() -> None:
+    signal = np.random.default_rng(2).standard_normal(300)
+    for rate_Hz in (10.0, 1e4):
+        here = Where(recording="r", rate_Hz=rate_Hz, samples=300)
+        late = Delay(delay_samples=3.0).response(signal, here)
+        np.testing.assert_allclose(late[3:], signal[:-3], atol=1e-12)
+
+
+def test_small_lags_of_the_walls_are_a_delay_and_large_ones_grow_with_the_logarithm() -> None:
+    ramp_m = np.linspace(0.0, 8e-6, 8000)
+    speed = 1e-6
+    plain = RateDependence(beta_s=0.02).irreversible(ramp_m, RATE_Hz)
+    assert ramp_m[-1] - plain[-1] == pytest.approx(0.02 * speed, rel=1e-3)
+    for barrier_m, expected_m in ((1e-5, 0.02 * speed), (1e-9, 1e-9 * np.arcsinh(20.0))):
+        slow = RateDependence(beta_s=0.02, barrier_m=barrier_m).irreversible(ramp_m, RATE_Hz)
+        assert ramp_m[4000] - slow[4000] == pytest.approx(expected_m, rel=1e-3)
+
+
+def test_limits_clip_on_their_side_only() -> None:
+    drive_V = np.linspace(-1.0, 11.0, 100)
+    upper = AmplifierLimits(high_V=9.0).drive(drive_V, RATE_Hz)
+    assert upper.max() == 9.0
+    assert upper.min() == -1.0
+    with pytest.raises(ValueError, match="without limits"):
+        AmplifierLimits()
+
+
+def test_a_gain_changes_from_its_instant_on_and_in_later_recordings() -> None:
+    change = GainChange(recording="b", instant_s=2.0, ratio=1.1, later=("c",))
+    moved_m = np.ones(4000)
+    first, during, after = (
+        change.response(moved_m, where(4000, recording)) for recording in "abc"
+    )
+    assert (first == 1.0).all()
+    assert (during[:2000] == 1.0).all()
+    np.testing.assert_allclose(during[2000:], 1.1)
+    np.testing.assert_allclose(after, 1.1)
+
+
+def test_another_axis_is_answered_with_its_own_hysteresis() -> None:
+    here = where()
+    linear = CrossAxis(axis="y", centre_V=5.0, gain_m_per_V=1e-8, curvature_m_per_V_per_V=0.0)
+    np.testing.assert_allclose(linear.added(here), 1e-8 * (here.others_V["y"] - 5.0), atol=1e-22)
+    absent = Where(recording="r", rate_Hz=RATE_Hz, samples=10)
+    assert linear.added(absent) == 0.0
+
+
+def test_drift_begins_at_nothing_and_belongs_to_its_own_piece() -> None:
+    pieces = [where(6000), where(6000, "b.csv"), where(100, "short.csv")]
+    drift = ThermalDrift.of(pieces)
+    assert [curve.recording for curve in drift.curves] == ["sweep.csv", "b.csv"]
+    count = len(drift.free().value)
+    moved = drift.moved_to(np.r_[np.full(count // 2, 1e-7), np.zeros(count // 2)])
+    first_m = np.asarray(moved.added(where(6000)))
+    assert first_m[0] == 0.0
+    assert first_m[-1] == pytest.approx(1e-7)
+    assert np.abs(np.diff(first_m, 2)).max() < 1e-12
+    assert not np.any(moved.added(where(6000, "b.csv")))
+    assert moved.added(where(100, "short.csv")) == 0.0
+
+
+def test_mains_lines_are_left_out_where_the_rate_cannot_show_them() -> None:
+    slow = Where(recording="slow", rate_Hz=130.0, samples=400)
+    lines = MainsLines.of([slow, where(4000)], 50.0, harmonics=(1, 3))
+    assert [hum.harmonic for hum in lines.hums] == [(1,), (1, 3)]
+    loud = lines.moved_to(np.full(len(lines.free().value), 1e-8))
+    heard_m = np.asarray(loud.added(where(4000)))
+    spectrum = np.abs(np.fft.rfft(heard_m))
+    found_Hz = np.fft.rfftfreq(4000, 1e-3)[np.argsort(spectrum)[-2:]]
+    assert sorted(found_Hz.tolist()) == pytest.approx([50.0, 150.0])
+    assert loud.hums[1].amplitude_m == pytest.approx(np.sqrt(2.0) * 1e-8)
+
+
+def test_a_periodic_error_is_corrected_to_rounding() -> None:
+    error = PeriodicError(wavelength_m=6e-7, cosine_m=(4e-9, 1e-9), sine_m=(-3e-9, 0.0))
+    position_m = np.linspace(-5e-6, 5e-6, 4001)
+    reading_m = error.reading(position_m)
+    assert np.abs(reading_m - position_m).max() > 4e-9
+    np.testing.assert_allclose(error.corrected(reading_m), position_m, atol=1e-20)
+    with pytest.raises(ValueError, match="steepness"):
+        PeriodicError(wavelength_m=6e-7, cosine_m=(1e-7,), sine_m=(0.0,))

@@ -1,0 +1,29 @@
+"""A largest speed, and relaxation beyond a threshold."""
+
+import numpy as np
+import pytest
+
+from piezoid.operators.limits import crept, slewed
+
+
+def test_a_slewed_signal_never_goes_faster_than_its_step_and_arrives_if_it_has_time() -> None:
+    signal = np.concatenate([np.zeros(3), np.full(20, 1.0)])
+    found = slewed(signal, 0.1)
+    assert np.abs(np.diff(found)).max() <= 0.1 + 1e-15
+    assert found[-1] == pytest.approx(1.0, abs=1e-15)
+    assert found[7] == pytest.approx(0.5)
+
+
+def test_what_is_slow_enough_is_not_slewed() -> None:
+    signal = np.sin(np.linspace(0.0, 6.0, 1000))
+    np.testing.assert_allclose(slewed(signal, 0.01), signal, atol=1e-15)
+
+
+def test_creep_without_threshold_is_an_exponential_and_within_one_it_rests() -> None:
+    step = np.concatenate([np.zeros(1), np.ones(500)])
+    part = 1.0 - np.exp(-1.0 / 100.0)
+    expected = 1.0 - np.exp(-np.arange(500) / 100.0)
+    np.testing.assert_allclose(crept(step, part, 0.0)[1:], expected, atol=1e-12)
+    assert not crept(step, part, 1.0).any()
+    # Beyond a threshold it goes on until it is that far away.
+    assert crept(np.append(0.0, np.ones(5000)), part, 0.3)[-1] == pytest.approx(0.7, abs=1e-12)
