@@ -6,7 +6,7 @@ from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piezoid.errors import DesignError, ParameterFileError
+from piezoid.errors import DesignError, LabFileError, ParameterFileError
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design
@@ -74,7 +74,9 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
         from piezoid.diagnosis.diagnosis import write_diagnosis
 
         content["diagnosis.json"] = write_diagnosis(diagnosis)
-    controller = _controller(model, content["model.json"], told)
+    if lab is not None:
+        content["lab.toml"] = lab.read_bytes()  # what design, export and verify ask for again
+    controller = _controller(model, content["model.json"], declared, told)
     content |= _files_of(controller)
     told("writing the report")
     page = render(
@@ -109,7 +111,9 @@ def _diagnosed(
     return diagnose(recordings, axis=next(iter(model.axes)), lab=lab, progress=told)
 
 
-def _controller(model: "ActuatorModel", content: bytes, told: Told) -> _Controller:
+def _controller(
+    model: "ActuatorModel", content: bytes, lab: "Lab | None", told: Told
+) -> _Controller:
     """Return the recommended controllers and what became of them, or why there are none.
 
     `piezoid design` adds the affine form beside them, for comparison; that takes longer.
@@ -118,20 +122,20 @@ def _controller(model: "ActuatorModel", content: bytes, told: Told) -> _Controll
     from piezoid.export.stage import export_stage
     from piezoid.verification.stage import verify_stage
 
-    if not model.axes:
-        return _Controller()
     try:
         digest = loads(content)["digest"]
-        design = design_stage(model, model_digest=digest, forms=("inverse",), progress=told)
-    except DesignError as refusal:
+        design = design_stage(
+            model, model_digest=digest, lab=lab, forms=("inverse",), progress=told
+        )
+    except (DesignError, LabFileError) as refusal:
         return _Controller(reason=str(refusal))
     try:
         told("exporting")
         design_digest = loads(design.to_json())["digest"]
-        parameters = export_stage(model, design, design_digest=design_digest)
+        parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
         told("running the compiled controller against the stage")
-        found = verify_stage(parameters, model)
-    except ParameterFileError as refusal:
+        found = verify_stage(parameters, model, lab=lab)
+    except (ParameterFileError, LabFileError) as refusal:
         return _Controller(design=design, reason=str(refusal))
     return _Controller(design=design, parameters=parameters, verification=found)
 

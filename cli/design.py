@@ -18,6 +18,9 @@ def design(
         float | None,
         typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
     ] = None,
+    lab: Annotated[
+        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
+    ] = None,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
@@ -36,6 +39,7 @@ def design(
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
+    from piezoid_cli.stage_files import lab_of
     from piezoid_reports.render import render_design
 
     content = (stage / "model.json").read_bytes()
@@ -46,6 +50,7 @@ def design(
             model,
             model_digest=loads(content)["digest"],
             sampling_rate_Hz=rate,
+            lab=lab_of(stage, lab),
             asked=asked,
             progress=told,
         )
@@ -59,8 +64,12 @@ def design(
 def show(found: "Design") -> None:
     """Print what each axis reached."""
     from rich.console import Console
+    from rich.text import Text
 
-    Console().print(_table(found))
+    console = Console()
+    console.print(_table(found))
+    for remark in found.remarks:
+        console.print(Text(remark, style="dim"))
 
 
 def _table(found: "Design") -> "Table":

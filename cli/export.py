@@ -8,6 +8,9 @@ import typer
 
 def export(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and design.json.")],
+    lab: Annotated[
+        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
+    ] = None,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
@@ -24,19 +27,19 @@ def export(
     from piezoid.export.stage import export_stage
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
-    from piezoid_cli.stage_files import same_model
+    from piezoid_cli.stage_files import lab_of, same_model
 
     content = (stage / "design.json").read_bytes()
     design = design_from_json(content, str(stage / "design.json"))
     model_content = (stage / "model.json").read_bytes()
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     model = read_model(model_content, str(stage / "model.json"))
-    file = export_stage(model, design, design_digest=loads(content)["digest"])
+    digest = loads(content)["digest"]
+    file = export_stage(model, design, design_digest=digest, lab=lab_of(stage, lab))
     contents = {f"bundle/{name}": text for name, text in bundle(file).files.items()}
     add_to_folder(stage, {"params.json": to_json(file), **contents})
     if not quiet:
         for axis in file.axes:
-            typer.echo(
-                f"axis {axis.axis}: {axis.method}, to compare {', '.join(axis.methods[1:])}"
-            )
+            others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
+            typer.echo(f"axis {axis.axis}: {axis.method}{others}")
         typer.echo(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")

@@ -1,8 +1,15 @@
 """The files of one stage belong together; where they do not, somebody has to be told."""
 
 from json import loads
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from piezoid.errors import ParameterFileError
+
+if TYPE_CHECKING:
+    from piezoid.records.lab import Lab
+
+LAB = "lab.toml"
 
 
 def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None:
@@ -18,3 +25,11 @@ def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None
             needed="files of one and the same model",
             remedy=f"Run `{verb}` again, then everything that follows it.",
         )
+
+
+def lab_of(stage: Path, given: Path | None) -> "Lab | None":
+    """Read what the laboratory declares: the file that is named, or else the one of the stage."""
+    from piezoid.records.lab import read_lab
+
+    place = stage / LAB if given is None else given
+    return read_lab(place) if given is not None or place.exists() else None

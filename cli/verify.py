@@ -24,6 +24,12 @@ def verify(
     target: Annotated[
         str, typer.Option(help="cortex-m4: compile bundle/ for it and emulate it.")
     ] = "",
+    limits: Annotated[
+        Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
+    ] = None,
+    lab: Annotated[
+        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
     json: Annotated[
@@ -44,20 +50,23 @@ def verify(
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
     from piezoid.export.parameter_file import from_json
     from piezoid.identification.store import read_model
+    from piezoid.verification.limits import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import same_model
+    from piezoid_cli.stage_files import lab_of, same_model
 
     file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
     content = (stage / "model.json").read_bytes()
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     model = read_model(content, str(stage / "model.json"))
+    declared = lab_of(stage, lab)
+    chosen = None if limits is None else limits_from_toml(limits.read_text("utf-8"), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
         proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
         told("running the compiled controller against the stage")
-        found = verify_stage(file, model, proofs=proofs, seed=seed)
+        found = verify_stage(file, model, lab=declared, limits=chosen, proofs=proofs, seed=seed)
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written})
     if json:

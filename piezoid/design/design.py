@@ -160,14 +160,16 @@ class Design:
 
     axes           one per axis
     model_digest   of the model the plants were taken from
+    remarks        why axes of the model are not among them, whole sentences
     """
 
     axes: tuple[AxisDesign, ...]
     model_digest: str
+    remarks: tuple[str, ...] = ()
 
     def to_json(self) -> bytes:
         """Return the sealed file ``design.json``."""
-        return seal(SCHEMA, {"axes": to_plain(self.axes), "model_digest": self.model_digest})
+        return seal(SCHEMA, to_plain(self))
 
     def axis(self, name: str) -> AxisDesign:
         """Return one axis; ``KeyError`` if it was not designed."""

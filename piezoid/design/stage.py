@@ -1,16 +1,22 @@
 """design_stage: a model in, the controllers of its axes out."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
+from piezoid.design.converters import converters_of
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
+from piezoid.design.from_junction import axis_of, vertical_task
 from piezoid.design.from_model import FORMS, LateralTask, lateral_task
 from piezoid.design.lateral import design_lateral
 from piezoid.design.specification import Specification, specifications_from_toml
-from piezoid.errors import DesignError
+from piezoid.design.vertical import design_vertical
+from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.model import ActuatorModel
+from piezoid.records.lab import Lab
+
+_ROUNDED = 1e-6  # of a range: a recorded voltage may pass a converter's end by its own rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,48 +27,130 @@ class Asked:
     place: str = "design.toml"
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Task:
+    """How one axis is designed, and what it is asked for by default."""
+
+    design: Callable[[Specification], AxisDesign]
+    specification: Specification
+
+
 def design_stage(
     model: ActuatorModel,
     *,
     model_digest: str,
     sampling_rate_Hz: float | None = None,
+    lab: Lab | None = None,
     asked: Asked | None = None,
     forms: Sequence[str] = FORMS,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Design:
-    """Design every lateral axis to which the model class applies.
+    """Design every axis of which enough is known; the others stand in the design's remarks.
 
     model_digest      of the model's file
-    sampling_rate_Hz  of the controller; by default what the model says the laboratory declared
+    sampling_rate_Hz  of the controller; by default what the model says the laboratory declared.
+                      The tunnelling axis keeps the rate at which its loop was identified
+    lab               converters of every axis; voltages and set point of the tunnelling axis
     asked             specifications; an axis without gets its default, or the nearest bandwidth
                       below it that can be met
-    forms             of the observer; the inverse one is recommended, the affine one is there to
-                      be compared and takes longer
+    forms             of the observers of X and Y; the inverse one is recommended, the affine one
+                      is there to be compared and takes longer
 
-    The tunnelling axis is not among them: a model knows the family of its loop, yet neither the
-    voltages it may use nor its noise. ``design_vertical`` takes them with the family.
-
-    Raises ``DesignError`` where no axis can be designed, the rate is not known, or what limits an
-    axis is not; ``TemplateError`` where what is asked for cannot be met.
+    Raises what stands in the way of the first axis where no axis can be designed, and
+    ``TemplateError`` where what is asked for cannot be met.
     """
-    rate_Hz = _rate_Hz(model, sampling_rate_Hz)
-    axes = [axis for axis in model.axes.values() if axis.verdict.applies]
-    if not axes:
-        raise DesignError(
-            f"{model.stage}: the model class applies to none of its {len(model.axes)} axes",
-            needed="an axis whose hysteresis is known",
-            remedy="Read in the report why it does not apply, and record again.",
-        )
-    tasks = {axis.axis: lateral_task(axis, rate_Hz, forms=forms) for axis in axes}
+    declared = lab or Lab()
+    tasks, obstacles = _tasks(model, declared, sampling_rate_Hz, forms)
+    if not tasks:
+        raise next(iter(obstacles.values()), _nothing(model))
     defaults = {name: task.specification for name, task in tasks.items()}
     wanted = asked or Asked()
     specifications = specifications_from_toml(wanted.text, defaults, place=wanted.place)
-    designed = []
+    designed: list[AxisDesign] = []
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
-        is_default = specifications[name] is defaults[name]
-        designed.append(_designed(name, task, specifications[name], is_default=is_default))
-    return Design(axes=tuple(designed), model_digest=model_digest)
+        if specifications[name] is not defaults[name]:
+            designed.append(task.design(specifications[name]))
+            continue
+        try:
+            designed.append(at_feasible_bandwidth(task.design, specifications[name]))
+        except TemplateError as obstacle:
+            obstacles[name] = obstacle
+    if not designed:
+        raise next(iter(obstacles.values()))
+    remarks = tuple(str(obstacle) for obstacle in obstacles.values())
+    return Design(axes=tuple(designed), model_digest=model_digest, remarks=remarks)
+
+
+def _tasks(
+    model: ActuatorModel, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
+) -> tuple[dict[str, _Task], dict[str, PiezoidError]]:
+    """Return what can be designed, by axis, and what stands in the way of the others."""
+    tasks: dict[str, _Task] = {}
+    obstacles: dict[str, PiezoidError] = {}
+    for name in model.axes:
+        try:
+            tasks[name] = _lateral_task(model, name, lab, rate_Hz, forms)
+        except (DesignError, LabFileError) as obstacle:
+            obstacles[name] = obstacle
+    if model.tunnelling is not None and (tip := axis_of(model.tunnelling)) not in model.axes:
+        try:
+            task = vertical_task(model.tunnelling, lab)
+            design = partial(design_vertical, tip, task.family)
+            tasks[tip] = _Task(design=design, specification=task.specification)
+        except (DesignError, LabFileError) as obstacle:
+            obstacles[tip] = obstacle
+    return tasks, obstacles
+
+
+def _lateral_task(
+    model: ActuatorModel, name: str, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
+) -> _Task:
+    axis = model.axes[name]
+    if not axis.verdict.applies:
+        raise DesignError(
+            f"axis {name}: the model class does not apply, {axis.verdict.reason}",
+            needed="an axis whose hysteresis is known",
+            remedy="Read in the report why it does not apply, and record again.",
+        )
+    task = lateral_task(axis, _rate_Hz(model, rate_Hz), forms=forms)
+    specification = _between_converters(name, task.specification, lab)
+    return _Task(design=partial(_lateral, name, task), specification=specification)
+
+
+def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
+    """Return the default within the converter's range, with its step.
+
+    Raises ``LabFileError`` where the recorded drive lies outside that range: its volts are then
+    not those at the converter.
+    """
+    converters = converters_of(lab, name)
+    stepped = replace(default, voltage_step_V=converters.command_step_V)
+    if converters.command_V is None:
+        return stepped
+    low_V, high_V = converters.command_V
+    slack_V = _ROUNDED * (high_V - low_V)
+    if default.voltage_min_V < low_V - slack_V or default.voltage_max_V > high_V + slack_V:
+        raise LabFileError(
+            f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
+            f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
+            f"{low_V:.6g} to {high_V:.6g} V",
+            needed="recordings of the voltage at the converter",
+            remedy=f"Correct input_range_V or [amplifier] in {lab.place}, or record the command.",
+        )
+    return replace(
+        stepped,
+        voltage_min_V=max(default.voltage_min_V, low_V),
+        voltage_max_V=min(default.voltage_max_V, high_V),
+    )
+
+
+def _nothing(model: ActuatorModel) -> DesignError:
+    return DesignError(
+        f"{model.stage}: the model holds no axis",
+        needed="an axis with drive and displacement, or a tunnelling loop",
+        remedy="Fit recordings of the stage first.",
+    )
 
 
 def _rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
@@ -75,13 +163,6 @@ def _rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
             "the rate to the design.",
         )
     return rate_Hz
-
-
-def _designed(
-    name: str, task: LateralTask, specification: Specification, *, is_default: bool
-) -> AxisDesign:
-    design = partial(_lateral, name, task)
-    return at_feasible_bandwidth(design, specification) if is_default else design(specification)
 
 
 def _lateral(name: str, task: LateralTask, specification: Specification) -> AxisDesign:

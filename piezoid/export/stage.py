@@ -1,10 +1,11 @@
 """export_stage: a model and a design in, the parameter file of all their axes out."""
 
 from piezoid.design.design import AxisDesign, Design
-from piezoid.errors import ParameterFileError
-from piezoid.export.from_design import lateral_axis
+from piezoid.export.from_design import lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.export.tip_guards import tip_guards
 from piezoid.identification.model import ActuatorModel
+from piezoid.records.lab import Lab
 
 # A sensor is stuck if it shows one number for so long while the drive moves by this share of its
 # range.
@@ -12,30 +13,30 @@ _STUCK_s = 1e-3
 _STUCK_SHARE = 0.02
 
 
-def export_stage(model: ActuatorModel, design: Design, *, design_digest: str) -> ParameterFile:
+def export_stage(
+    model: ActuatorModel, design: Design, *, design_digest: str, lab: Lab | None = None
+) -> ParameterFile:
     """Return what ships: each designed axis with its recommended loop, the others to compare.
 
     design_digest  of the design's file, for the chain of digests
+    lab            what guards a tip; not needed without a tunnelling axis
 
-    Raises ``ParameterFileError`` for the design of a tunnelling axis: what keeps its tip from the
-    surface is not in a design, see ``tunnelling_axis``.
+    Raises ``LabFileError``, with the line to write, for the design of a tunnelling axis whose
+    guards are not declared: nothing ships without them.
     """
+    declared = lab or Lab()
     return ParameterFile(
         name=model.stage,
-        axes=tuple(_axis(model, axis) for axis in design.axes),
+        axes=tuple(_axis(model, axis, declared) for axis in design.axes),
         sources={"model": design.model_digest, "design": design_digest},
     )
 
 
-def _axis(model: ActuatorModel, design: AxisDesign) -> AxisParameters:
-    if design.output_unit != "m":
-        raise ParameterFileError(
-            f"axis {design.axis} regulates a current",
-            needed="floor, ceiling and retract voltage that guard its tip",
-            remedy="Call piezoid.export.from_design.tunnelling_axis with TunnellingGuards.",
-        )
+def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
     asked = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
+    if design.output_unit != "m":
+        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz))
     watch = {
         "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
         "stuck_voltage_V": _STUCK_SHARE * (asked.voltage_max_V - asked.voltage_min_V),

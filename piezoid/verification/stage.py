@@ -1,15 +1,22 @@
 """verify_stage: what ships against the model it was made from."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from piezoid.design.converters import converters_of
+from piezoid.design.from_junction import junction_family
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.model import ActuatorModel
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
-from piezoid.operators.tunnelling import ELEMENTARY_CHARGE_C, decay_of_barrier
+from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.records.lab import Lab
 from piezoid.verification.criteria import Limits
+from piezoid.verification.limits import limits_from
 from piezoid.verification.plant import (
     AxisPlant,
     junction_axis_plant,
@@ -28,6 +35,7 @@ def verify_stage(
     file: ParameterFile,
     model: ActuatorModel,
     *,
+    lab: Lab | None = None,
     limits: Limits | None = None,
     proofs: Sequence[Proof] = (),
     draws: int = DRAWS,
@@ -35,56 +43,95 @@ def verify_stage(
 ) -> Verification:
     """Verify a parameter file against the identified stage.
 
-    draws  how many other stages the recordings allow are run as well
+    lab     whose converters round the readings, and which barriers occur; without it readings
+            are not rounded
+    limits  by default those of ``[verification]`` in lab.toml, else those of ``Limits``
+    draws   how many other stages the recordings allow are run as well
 
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
     """
     rng = np.random.default_rng([seed, draws])
     plants: list[AxisPlant] = []
     drawn: list[tuple[AxisPlant, ...]] = []
+    declared = lab or Lab()
     for axis in file.axes:
+        plants.append(plant_of(axis, model, declared))
         if axis.method == "rst":
-            plants.append(_tip(axis, model.tunnelling))
-            drawn.append(_family(plants[-1], model.tunnelling, draws))
-            continue
-        rate_Hz = float(axis.values["sampling_rate_Hz"])
-        plants.append(lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz))
-        drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
+            loop = _loop_of(axis, model.tunnelling)
+            drawn.append(_family(plants[-1], loop, declared, draws))
+        else:
+            drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
-    return verify(file, plants, variations=variations, limits=limits, proofs=proofs, seed=seed)
+    chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
+    return verify(file, plants, variations=variations, limits=chosen, proofs=proofs, seed=seed)
 
 
-def _tip(axis: AxisParameters, tunnelling: TunnellingModel | None) -> AxisPlant:
-    """Return the plant of a tunnelling axis at its set point, with the least noise there can be.
+def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
+    """Return the identified plant of one axis between the converters that lab.toml declares.
 
-    i_n = sqrt(2 e i B), the shot noise through a first-order sensor, B = pi f / 2 [Schottky 1918]
+    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
     """
+    if axis.method == "rst":
+        return _tip(axis, _loop_of(axis, model.tunnelling), lab)
+    return _lateral(axis, model, lab)
+
+
+def _lateral(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
+    """Return the plant of a lateral axis; its readings come in steps of the declared converter."""
+    rate_Hz = float(axis.values["sampling_rate_Hz"])
+    plant = lateral_plant(model[axis.axis], sampling_rate_Hz=rate_Hz)
+    gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
+    if gain_V_per_m is None:
+        return plant
+    step_V = converters_of(lab, axis.axis).reading_step_V
+    return replace(plant, reading_step=step_V / abs(gain_V_per_m))
+
+
+def _loop_of(axis: AxisParameters, tunnelling: TunnellingModel | None) -> LoopPlant:
     if tunnelling is None or tunnelling.loop_plant is None:
         raise ParameterFileError(
             f"axis {axis.axis} regulates a current, and model.json holds no plant of it",
             needed="the plant that a closed-loop identification found",
             remedy="Call piezoid.verification.verify.verify with junction_axis_plant.",
         )
-    loop = tunnelling.loop_plant
-    set_point_A = float(axis.values["current_reference_A"])
-    band_Hz = 0.5 * np.pi * loop.plant.sensor_pole_Hz
-    return junction_axis_plant(
+    return tunnelling.loop_plant
+
+
+def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
+    """Return the plant of a tunnelling axis at its set point, with the least noise there can be.
+
+    i_n^2 = 2 e i B + 4 k T B / R, B = pi f / 2 of a first-order sensor [Schottky 1918]; resistor
+    and converter where lab.toml declares them. It rests in the middle of its voltages.
+    """
+    values, declared = axis.values, lab.tunnelling
+    set_point_A = float(values["current_reference_A"])
+    chain = CurrentChain(
+        bandwidth_Hz=0.5 * np.pi * loop.plant.sensor_pole_Hz, feedback_ohm=declared.feedback_ohm
+    )
+    ends_V = (float(values["voltage_minimum_V"]), float(values["voltage_maximum_V"]))
+    plant = junction_axis_plant(
         loop.plant,
         axis=axis.axis,
         set_point_A=set_point_A,
         decay_per_m=decay_of_barrier(loop.barrier_eV),
-        noise_rms_A=float(np.sqrt(2.0 * ELEMENTARY_CHARGE_C * set_point_A * band_Hz)),
+        noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
+    )
+    rested = replace(plant, rest_voltage_V=0.5 * (ends_V[0] + ends_V[1]))
+    converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm
+    if resistor_ohm is None or converters.reading_V is None:
+        return rested
+    low_V, high_V = converters.reading_V
+    return replace(
+        rested,
+        reading_step=converters.reading_step_V / resistor_ohm,
+        reading_range=(low_V / resistor_ohm, high_V / resistor_ohm),
     )
 
 
-def _family(
-    plant: AxisPlant, tunnelling: TunnellingModel | None, count: int
-) -> tuple[AxisPlant, ...]:
+def _family(plant: AxisPlant, loop: LoopPlant, lab: Lab, count: int) -> tuple[AxisPlant, ...]:
     """Return the plants a controller has to hold, those of the extreme gains first."""
-    assert tunnelling is not None
-    assert tunnelling.loop_plant is not None
-    nominal = tunnelling.loop_plant.plant.gain_nepers_per_V
-    ratios = [m.gain_nepers_per_V / nominal for m in tunnelling.loop_plant.family]
+    nominal = loop.plant.gain_nepers_per_V
+    ratios = [member.gain_nepers_per_V / nominal for member in junction_family(loop, lab)]
     extreme = sorted(ratios, key=lambda ratio: -abs(np.log(ratio)))
     repeated = [extreme[k % len(extreme)] for k in range(count)]
     return tuple(with_gain(plant, ratio, f"gain x{ratio:.3g}") for ratio in repeated)

@@ -17,6 +17,7 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, AxisModel, Lag
 from piezoid.numerics.frequency import response
 from piezoid.numerics.polynomial import roots_of
+from piezoid.records.lab import Acquisition, Lab
 from tests.reports.known_stage import axis_model, stage_model
 
 RATE_Hz = 20e3
@@ -155,8 +156,23 @@ def test_an_axis_to_which_the_class_does_not_apply_is_not_designed() -> None:
     wrong = replace(
         stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4
     )
-    with pytest.raises(DesignError, match="applies to none"):
+    with pytest.raises(DesignError, match="does not apply, it opens the wrong way"):
         design_stage(wrong, model_digest=DIGEST)
+
+
+def test_what_stands_in_the_way_of_one_axis_is_remarked_and_the_others_are_designed() -> None:
+    wrong = replace(axis_model(reason="it opens the wrong way"), axis="y")
+    both = stage(axes={"x": rigged(), "y": wrong})
+    found = design_stage(both, model_digest=DIGEST, forms=("inverse",))
+    assert [axis.axis for axis in found.axes] == ["x"]
+    assert "axis y: the model class does not apply" in found.remarks[0]
+    assert design_from_json(found.to_json()).remarks == found.remarks
+
+
+def test_a_drive_recorded_outside_the_converters_range_is_not_the_converters() -> None:
+    lab = Lab(acquisition=Acquisition(input_range_V=(-1.0, 1.0)))
+    with pytest.raises(LabFileError, match=r"recorded from 0 to 10 V.*from -1 to 1 V"):
+        design_stage(stage(), model_digest=DIGEST, lab=lab)
 
 
 def test_the_default_design_holds_over_its_family_and_comes_back() -> None:

@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from piezoid.design.stage import design_stage
-from piezoid.errors import ParameterFileError
+from piezoid.errors import LabFileError, ParameterFileError
 from piezoid.export.parameter_file import from_json, to_json
 from piezoid.export.stage import export_stage
 from piezoid.identification.hysteresis.pieces import Rig
@@ -19,9 +19,10 @@ from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.records.lab import read_lab
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, lateral_plant
-from piezoid.verification.stage import verify_stage
+from piezoid.verification.stage import plant_of, verify_stage
 from piezoid.verification.uncertainty import varied_plants
 from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
@@ -107,6 +108,79 @@ def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
     assert done.exit_code == 1
     assert "failed: shape error of what ships" in done.output
     assert not verification_from_json((folder / "verification.json").read_bytes()).passed
+
+
+TIGHT = "aligned_percent = 1e-4\n"
+
+
+def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(folder):
+    called("export", folder)
+    (folder / "limits.toml").write_text(TIGHT)
+    done = called("verify", folder, "--limits", folder / "limits.toml")
+    assert done.exit_code == 1
+    assert "allowed 0.0001" in done.output
+    (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
+    assert called("verify", folder).exit_code == 1
+
+
+LAB_TOML = """
+[sensor]
+gain_V_per_m = 2e5
+[acquisition]
+dac_bits = 16
+adc_bits = 16
+input_range_V = [-10, 10]
+[tunnelling]
+set_point_A = 1e-9
+floor_A = 1e-11
+feedback_ohm = 1e9
+barrier_range_eV = [0.25, 4]
+"""
+GUARDED = LAB_TOML + "ceiling_A = 9e-9\n"
+
+
+@pytest.fixture(scope="module")
+def with_tip(designed, tmp_path_factory):
+    """The known stage and a tip: model, design and laboratory, X designed once for all tests."""
+    place = tmp_path_factory.mktemp("lab") / "lab.toml"
+    place.write_text(GUARDED)
+    model = junction_model()
+    tip = replace(model, axes={})
+    found = design_stage(tip, model_digest="sha256:none", lab=read_lab(place))
+    digest = json.loads(write_model(model))["digest"]
+    axes = (*designed[1].axes, *found.axes)
+    return model, replace(found, axes=axes, model_digest=digest), read_lab(place)
+
+
+def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, with_tip):
+    (folder / "model.json").write_bytes(write_model(with_tip[0]))
+    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    (folder / "lab.toml").write_text(LAB_TOML)
+    refused = called("export", folder)
+    assert isinstance(refused.exception, LabFileError)
+    assert "`ceiling_A = 1e-8` under [tunnelling]" in str(refused.exception)
+    assert not (folder / "params.json").exists()
+    (folder / "lab.toml").write_text(GUARDED)
+    assert called("export", folder).exit_code == 0
+    done = called("verify", folder)
+    assert done.exit_code == 0, done.output
+    record = verification_from_json((folder / "verification.json").read_bytes())
+    assert record.methods == {"x": "mpi_dob", "z": "rst"}
+    current = {row.scenario: row for row in record.currents}["spiral, 10 Hz"]
+    assert 0.0 < current.ln_current_std < 0.5
+    assert current.retracted_samples == 0
+    assert {"gain x0.5, axis z", "gain x2, axis z"} <= set(record.plants)
+
+
+def test_readings_come_in_steps_of_the_declared_converter(with_tip, rng):
+    model, design, lab = with_tip
+    file = export_stage(model, design, design_digest="sha256:none", lab=lab)
+    x, z = (plant_of(axis, model, lab) for axis in file.axes)
+    assert z.reading_step == pytest.approx(20 / 2**16 / 1e9)
+    assert z.reading_range == (-1e-8, 1e-8)
+    assert x.reading_step == pytest.approx(20 / 2**16 / 2e5)
+    steps = run_axis(x, file.axis("x"), np.full(50, 5e-6), rng=rng).measured / x.reading_step
+    assert steps == pytest.approx(np.round(steps), abs=1e-6)
 
 
 def test_a_model_that_was_fitted_again_no_longer_fits(folder):

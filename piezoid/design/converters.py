@@ -1,0 +1,62 @@
+"""What lab.toml says of the controller's converters, as one axis feels them."""
+
+from dataclasses import dataclass
+
+from piezoid.records.lab import Lab
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converters:
+    """Both converters of one axis, volts at the controller's terminals.
+
+    command_V       (low, high) that a command may take: within the converter's range, and within
+                    what the amplifier puts out over its gain; None where neither is declared
+    command_step_V  of the writing converter; 0 where its bits or range are not declared
+    reading_V       (low, high) of the reading converter; None where not declared
+    reading_step_V  of the reading converter; 0 likewise
+    """
+
+    command_V: tuple[float, float] | None
+    command_step_V: float
+    reading_V: tuple[float, float] | None
+    reading_step_V: float
+
+
+def converters_of(lab: Lab, axis: str) -> Converters:
+    """Return the converters of an axis; nothing that lab.toml does not say is assumed.
+
+    The laboratory's ``input_range_V`` is that of both converters.
+    """
+    declared = lab.acquisition
+    reach_V = declared.input_range_V
+    return Converters(
+        command_V=_common(reach_V, _amplified(lab, axis)),
+        command_step_V=_step_V(reach_V, declared.dac_bits),
+        reading_V=reach_V,
+        reading_step_V=_step_V(reach_V, declared.adc_bits),
+    )
+
+
+def _step_V(reach_V: tuple[float, float] | None, bits: int | None) -> float:
+    if reach_V is None or bits is None:
+        return 0.0
+    return float((reach_V[1] - reach_V[0]) / 2.0**bits)
+
+
+def _amplified(lab: Lab, axis: str) -> tuple[float, float] | None:
+    """Return the commands at which the amplifier reaches its ends."""
+    amplifier = lab.amplifier_of(axis)
+    low_V, high_V, gain = amplifier.output_min_V, amplifier.output_max_V, amplifier.gain_V_per_V
+    if low_V is None or high_V is None or gain is None:
+        return None
+    ends_V = sorted((low_V / gain, high_V / gain))
+    return ends_V[0], ends_V[1]
+
+
+def _common(
+    first: tuple[float, float] | None, second: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    known = [pair for pair in (first, second) if pair is not None]
+    if not known:
+        return None
+    return max(pair[0] for pair in known), min(pair[1] for pair in known)

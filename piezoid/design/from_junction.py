@@ -1,0 +1,184 @@
+"""From an identified tunnelling junction to what the design of Z starts from.
+
+    y = ln(i / i_0),    dy/du = K wa/(s + wa) wi/(s + wi) e^(-s tau)
+
+K, the sensor's pole and the delay come from the closed-loop identification with their family;
+voltages, set point and the reading's noise are the laboratory's to say.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.design.chain import Chain, Section, family_from_chains
+from piezoid.design.converters import Converters, converters_of
+from piezoid.design.plant import PlantFamily
+from piezoid.design.specification import Specification, default_specification
+from piezoid.errors import DesignError, LabFileError
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.loop_model import LoopPlant
+from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.operators.tunnelling import decay_of_barrier
+from piezoid.records.lab import Lab
+
+USUAL_AXIS = "z"
+_ROUGHNESS_m = 1e-10  # what a loop meets on an atomically flat terrace with a step or two
+_SLOWEST_SHARE = 5.0  # a pole beyond so many sampling rates is instantaneous
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerticalTask:
+    """What the design of the tunnelling axis is given.
+
+    axis           its name
+    family         the junctions it has to hold, nominal first
+    specification  default, to be overruled by what is asked
+    """
+
+    axis: str
+    family: PlantFamily
+    specification: Specification
+
+
+def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
+    """Return family and default specification of the tunnelling axis.
+
+    The reading's noise is the least there can be: shot noise at the set point, Johnson noise and
+    converter step where resistor and bits are declared, all divided by the set point, in nepers.
+
+    Raises ``DesignError`` where only sweeps were recorded, whose gap law knows no dynamics, and
+    ``LabFileError``, with the line to write, where voltage range or set point is not declared.
+    """
+    loop = loop_plant_of(tunnelling)
+    axis = axis_of(tunnelling)
+    converters = converters_of(lab, axis)
+    low_V, high_V = _command_V(lab, converters)
+    members = junction_family(loop, lab)
+    _refuse_instantaneous(members[0], axis)
+    chains = [_chain(member, place) for place, member in enumerate(members)]
+    family = family_from_chains(chains[0], chains[1:])
+    noise = reading_noise_A(loop.plant, lab, axis) / set_point_A(lab)
+    asked = default_specification(
+        family.nominal,
+        voltage_min_V=low_V,
+        voltage_max_V=high_V,
+        sensor_noise_rms=noise,
+        disturbance_rms=decay_of_barrier(loop.barrier_eV) * _ROUGHNESS_m,
+    )
+    return VerticalTask(
+        axis=axis,
+        family=family,
+        specification=replace(asked, voltage_step_V=converters.command_step_V),
+    )
+
+
+def axis_of(tunnelling: TunnellingModel) -> str:
+    """Return the name of the axis that regulates the current: z where nobody says otherwise."""
+    loop = tunnelling.loop_plant
+    return USUAL_AXIS if loop is None or not loop.axis else loop.axis
+
+
+def loop_plant_of(tunnelling: TunnellingModel) -> LoopPlant:
+    """Return the plant found in closed loop, or refuse naming the recording that is missing."""
+    if tunnelling.loop_plant is None:
+        raise DesignError(
+            f"axis {USUAL_AXIS}: sweeps give the barrier, but not how fast the junction answers",
+            needed="a recording of the closed loop with a dither that depends on nothing measured",
+            remedy="Record drive, current and dither while the tip tunnels, and fit again.",
+        )
+    return tunnelling.loop_plant
+
+
+def junction_family(loop: LoopPlant, lab: Lab) -> tuple[JunctionPlant, ...]:
+    """Return the junctions a controller has to hold, nominal first.
+
+    The family of the identification, and the nominal junction at both ends of the barriers that
+    lab.toml says occur: the gain goes with the root of the barrier.
+    """
+    declared_eV = lab.tunnelling.barrier_range_eV or ()
+    further = [
+        replace(
+            loop.plant,
+            gain_nepers_per_V=loop.plant.gain_nepers_per_V
+            * math.sqrt(barrier_eV / loop.barrier_eV),
+        )
+        for barrier_eV in declared_eV
+    ]
+    return (*loop.family, *further)
+
+
+def set_point_A(lab: Lab) -> float:
+    """Return the magnitude of the set point, or refuse with the line to write."""
+    declared_A = lab.tunnelling.set_point_A
+    if declared_A is None:
+        raise missing_line(lab, "set_point_A = 1e-9", "the current the loop is to hold")
+    return abs(declared_A)
+
+
+def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
+    """Return the least rms noise of one current reading at the set point.
+
+    sqrt(2 e i B + 4 k T B / R + step^2 / 12),   B = pi f / 2 of a first-order sensor
+    """
+    converters, resistor_ohm = converters_of(lab, axis), lab.tunnelling.feedback_ohm
+    chain = CurrentChain(
+        bandwidth_Hz=0.5 * math.pi * plant.sensor_pole_Hz,
+        feedback_ohm=resistor_ohm,
+        adc_step_A=None if resistor_ohm is None else converters.reading_step_V / resistor_ohm,
+    )
+    return math.hypot(chain.shot_A(set_point_A(lab)), chain.declared_floor_A)
+
+
+def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]") -> LabFileError:
+    """Return the error of a fact about the tip that lab.toml does not hold."""
+    return LabFileError(
+        f"{lab.place}: {table} does not say {line.split(' ')[0]}, {meaning}",
+        needed="what keeps a tip from the surface is declared, never guessed",
+        remedy=f"Write, with your own number, `{line}` under {table}.",
+    )
+
+
+def _command_V(lab: Lab, converters: Converters) -> tuple[float, float]:
+    if converters.command_V is None:
+        meaning = "the voltages the height's drive may take"
+        raise missing_line(lab, "input_range_V = [-10, 10]", meaning, "[acquisition]")
+    low_V, high_V = converters.command_V
+    if not low_V < high_V:
+        raise LabFileError(
+            f"{lab.place}: converter and amplifier have no voltage in common ({low_V:g} V to "
+            f"{high_V:g} V)",
+            needed="a range of commands that both can take",
+            remedy="Correct input_range_V of [acquisition] or the outputs of [amplifier].",
+        )
+    return low_V, high_V
+
+
+def _refuse_instantaneous(plant: JunctionPlant, axis: str) -> None:
+    slow_Hz = _SLOWEST_SHARE * plant.sampling_rate_Hz
+    if min(plant.amplifier_pole_Hz, plant.sensor_pole_Hz) > slow_Hz:
+        raise DesignError(
+            f"axis {axis}: amplifier ({plant.amplifier_pole_Hz:.4g} Hz) and current sensor "
+            f"({plant.sensor_pole_Hz:.4g} Hz) are instantaneous at {plant.sampling_rate_Hz:g} Hz",
+            needed="a pole that limits the speed of the loop",
+            remedy=f"Declare bandwidth_Hz of [axis.{axis}.amplifier] and fit again.",
+        )
+
+
+def _chain(plant: JunctionPlant, place: int) -> Chain:
+    said = (
+        f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {plant.sensor_pole_Hz:.4g} Hz, "
+        f"delay {1e6 * plant.delay_s:.3g} us"
+    )
+    return Chain(
+        label=said if place else f"nominal: {said}",
+        sampling_rate_Hz=plant.sampling_rate_Hz,
+        gain=plant.gain_nepers_per_V,
+        output_unit="1",
+        sections=(
+            Section(frequency_Hz=plant.amplifier_pole_Hz),
+            Section(frequency_Hz=float(np.minimum(plant.sensor_pole_Hz, 1e9))),
+        ),
+        delay_s=plant.delay_s,
+    )

@@ -1,0 +1,95 @@
+"""From an identified junction to the design of Z: its family, its limits, what is missing."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.converters import converters_of
+from piezoid.design.from_junction import reading_noise_A, vertical_task
+from piezoid.design.stage import design_stage
+from piezoid.errors import DesignError, LabFileError
+from piezoid.identification.model import ActuatorModel
+from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
+from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
+from tests.design.junction_lab import LAB, RATE_Hz, loop_plant
+
+LOOP = TunnellingModel(gap_law=None, loop_plant=loop_plant())
+
+
+def test_the_sampled_family_is_the_identified_one() -> None:
+    """Two ways of sampling the same analogue chain, by different people."""
+    family = vertical_task(LOOP, replace(LAB, tunnelling=Tunnelling(set_point_A=1e-9))).family
+    assert len(family.members) == len(loop_plant().family)
+    for sampled, identified in zip(family.members, loop_plant().family, strict=True):
+        numerator, denominator = identified.polynomials()
+        z = np.exp(-2j * np.pi * np.array([10.0, 500.0, 5000.0]) / RATE_Hz)
+        expected = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
+        found = np.polyval(sampled.B[::-1], z) / np.polyval(sampled.A[::-1], z)
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_barriers_that_occur_are_in_the_family_their_gain_with_the_root() -> None:
+    gains = [member.gain for member in vertical_task(LOOP, LAB).family.members]
+    assert gains[-2] / gains[0] == pytest.approx(0.5)
+    assert gains[-1] / gains[0] == pytest.approx(2.0)
+
+
+def test_noise_is_that_of_electrons_resistor_and_converter() -> None:
+    """1 nA, 10 kHz, 1 GOhm, 16 bits over 20 V: 2.24 pA, 0.50 pA (20 C) and 0.088 pA."""
+    found = reading_noise_A(loop_plant().plant, LAB, "z")
+    assert found == pytest.approx(np.sqrt(2.243**2 + 0.504**2 + 0.0881**2) * 1e-12, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("lab", "line"),
+    [
+        (replace(LAB, tunnelling=Tunnelling()), r"`set_point_A = .*` under \[tunnelling\]"),
+        (replace(LAB, acquisition=Acquisition()), r"`input_range_V = .*` under \[acquisition\]"),
+    ],
+)
+def test_what_is_not_declared_is_asked_for_by_its_line(lab: Lab, line: str) -> None:
+    with pytest.raises(LabFileError, match=line):
+        vertical_task(LOOP, lab)
+
+
+def test_the_command_keeps_within_converter_and_amplifier() -> None:
+    amplifier = Amplifier(gain_V_per_V=-10.0, output_min_V=-20.0, output_max_V=150.0)
+    found = converters_of(replace(LAB, amplifier=amplifier), "z")
+    assert found.command_V == (-10.0, 2.0)
+    assert found.command_step_V == 20.0 / 2**16
+    apart = Amplifier(gain_V_per_V=1.0, output_min_V=20.0, output_max_V=150.0)
+    with pytest.raises(LabFileError, match="no voltage in common"):
+        vertical_task(LOOP, replace(LAB, amplifier=apart))
+
+
+def test_a_gap_law_alone_is_not_enough_to_design_a_loop() -> None:
+    law = GapLaw(
+        polarity=1.0,
+        decay_per_m=1e10,
+        decay_interval_per_m=(0.9e10, 1.1e10),
+        barrier_eV=1.0,
+        barrier_interval_eV=(0.9, 1.1),
+        current_at_zero_height_A=1e-9,
+        offset_A=0.0,
+        floor_A=1e-13,
+        gap_jitter_m=1e-12,
+        sweep_decay_per_m=(1e10,),
+        confidence=Confidence.HIGH,
+        reasons=(),
+    )
+    with pytest.raises(DesignError, match="dither"):
+        vertical_task(TunnellingModel(gap_law=law, loop_plant=None), LAB)
+
+
+def test_both_ways_are_shown_and_every_member_holds() -> None:
+    model = ActuatorModel(stage="tip", axes={}, sources={}, tunnelling=LOOP)
+    found = design_stage(model, model_digest="sha256:none", lab=LAB).axis("z")
+    loop = found.recommended
+    assert {candidate.name for candidate in loop.candidates} == {"band-stop", "convex"}
+    assert sum(candidate.is_chosen for candidate in loop.candidates) == 1
+    assert len(loop.margins) == len(loop_plant().family) + 2
+    assert loop.worst_modulus_margin >= 0.5
+    assert (loop.worst_delay_margin_s or np.inf) >= 1.0 / RATE_Hz
+    assert found.specification.voltage_min_V == -10.0
