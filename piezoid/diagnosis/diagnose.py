@@ -8,9 +8,11 @@ import numpy as np
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.search import Cause, Outcome, search
+from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.screening import Screened
+from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
+from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, moving, rig_of
@@ -19,7 +21,6 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-NEARLY = 0.8  # of the gain: what a rival must bring to be called not separable
 POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 Progress = Callable[[str], None]
 
@@ -122,26 +123,25 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
     )
 
 
-def _of_cause(cause: Cause, outcome: Outcome, numbers: Simulated) -> Finding:
-    effect, found = cause.found.effect, cause.found
+def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
+    effect = cause.effect
     stroke_m = outcome.first.stroke_m
     before, after = numbers.without[effect.name], numbers.final
-    rivals = _rivals(cause)
     return Finding(
         effect=effect.name,
         held_out_gain=_gain(before, after),
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
-        p_value=min(1.0, max(found.held.p_value, 1e-12) * len(EFFECTS)),
-        share=found.share,
-        size=_size(cause),
-        not_separable_from=rivals,
+        p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
+        share=cause.share,
+        size=size_of(cause),
+        not_separable_from=outcome.rivals.get(effect.name, ()),
         explanation=_first_words(effect)
-        + f" Here it is {100 * found.share:.3g} % of the stroke (rms); beside "
-        f"everything else found it takes {100 * found.held.gain:.3g} % off "
+        + f" Here it is {100 * cause.share:.3g} % of the stroke (rms); beside "
+        f"everything else found it takes {100 * cause.held.gain:.3g} % off "
         "the error that no hysteresis explains.",
         next_experiment=effect.experiment,
-        parameters=dict(found.trial.parameters),
+        parameters=dict(cause.accepted.parameters),
     )
 
 
@@ -156,40 +156,6 @@ def _first_words(effect: Effect) -> str:
 
 def _named(name: str) -> Effect:
     return next(effect for effect in EFFECTS if effect.name == name)
-
-
-def _size(cause: Cause) -> Size:
-    """Return the size with an interval from leaving out folds of blocks.
-
-    A parameter that turned the tangent into the real thing carries the relative uncertainty of
-    its coefficient, which is one where the parameter is right.
-    """
-    found, effect = cause.found, cause.found.effect
-    beta, spread = found.held.coefficient, found.held.spread
-    if effect.size is None:
-        value = 100.0 * found.share
-        # of the coefficients' length, to first order
-        across = float(np.linalg.norm(beta * spread)) / max(float(beta @ beta), 1e-300)
-        reach = 1.96 * min(across, 1.0) * value
-    else:
-        value = effect.size(cause.without, found.trial.parameters, beta)
-        relative = abs(float(spread[0])) / max(abs(float(beta[0])), 1e-30)
-        reach = 1.96 * min(max(relative, 0.01), 1.0) * abs(value)
-    return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
-
-
-def _rivals(cause: Cause) -> tuple[str, ...]:
-    """Return effects that in this one's place would explain nearly as much."""
-    found = cause.found
-    near = []
-    for name in found.effect.rivals:
-        rival = _named(name)
-        if rival.trials is None or rival.against is not None or rival.untestable(cause.without):
-            continue
-        other = screen(rival, cause.without)
-        if other is not None and other.sound and other.held.gain > NEARLY * found.held.gain:
-            near.append(name)
-    return tuple(near)
 
 
 def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
@@ -226,7 +192,12 @@ def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=f"at most {1e9 * bound_m:.3g} nm rms; it takes {100 * found.held.gain:.2g} % off "
-        f"the error on rows left out ({found.held.z:.2g} standard errors), its unphysical twin "
-        f"{100 * found.twin:.2g} %",
+        f"the error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}",
         next_experiment=found.effect.experiment,
     )
+
+
+def _beside_twin(found: Screened) -> str:
+    if found.twin is None:
+        return ""
+    return f", its unphysical twin {100 * found.twin.gain:.2g} %"

@@ -33,6 +33,7 @@ class Trial:
     real        False: an unphysical twin, to calibrate by
     within      range of the first coefficient that physics allows
     free        parameters worth refining: by which factor (above 1) or step (below) to try
+    limits      ranges of these; one that ends at its limit was not found
     """
 
     columns: Array
@@ -40,6 +41,7 @@ class Trial:
     real: bool = True
     within: tuple[float, float] = (-float("inf"), float("inf"))
     free: Parameters = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,6 +73,8 @@ class Effect:
     trials       (view) -> trials, real ones and twins
     columns      (view, parameters) -> what the accepted effect adds, (rows, columns)
     drive        (drive, rate_Hz, parameters) -> what reaches the stage, for effects in front of it
+    passes       (response, rate_Hz, parameters) -> what is read of it, for filters that all of the
+                 response passes
     fault        (view) -> Fault or None, for faults of the data
     size         (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
@@ -91,6 +95,7 @@ class Effect:
     trials: Callable[[View], Sequence[Trial]] | None = None
     columns: Callable[[View, Parameters], Array] | None = None
     drive: Callable[[Array, float, Parameters], Array] | None = None
+    passes: Callable[[Array, float, Parameters], Array] | None = None
     fault: Callable[[View], Fault | None] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None

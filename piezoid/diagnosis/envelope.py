@@ -76,6 +76,26 @@ def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
     return np.hstack(parts)
 
 
+def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
+    """Return ``shape_columns(...) @ weight`` without making the columns, (rows,)."""
+    plays = PLAYS + 1
+    power = weight[: plays * POWERS].reshape(POWERS, plays)
+    bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
+    rub = weight[plays * POWERS + 2 * PLAYS :].reshape(5, len(FRICTION))
+    z, x = states / (1.05 - THRESHOLD), friction / np.minimum(FRICTION, 1.0)
+    u = drive
+    total = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
+    for i in range(PLAYS):
+        c, of_bias = power[:, i + 1], bias[0, i] + u * bias[1, i]
+        total += z[:, i] * (
+            c[0] + u * of_bias + z[:, i] * (c[1] + z[:, i] * (c[2] + z[:, i] * c[3]))
+        )
+    for j in range(len(FRICTION)):
+        c, of_bias = rub[:3, j], rub[3, j] + u * rub[4, j]
+        total += x[:, j] * (c[0] + u * of_bias + x[:, j] * (c[1] + x[:, j] * c[2]))
+    return np.asarray(total)
+
+
 def friction_states(drive: Array, start: Array) -> Array:
     """Follow the friction states along a drive, (samples, states); the first sample is the start.
 
@@ -163,18 +183,16 @@ class Envelope:
                 columns[rows, first + 1 + FORGETTING + d] = np.exp(-time_s / decay_s)
         return columns
 
-    def static(self, k: int, weight: Array, drive: Array | None = None) -> Array:
-        """Return what the shared columns make of a track's drive, or of another, (samples,)."""
+    def static(self, k: int, weight: Array) -> Array:
+        """Return what the shared columns make of a track's drive, (samples,)."""
         track = self.tracks[k]
-        signal = track.drive if drive is None else drive
-        memory = past(signal, self.turns[k])
-        friction = friction_states(signal, rubbed(signal, self.turns[k]))
+        memory = past(track.drive, self.turns[k])
+        friction = friction_states(track.drive, rubbed(track.drive, self.turns[k]))
         parts = []
-        for first in range(0, len(signal), CHUNK):
-            part = np.asarray(signal[first : first + CHUNK])
-            states, memory = play_columns(part, THRESHOLD, memory)
-            rubs = friction[first : first + CHUNK]
-            parts.append(shape_columns(states, rubs, part) @ weight)
+        for first in range(0, len(track.drive), CHUNK):
+            drive = np.asarray(track.drive[first : first + CHUNK])
+            states, memory = play_columns(drive, THRESHOLD, memory)
+            parts.append(shape(states, friction[first : first + CHUNK], drive, weight))
         return np.concatenate(parts)
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:

@@ -1,52 +1,96 @@
 """Extended: tracks with the effects that were accepted, refitted with all of them in place."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.view import View, with_drives
+from piezoid.diagnosis.effect import Effect, Parameters
+from piezoid.diagnosis.view import View, with_commands
 from piezoid.numerics.arrays import Array
 
-ROUNDS = 2  # of static response and what effects make of it
+ROUNDS = 6  # of static response and what effects make of it
+SETTLED = 2e-3  # of the rms
+EDGE = 0.03  # of a limit: so near it is at it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Accepted:
-    """An effect with the trial that spoke for it."""
+    """An effect with its nonlinear parameters.
+
+    free    which of them are worth refining: by which factor (above 1) or step (below) to try
+    limits  ranges of these
+    """
 
     effect: Effect
-    trial: Trial
+    parameters: Parameters
+    free: Parameters = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def inside(self) -> bool:
+        """Whether no parameter lies at its limit."""
+        return all(
+            low * (1.0 + EDGE) < self.parameters[name] < high * (1.0 - EDGE)
+            for name, (low, high) in self.limits.items()
+        )
+
+    @property
+    def adds(self) -> bool:
+        """Whether it adds columns with free coefficients."""
+        effect = self.effect
+        return effect.columns is not None and effect.passes is None and effect.drive is None
 
     @property
     def acts(self) -> bool:
         """Whether it changes drive or response; the envelope has the other ones already."""
-        return self.effect.columns is not None
-
-    @property
-    def parameters(self) -> Parameters:
-        """Return the nonlinear parameters."""
-        return self.trial.parameters
+        effect = self.effect
+        return self.adds or effect.passes is not None or effect.drive is not None
 
 
 def extended(clean: View, accepted: Sequence[Accepted]) -> View:
     """Return the view in which these effects are at work.
 
-    What acts on the drive changes the drive, for good; what acts on the response gives columns,
-    made of a static response that itself is fitted beside them.
+    What acts on the drive changes the drive, for good. Filters and columns are made of a static
+    response that itself is fitted beside them, round after round until the error settles.
     """
-    drives = []
+    view = driven(clean, accepted)
+    behind = [one for one in accepted if one.effect.drive is None]
+    if not behind:
+        return view
+    last = view.rms
+    for _ in range(ROUNDS):
+        offset, columns = offset_of(view, behind), columns_of(view, behind)
+        view = replace(view, offset=offset, accepted=columns)
+        if abs(view.rms / last - 1.0) < SETTLED:
+            break
+        last = view.rms
+    return view
+
+
+def driven(clean: View, accepted: Sequence[Accepted]) -> View:
+    """Return the view with the commands that these effects let through."""
+    commands = []
     for track in clean.tracks:
-        drive = track.drive
+        command = track.command
         for one in accepted:
             if one.effect.drive is not None:
-                drive = one.effect.drive(drive, track.rate_Hz, one.parameters)
-        drives.append(drive)
-    view = with_drives(clean, drives)
-    for _ in range(ROUNDS):
-        view = replace(view, accepted=columns_of(view, accepted))
-    return view
+                command = one.effect.drive(command, track.rate_Hz, one.parameters)
+        commands.append(command)
+    same = all(a is b.command for a, b in zip(commands, clean.tracks, strict=True))
+    return clean if same else with_commands(clean, commands)
+
+
+def offset_of(view: View, accepted: Sequence[Accepted]) -> Array:
+    """Return what all filters together make of the static response, less that, at the rows."""
+    parts = []
+    for track, static in zip(view.tracks, view.static, strict=True):
+        read = static
+        for one in accepted:
+            if one.effect.passes is not None:
+                read = one.effect.passes(read, track.rate_Hz, one.parameters)
+        parts.append((read - static)[track.place])
+    return np.concatenate(parts)
 
 
 def columns_of(view: View, accepted: Sequence[Accepted]) -> Array:
@@ -54,6 +98,6 @@ def columns_of(view: View, accepted: Sequence[Accepted]) -> Array:
     parts = [
         one.effect.columns(view, one.parameters)
         for one in accepted
-        if one.effect.drive is None and one.effect.columns is not None
+        if one.adds and one.effect.columns is not None
     ]
-    return np.hstack([np.zeros((len(view.response), 0)), *parts])
+    return np.hstack([np.zeros((len(view.offset), 0)), *parts])

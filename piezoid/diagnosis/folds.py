@@ -131,7 +131,7 @@ class Null:
         parts = [across[part] for part in self.parts]
         gram = np.array([part.T @ part for part in parts])
         right = np.array([a.T @ residual[p] for a, p in zip(parts, self.parts, strict=True)])
-        energy = np.add.reduceat(residual**2, self.edges)
+        energy = self.energy
         small = RIDGE * np.eye(across.shape[1])
         total, all_right = gram.sum(axis=0), right.sum(axis=0)
         loss, betas = np.empty(len(energy)), []
@@ -153,6 +153,55 @@ class Null:
             loss=loss,
             rms=sqrt(max(float(loss.sum()), 0.0) / len(residual)),
         )
+
+    def doubt(self, columns: Array) -> Array:
+        """Return the covariance of coefficients beside the null, blocks being independent.
+
+            cov = G^-1 (sum_b s_b s_b') G^-1 n / (n - 1),   G = C'C,  s_b = C_b' e_b
+
+        Source: Liang & Zeger, Biometrika 73 (1986).
+        """
+        across = self.without(columns)
+        length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
+        across = across / length
+        residual = self.residual - across @ np.linalg.lstsq(across, self.residual, rcond=1e-9)[0]
+        scores = np.array([across[part].T @ residual[part] for part in self.parts])
+        inverse = np.linalg.pinv(across.T @ across, rcond=1e-9, hermitian=True)
+        count = len(scores)
+        cov = inverse @ (scores.T @ scores) @ inverse * (count / max(count - 1, 1))
+        return np.asarray(cov / np.outer(length, length))
+
+    @cached_property
+    def energy(self) -> Array:
+        """Return the sum of squares of every block's residual."""
+        return np.asarray(np.add.reduceat(self.residual**2, self.edges))
+
+
+def compared(before: Null, after: Null) -> Held:
+    """Return what replacing a null by another of as many columns brings, block by block.
+
+    Both are refitted; a parameter or two are no freedom beside thousands of rows.
+    """
+    energy, loss = before.energy, after.energy
+    gains = energy - loss
+    telling = gains[_telling(np.abs(gains))]
+    gain = 1.0 - sqrt(float(loss.sum()) / float(energy.sum()))
+    return Held(
+        gain=gain,
+        z=max(_mean_z(telling), _sign_z(telling), _ratio_z(gain, len(energy))),
+        coefficient=np.ones(1),
+        spread=np.zeros(1),
+        loss=loss,
+        rms=sqrt(float(loss.sum()) / len(after.response)),
+    )
+
+
+def surely(worse: Array, better: Array) -> float:
+    """Return by how many standard errors blocks lose less with one thing than with another.
+
+    Source: Vuong, Econometrica 57 (1989), on sums of squares of blocks.
+    """
+    return _mean_z(worse - better)
 
 
 def _telling(explained: Array) -> Array:

@@ -1,36 +1,31 @@
 """The search for causes: faults first, then one effect at a time, then what is not needed goes.
 
-Accepted is the effect with the largest gain on rows left out, among those that are sure, physical
-and clearly better than their unphysical twins; everything is screened again beside it. At the end
-each effect must still be worth its place with all others there.
+All effects are screened by their tangents; the telling ones are refitted with the whole model, and
+the one that then leaves least is accepted, if it is sure, physical and clearly better than its
+unphysical twins. Everything is screened again beside it. At the end each effect must still be
+worth its place with all others there, and a rival that does better in its place takes it.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import sqrt
 
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.screening import Screened, refined, screen, screened
+from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
 MOST_CAUSES = 5
 MOST_REPAIRS = 3
-WORTH = 0.02  # of the rms on rows left out: what removing a cause must lose
+WORTH = 0.02  # of the rms: what removing a cause must lose
+TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
+LEAST_GAIN = 0.012
+LEFT_OVER = 0.3  # of a rival's share
+NEAR = 1.6  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Cause:
-    """An accepted effect as it stands at the end.
-
-    found    what it brings to a view that has all others
-    without  that view
-    """
-
-    accepted: Accepted
-    found: Screened
-    without: View
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +36,8 @@ class Outcome:
     clean     with faults repaired
     final     with all causes at work
     faults    by effect
-    causes    one for each accepted effect
+    causes    every accepted effect beside all others
+    rivals    effects that would explain as much in the place of an accepted one, by its name
     screened  the last word on each effect that was not accepted
     """
 
@@ -49,7 +45,8 @@ class Outcome:
     clean: View
     final: View
     faults: dict[str, Fault]
-    causes: tuple[Cause, ...]
+    causes: tuple[Judged, ...]
+    rivals: dict[str, tuple[str, ...]]
     screened: dict[str, Screened]
 
 
@@ -65,10 +62,13 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
             continue
         progress(f"testing {effect.name.replace('_', ' ')}")
         found = screen(effect, final)
+        if found is None:
+            continue
+        structure = _structure(found, final)
         # what another cause leaves over looks like structure: then nothing is said of structure
-        if found is not None and found.speaks and not accepted:
-            causes.append(Cause(accepted=_accepted(found), found=found, without=final))
-        elif found is not None:
+        if structure.speaks and not accepted:
+            causes.append(structure)
+        else:
             silent[effect.name] = found
     return Outcome(
         first=view,
@@ -76,7 +76,21 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         final=final,
         faults=faults,
         causes=tuple(causes),
+        rivals={},
         screened=silent,
+    )
+
+
+def _structure(found: Screened, final: View) -> Judged:
+    accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
+    return Judged(
+        accepted=accepted,
+        held=found.held,
+        twin=found.twin,
+        share=found.share,
+        sound=found.sound,
+        without=final,
+        view=final,
     )
 
 
@@ -103,12 +117,11 @@ def _grown(clean: View, progress: Progress) -> tuple[list[Accepted], dict[str, S
     silent: dict[str, Screened] = {}
     for _ in range(MOST_CAUSES):
         view = extended(clean, accepted)
-        silent |= _screened_all(view, {one.effect.name for one in accepted}, progress)
-        named = {one.effect.name for one in accepted}
-        best = _best(view, [f for name, f in silent.items() if name not in named])
+        silent = _screened_all(view, {one.effect.name for one in accepted}, progress)
+        best = _best(clean, accepted, list(silent.values()), progress)
         if best is None:
             break
-        accepted = [*accepted, _accepted(best)]
+        accepted = _settled(clean, [*accepted, best.accepted])
     return accepted, silent
 
 
@@ -124,42 +137,72 @@ def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, 
     return found
 
 
-def _best(view: View, screenings: Sequence[Screened]) -> Screened | None:
-    speaking = [found for found in screenings if found.sound and found.held.gain > 0.0]
-    speaking.sort(key=lambda found: found.held.gain, reverse=True)
-    # near the top the finer parameters decide, and they must be sought before it is said
-    finer = [refined(found, view) for found in speaking if _near(found, speaking[0])]
-    finer = [found for found in finer if found.speaks]
-    return max(finer, key=lambda found: found.held.gain, default=None)
+def _best(
+    clean: View,
+    accepted: Sequence[Accepted],
+    screenings: Sequence[Screened],
+    progress: Progress,
+) -> Judged | None:
+    """Return the effect that leaves least among those that are evidence."""
+    best = max((found.held.gain for found in screenings if found.sound), default=0.0)
+    telling = [f for f in screenings if f.held.gain > max(TELLING * best, LEAST_GAIN) and f.sound]
+    first = []
+    for found in telling:
+        one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
+        first.append((extended(clean, [*accepted, one]).rms, one, found))
+    least = min((rms for rms, _, _ in first), default=0.0)
+    finer = []
+    for rms, one, found in first:
+        if rms > NEAR * least:
+            continue
+        progress(f"refitting with {found.effect.name.replace('_', ' ')}")
+        better, view = refined(one, clean, accepted)
+        finer.append(judged(better, clean, accepted, seen=found, view=view))
+    own = [j for j in finer if j.speaks and not _left_over(j, clean, accepted)]
+    return min(own, key=lambda j: j.held.rms, default=None)
 
 
-def _near(found: Screened, best: Screened) -> bool:
-    return found.held.gain > 0.45 * best.held.gain and found.held.gain > 0.015
+def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
+    """Tell whether this may be what an accepted rival, not quite as modelled, leaves over."""
+    for one in accepted:
+        if found.effect.name not in one.effect.rivals:
+            continue
+        rest = extended(clean, [other for other in accepted if other is not one])
+        taken = sqrt(max(rest.rms**2 - found.without.rms**2, 0.0)) / 2.0
+        if found.share < LEFT_OVER * taken:
+            return True
+    return False
 
 
-def _accepted(found: Screened) -> Accepted:
-    return Accepted(effect=found.effect, trial=found.trial)
+def _settled(clean: View, accepted: Sequence[Accepted]) -> list[Accepted]:
+    """Refine the older effects beside the newest."""
+    accepted = list(accepted)
+    for k, one in enumerate(accepted[:-1]):
+        if one.free:
+            rest = [other for other in accepted if other is not one]
+            accepted[k], _ = refined(one, clean, rest, finer=1)
+    return accepted
 
 
 def _pruned(clean: View, accepted: list[Accepted], progress: Progress) -> list[Accepted]:
     """Take out, one by one, what is no longer worth its place beside the others."""
     while len(accepted) > 1:
         progress("taking out what is not needed")
-        whole = extended(clean, accepted).null.held_out_rms
+        whole = extended(clean, accepted).rms
         losses = []
-        for one in accepted:
-            rest = [other for other in accepted if other is not one]
-            losses.append(1.0 - whole / extended(clean, rest).null.held_out_rms)
+        for k in range(len(accepted)):
+            rest = [other for n, other in enumerate(accepted) if n != k]
+            losses.append(1.0 - whole / extended(clean, rest).rms)
         if min(losses) >= WORTH:
             return accepted
-        accepted = [one for k, one in enumerate(accepted) if k != losses.index(min(losses))]
+        del accepted[losses.index(min(losses))]
     return accepted
 
 
-def _cause(clean: View, accepted: Sequence[Accepted], one: Accepted) -> Cause:
+def _cause(clean: View, accepted: Sequence[Accepted], one: Accepted) -> Judged:
     """Judge an accepted effect once more, refined beside all others."""
-    without = extended(clean, [other for other in accepted if other is not one])
-    assert one.effect.columns is not None
-    trial = replace(one.trial, columns=one.effect.columns(without, one.parameters))
-    found = refined(screened(one.effect, without.null, [trial]), without)
-    return Cause(accepted=_accepted(found), found=found, without=without)
+    others = [other for other in accepted if other is not one]
+    better, view = refined(one, clean, others, finer=1)
+    seen = screen(one.effect, extended(clean, others))
+    assert seen is not None
+    return judged(better, clean, others, seen=seen, view=view)

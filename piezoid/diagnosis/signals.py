@@ -53,14 +53,14 @@ def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Arra
 
 
 def drive_change(view: View, change: Callable[[Array, float], Array]) -> Array:
-    """Return what a changed drive (drive, rate_Hz) changes at the rows, (rows, 1)."""
+    """Return what a changed command (command, rate_Hz) changes at the rows, (rows, 1)."""
     parts = []
     for k, track in enumerate(view.tracks):
-        drive = change(track.drive, track.rate_Hz)
-        if drive is track.drive or np.array_equal(drive, track.drive):
+        command = change(track.command, track.rate_Hz)
+        if command is track.command or np.array_equal(command, track.command):
             parts.append(np.zeros(len(track.place)))
             continue
-        changed = view.envelope.static_rows(k, view.weight, drive)
+        changed = view.envelope.static_rows(k, view.weight, track.read(command))
         parts.append(changed - view.static[k][track.place])
     return np.concatenate(parts)[:, None]
 

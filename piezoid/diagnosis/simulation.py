@@ -11,13 +11,12 @@ are then free: one linear problem, refitted fold by fold.
 Source: Kuhnen, Eur. J. Control 9 (2003).
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid.diagnosis.envelope import PLAYS, DECAYS_s
-from piezoid.diagnosis.extended import Accepted, columns_of, extended
+from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.view import View
@@ -44,8 +43,8 @@ def simulated(outcome: Outcome) -> Simulated:
     """Return the simulation's errors before, after, and without each thing that was found."""
     accepted = [cause.accepted for cause in outcome.causes if cause.accepted.acts]
     baseline = error_of(outcome.first)
-    final = error_of(_with(outcome.final, accepted))
-    structural = [cause.found for cause in outcome.causes if not cause.accepted.acts]
+    final = error_of(outcome.final)
+    structural = [cause for cause in outcome.causes if not cause.accepted.acts]
     without = {
         f.effect.name: final / (1.0 - float(np.clip(f.held.gain, 0, 0.99))) for f in structural
     }
@@ -56,10 +55,6 @@ def simulated(outcome: Outcome) -> Simulated:
         raw = error_of(extended(outcome.first, accepted))
         without |= dict.fromkeys(outcome.faults, raw)
     return Simulated(baseline=baseline, final=final, without=without)
-
-
-def _with(view: View, accepted: Sequence[Accepted]) -> View:
-    return replace(view, accepted=columns_of(view, accepted))
 
 
 def error_of(view: View) -> float:

@@ -22,7 +22,10 @@ class Track:
 
     name      of the recording
     rate_Hz   sampling rate
-    drive     (samples,)  about -1 to 1 over the range of all tracks, behind the declared poles
+    command   (samples,)  about -1 to 1 over the range of all tracks, at the ceramic
+    drive     (samples,)  the same behind the sensor's declared pole, which commutes with
+                          hysteresis but not with limits of the amplifier
+    sensor_Hz             that pole, None where it is not declared
     response  (samples,)  displacement over half the stroke
     others    scaled drives of other axes that move, by axis
     place     (rows,)     samples that are compared
@@ -31,15 +34,22 @@ class Track:
 
     name: str
     rate_Hz: float
+    command: Array
     drive: Array
+    sensor_Hz: float | None
     response: Array
     others: Mapping[str, Array]
     place: Places
     block: Places
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "command", frozen(self.command, "command"))
         object.__setattr__(self, "drive", frozen(self.drive, "drive"))
         object.__setattr__(self, "response", frozen(self.response, "response"))
+
+    def read(self, command: Array) -> Array:
+        """Return a command behind the sensor's pole."""
+        return behind_pole(command, self.sensor_Hz, self.rate_Hz)
 
     @property
     def time_s(self) -> Array:
@@ -65,7 +75,6 @@ def tracks_of(
     clock_Hz  of the converter, where it is declared: it holds every value for one period, which
               is half a period of delay
     """
-    # Behind the sensor's pole as well: so far above the motion both poles commute with hysteresis.
     pieces = pieces_of(recordings, axis, scales, rig)
     share = ROWS // len(pieces)
     starts: dict[int, int] = {}
@@ -75,14 +84,17 @@ def tracks_of(
         first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
         starts[piece.recording] = first + len(piece.drive)
         place = rows_between(len(piece.drive), share)
-        drive = behind_pole(piece.drive, rig.sensor_bandwidth_Hz, piece.sampling_rate_Hz)
+        command = piece.drive
         if clock_Hz is not None:
-            drive = later(drive, 0.5 * piece.sampling_rate_Hz / clock_Hz)
+            command = later(command, 0.5 * piece.sampling_rate_Hz / clock_Hz)
+        sensor_Hz = rig.sensor_bandwidth_Hz
         tracks.append(
             Track(
                 name=piece.name,
                 rate_Hz=piece.sampling_rate_Hz,
-                drive=drive,
+                command=command,
+                drive=behind_pole(command, sensor_Hz, piece.sampling_rate_Hz),
+                sensor_Hz=sensor_Hz,
                 response=piece.response,
                 others=_others(recording, axis, first, len(piece.drive)),
                 place=place,

@@ -31,15 +31,17 @@ CLEARLY = 0.7  # of the misfit of a cycled past: what another past must leave to
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """Tracks, their envelope, and columns of effects that were accepted already.
+    """Tracks, their envelope, and what effects that were accepted already make of them.
 
     accepted  (rows, columns)  added to the null
+    offset    (rows,)          what filters that all of the response passes change
     stroke_m  half the range of the displacement: what the number 1 means
     voltage_V half the range of the drive
     """
 
     envelope: Envelope
     accepted: Array
+    offset: Array
     stroke_m: float
     voltage_V: float
 
@@ -50,8 +52,8 @@ class View:
 
     @cached_property
     def response(self) -> Array:
-        """Return the measured response at the rows."""
-        return np.concatenate([t.response[t.place] for t in self.tracks])
+        """Return the measured response at the rows, as it was in front of such filters."""
+        return np.concatenate([t.response[t.place] for t in self.tracks]) - self.offset
 
     @cached_property
     def block(self) -> Places:
@@ -110,10 +112,13 @@ def with_pasts(view: View, turns: tuple[tuple[float, ...], ...]) -> View:
     return replace(view, envelope=Envelope(tracks=view.tracks, turns=turns))
 
 
-def with_drives(view: View, drives: Sequence[Array]) -> View:
-    """Return the view with other drives on the same tracks, and nothing accepted."""
+def with_commands(view: View, commands: Sequence[Array]) -> View:
+    """Return the view with other commands on the same tracks, and nothing accepted."""
     tracks = tuple(
-        replace(track, drive=drive) for track, drive in zip(view.tracks, drives, strict=True)
+        track
+        if command is track.command
+        else replace(track, command=command, drive=track.read(command))
+        for track, command in zip(view.tracks, commands, strict=True)
     )
     return _view(tracks, view.envelope.turns, view.stroke_m, view.voltage_V)
 
@@ -130,8 +135,14 @@ def _view(
     voltage_V: float,
 ) -> View:
     envelope = Envelope(tracks=tuple(tracks), turns=turns)
-    nothing = np.zeros((envelope.edges[-1], 0))
-    return View(envelope=envelope, accepted=nothing, stroke_m=stroke_m, voltage_V=voltage_V)
+    rows = int(envelope.edges[-1])
+    return View(
+        envelope=envelope,
+        accepted=np.zeros((rows, 0)),
+        offset=np.zeros(rows),
+        stroke_m=stroke_m,
+        voltage_V=voltage_V,
+    )
 
 
 def _best_past(view: View, k: int) -> tuple[float, ...]:

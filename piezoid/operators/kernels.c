@@ -239,3 +239,12 @@ void pk_creep(size_t samples, const double *input, double part, double threshold
         }
     }
 }
+
+void pk_activated(size_t samples, const double *input, double step, double wide, double *output) {
+    double lag = 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        const double rise = k > 0 ? input[k] - input[k - 1] : 0.0;
+        lag = wide * atanh(step * tanh((lag + rise) / wide));
+        output[k] = input[k] - lag;
+    }
+}

@@ -82,4 +82,8 @@ void pk_slew(size_t samples, const double *input, double step, double *output);
  * late; output must not alias input. */
 void pk_creep(size_t samples, const double *input, double part, double threshold, double *output);
 
+/* A lag that thermal activation wears down: after every sample
+ *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
+void pk_activated(size_t samples, const double *input, double step, double wide, double *output);
+
 #endif

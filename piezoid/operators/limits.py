@@ -35,3 +35,19 @@ def crept(signal: Array, part: float, threshold: float) -> Array:
     found = np.empty_like(given)
     KERNELS.pk_creep(len(given), address(given), part, threshold, address(found))
     return found
+
+
+def activated(irreversible: Array, time_s: float, sampling_rate_Hz: float, strain: float) -> Array:
+    """Return an irreversible response that climbs its barriers by thermal activation.
+
+        dx/dt = (2 s / tau) sinh((h - x) / (2 s)),   exact for steps of h    [Eyring 1936]
+
+    h    irreversible  (samples,)  any unit; what would be reached without haste
+    tau  time_s        scalar      s, time constant of small lags
+    s    strain        scalar      unit of h; lags beyond it grow with the logarithm of the speed
+    """
+    given = contiguous(irreversible)
+    found = np.empty_like(given)
+    step = float(np.exp(-1.0 / (time_s * sampling_rate_Hz)))
+    KERNELS.pk_activated(len(given), address(given), step, 2.0 * strain, address(found))
+    return found

@@ -37,8 +37,8 @@ def _columns(view: View, parameters: Parameters) -> Array:
 
 
 def _trials(view: View) -> list[Trial]:
-    high = max(float(track.drive.max()) for track in view.tracks)
-    low = min(float(track.drive.min()) for track in view.tracks)
+    high = max(float(track.command.max()) for track in view.tracks)
+    low = min(float(track.command.min()) for track in view.tracks)
     ways: list[dict[str, float]] = []
     for depth in DEPTHS:
         ways += [{"high": high - depth}, {"low": low + depth}]
@@ -55,8 +55,8 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _size(view: View, parameters: Parameters, _: Array) -> float:
-    high = max(float(track.drive.max()) for track in view.tracks)
-    low = min(float(track.drive.min()) for track in view.tracks)
+    high = max(float(track.command.max()) for track in view.tracks)
+    low = min(float(track.command.min()) for track in view.tracks)
     cut = max(high - parameters.get("high", high), parameters.get("low", low) - low)
     return 100.0 * cut / (high - low)
 
@@ -77,7 +77,6 @@ EFFECT = Effect(
     "amplifier's monitor output: a clip is there in the first and not in the second.",
     rivals=("slew_limit",),
     trials=_trials,
-    columns=_columns,
     drive=_clip,
     size=_size,
     inject=inject,

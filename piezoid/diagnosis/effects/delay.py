@@ -27,14 +27,13 @@ ALLOWED = (0.4, 1.8)
 TRIED = 12
 
 
-def _later(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
+def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
-    return delayed(drive, time_s, rate_Hz)
+    return delayed(response, time_s, rate_Hz)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    # hysteresis does not know of time: the response of a later drive is the later response
-    return filtered_change(view, lambda h, rate_Hz: _later(h, rate_Hz, parameters))
+    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
 
 
 def _trials(view: View) -> list[Trial]:
@@ -54,11 +53,11 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(view: View, parameters: Parameters, coefficient: Array) -> float:
+def _size(view: View, parameters: Parameters, _: Array) -> float:
     fastest_Hz = max(track.rate_Hz for track in view.tracks)
     samples = parameters.get("delay_samples", 0.0)
     time_s = parameters.get("delay_s", 0.0) + samples / fastest_Hz
-    return 1e6 * time_s * float(coefficient[0])
+    return 1e6 * time_s
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -78,8 +77,7 @@ EFFECT = Effect(
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
     rivals=("lag", "rate_dependence", "resonance"),
     trials=_trials,
-    columns=_columns,
-    drive=_later,
+    passes=_passed,
     size=_size,
     inject=inject,
 )

@@ -27,8 +27,12 @@ ALLOWED = (0.4, 1.8)
 TRIED = 14
 
 
+def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    return relaxed(response, parameters["time_s"], rate_Hz)
+
+
 def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, lambda h, rate_Hz: relaxed(h, parameters["time_s"], rate_Hz))
+    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
 
 
 def _trials(view: View) -> list[Trial]:
@@ -45,8 +49,8 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(_: View, parameters: Parameters, coefficient: Array) -> float:
-    return 1e6 * parameters["time_s"] * float(coefficient[0])
+def _size(_: View, parameters: Parameters, __: Array) -> float:
+    return 1e6 * parameters["time_s"]
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -66,7 +70,7 @@ EFFECT = Effect(
     "attenuates there, a delay does not.",
     rivals=("delay", "rate_dependence", "resonance"),
     trials=_trials,
-    columns=_columns,
+    passes=_passed,
     size=_size,
     inject=inject,
 )

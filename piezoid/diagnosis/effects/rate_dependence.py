@@ -6,12 +6,12 @@ What you see
 Why it happens
     Domain walls climb barriers by thermal activation; faster drives need a larger lead.
 How it is detected
-    The irreversible part of the static response, later or behind by the logarithm of its speed,
-    explains what static hysteresis cannot, better than a lag of the whole response does.
+    The irreversible part of the static response, behind in proportion to its speed or to the
+    logarithm of it, explains what static hysteresis cannot, better than a lag of all of it does.
 What the extension adds
     A lag of the irreversible part, linear in its speed or saturating to a logarithm.
 Source
-    Al Janaideh, Su & Rakheja (2008); Smith (2005)
+    Eyring (1936); Al Janaideh, Su & Rakheja (2008); Smith (2005)
 """
 
 import numpy as np
@@ -20,17 +20,25 @@ from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.signals import rate_of, relaxed, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
-ALLOWED = (0.0, float("inf"))
-BENDS = (0.0, 0.3, 3.0, 30.0, 300.0)  # times the largest speed: where lag turns logarithmic
-TIMES_s = (3e-4, 1e-3, 3e-3, 1e-2, 3e-2)
-TURN = 0.05  # of the drive's range: how far a branch is still reversible
+ALLOWED = (0.1, 5.0)
+TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
+WIDEST = 1.0  # strain from which the lag is as good as linear
+STRAINS = (1e-3, 1.1)
+LONGEST = (2e-6, 0.3)
+TOO_LITTLE = 1e-5  # of half the stroke: a lag nobody sees
+FEWEST = 8  # reversals
+TURN = 0.03  # of the drive's range: how far a branch is still reversible
 
 
-def reversible_slope(view: View) -> float:
-    """Return the slope of the static response just behind reversals, where no wall moves."""
-    slopes = []
+def reversible(view: View) -> Array:
+    """Return the reversible part as a polynomial of the drive: the slope just behind reversals.
+
+    There no wall moves yet. The slope is a straight line over the drive, (2,) highest power first.
+    """
+    found = []
     for track, static in zip(view.tracks, view.static, strict=True):
         step = np.sign(np.diff(track.drive))
         turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
@@ -41,32 +49,42 @@ def reversible_slope(view: View) -> float:
             if len(far):
                 there = turn + int(far[0])
                 rise = track.drive[there] - track.drive[turn]
-                slopes.append(float((static[there] - static[turn]) / rise))
-    return float(np.median(slopes)) if slopes else 0.0
+                slope = float((static[there] - static[turn]) / rise)
+                found.append((float(track.drive[turn]), slope))
+    if len(found) < FEWEST:
+        return np.array([0.0, 0.0])
+    place, slopes = np.array(found).T
+    return np.asarray(np.polyfit(place, slopes, 1))
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    slope, bend, time_s = reversible_slope(view), parameters["bend_s"], parameters["time_s"]
+    bend, slope = reversible(view)
+    time_s, strain = parameters["time_s"], parameters["strain"]
 
     def behind(k: int) -> Array:
         track = view.tracks[k]
-        walls = view.static[k] - slope * track.drive
-        if time_s > 0.0:
-            return relaxed(walls, time_s, track.rate_Hz) - walls
-        speed = rate_of(walls, track.rate_Hz)
-        return -np.arcsinh(bend * speed) / bend if bend > 0.0 else -speed
+        walls = view.static[k] - (slope + 0.5 * bend * track.drive) * track.drive
+        if time_s * float(np.abs(np.diff(walls)).max()) * track.rate_Hz < TOO_LITTLE:
+            return np.zeros(len(walls))
+        if strain >= WIDEST:
+            return np.asarray(relaxed(walls, time_s, track.rate_Hz) - walls)
+        return np.asarray(activated(walls, time_s, track.rate_Hz, strain) - walls)
 
     return view.of(lambda k, _: behind(k))[:, None]
 
 
 def _trials(view: View) -> list[Trial]:
-    fastest = max(
-        float(np.quantile(np.abs(np.diff(h)), 0.99)) * t.rate_Hz
-        for h, t in zip(view.static, view.tracks, strict=True)
-    )
-    ways = [{"bend_s": bend / fastest, "time_s": 0.0} for bend in BENDS]
-    ways += [{"bend_s": 0.0, "time_s": time_s} for time_s in TIMES_s]
-    return [Trial(columns=_columns(view, w), parameters=w, within=ALLOWED) for w in ways]
+    return [
+        Trial(
+            columns=_columns(view, {"time_s": time_s, "strain": strain}),
+            parameters={"time_s": time_s, "strain": strain},
+            within=ALLOWED,
+            free={"time_s": 1.8, "strain": 2.0},
+            limits={"time_s": LONGEST, "strain": STRAINS},
+        )
+        for time_s in TIMES_s
+        for strain in (WIDEST, 0.03)
+    ]
 
 
 def inject(recording: Recording, share: float) -> Recording:

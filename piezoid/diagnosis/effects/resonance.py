@@ -23,6 +23,7 @@ from piezoid.records.recording import Recording
 
 ALLOWED = (0.01, 1.6)
 QUALITIES = (4.0, 12.0, 40.0)
+DAMPED = (2.5, 300.0)  # below it is a lag, above it nobody can tell
 LOWEST_Hz = 15.0
 PER_OCTAVE = 5
 LEAST_RATE_Hz = 200.0
@@ -54,6 +55,7 @@ def _trials(view: View) -> list[Trial]:
             parameters=way,
             within=ALLOWED,
             free={"frequency_Hz": 1.06, "quality": 1.6},
+            limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
         )
         for way in ways
     ]

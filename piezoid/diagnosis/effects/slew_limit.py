@@ -19,6 +19,7 @@ from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.operators.limits import slewed
 from piezoid.records.recording import Recording
 
 ALLOWED = (0.4, 1.8)
@@ -26,20 +27,9 @@ SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest driv
 QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
 
 
-def slowed(drive: Array, step: float) -> Array:
-    """Return a drive that goes at most a step from sample to sample."""
-    if float(np.abs(np.diff(drive)).max()) <= step:
-        return drive
-    found = np.empty(len(drive))
-    held = float(drive[0])
-    for k, wanted in enumerate(drive.tolist()):
-        held = min(max(wanted, held - step), held + step)
-        found[k] = held
-    return found
-
-
 def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
-    return slowed(drive, parameters["limit_per_s"] / rate_Hz)
+    step = parameters["limit_per_s"] / rate_Hz
+    return drive if float(np.abs(np.diff(drive)).max()) <= step else slewed(drive, step)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
@@ -48,7 +38,7 @@ def _columns(view: View, parameters: Parameters) -> Array:
 
 def _fastest(view: View) -> float:
     return max(
-        float(np.quantile(np.abs(np.diff(track.drive)), QUICK)) * track.rate_Hz
+        float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
         for track in view.tracks
     )
 
@@ -76,9 +66,9 @@ def inject(recording: Recording, share: float) -> Recording:
     moved_m = recording.displacement_m()
     fastest_m = float(np.abs(np.diff(moved_m)).max())
     tried = fastest_m * np.geomspace(1.0, 0.05, 25)
-    missed = [float(np.std(slowed(moved_m, step) - moved_m)) for step in tried]
+    missed = [float(np.std(slewed(moved_m, step) - moved_m)) for step in tried]
     step_m = float(np.interp(share * stroke_of(recording), missed, tried))
-    return with_displacement(recording, slowed(moved_m, step_m))
+    return with_displacement(recording, slewed(moved_m, step_m))
 
 
 EFFECT = Effect(
@@ -89,7 +79,6 @@ EFFECT = Effect(
     "limit is where its slope stops rising.",
     rivals=("delay", "lag", "rate_dependence"),
     trials=_trials,
-    columns=_columns,
     drive=_limited,
     size=_size,
     inject=inject,

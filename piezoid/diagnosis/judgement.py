@@ -1,0 +1,104 @@
+"""Judgement: an effect with everything refitted around it, against the same without it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+from piezoid.diagnosis.effect import Effect, Trial
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.folds import Held, compared, surely
+from piezoid.diagnosis.screening import Screened, screened
+from piezoid.diagnosis.view import View
+
+SURE = 3.3  # standard errors: 0.0005 on one side; a wrong cause is worse than one not named
+OVER_TWIN = 1.6  # times the twin's gain, or
+BEYOND_TWIN = 0.9  # times what the twin leaves, as surely
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judged:
+    """An effect beside others.
+
+    accepted  the effect with its parameters
+    held      what it brings
+    twin      what its best unphysical twin brings, None where there is none
+    share     rms of what it adds beyond the null, of the whole stroke
+    sound     whether physics allows it
+    without   the view with the others at work
+    view      the view with it at work as well
+    """
+
+    accepted: Accepted
+    held: Held
+    twin: Held | None
+    share: float
+    sound: bool
+    without: View
+    view: View
+
+    @property
+    def effect(self) -> Effect:
+        """Return the effect."""
+        return self.accepted.effect
+
+    @property
+    def speaks(self) -> bool:
+        """Tell whether this is evidence: sure, worth it, physical, and better than its twins."""
+        return (
+            self.sound
+            and self.held.z > SURE
+            and self.held.gain > self.effect.worth
+            and self.share > self.effect.least
+            and self._beats_its_twin
+        )
+
+    @property
+    def _beats_its_twin(self) -> bool:
+        if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
+            return True
+        left = (1.0 - self.held.gain) / (1.0 - self.twin.gain)
+        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > SURE
+
+
+def judged(
+    one: Accepted,
+    clean: View,
+    others: Sequence[Accepted],
+    *,
+    seen: Screened,
+    view: View | None = None,
+) -> Judged:
+    """Judge an effect beside others.
+
+    seen  its screening beside them, for its twins and for what physics allows
+    view  with all of them at work, where that is known already
+    """
+    without = extended(clean, others)
+    view = extended(clean, [*others, one]) if view is None else view
+    if one.adds:
+        return _of_columns(one, seen, without, view)
+    return Judged(
+        accepted=one,
+        held=compared(without.null, view.null),
+        twin=seen.twin,
+        share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
+        sound=one.inside,
+        without=without,
+        view=view,
+    )
+
+
+def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
+    assert one.effect.columns is not None
+    columns = one.effect.columns(view, one.parameters)
+    trial = Trial(columns=columns, parameters=one.parameters, within=seen.trial.within)
+    found = screened(one.effect, without.null, [trial])
+    return Judged(
+        accepted=one,
+        held=found.held,
+        twin=seen.twin,
+        share=found.share,
+        sound=found.sound and one.inside,
+        without=without,
+        view=view,
+    )

@@ -1,0 +1,95 @@
+"""Refinement: the nonlinear parameters of an effect, with the whole model refitted at every try.
+
+A tangent tells where to look; what decides is the error with the real thing in place. The search
+walks along one parameter after another by ever smaller steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.view import View
+
+PARTS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
+STEPS = 6
+LEAST_STEP = 0.05
+BETTER = 5e-4  # of the error: what a step must gain
+
+
+Refined = tuple[Accepted, View]
+
+
+def begun(effect: Effect, trial: Trial, coefficient: float) -> Accepted:
+    """Return an effect as its best tangent has it.
+
+    Of a filter that all passes, a tangent with a share of 1.7 means a time 1.7 times as long.
+    """
+    parameters = dict(trial.parameters)
+    if effect.passes is not None:
+        stretch = float(np.clip(coefficient, 0.2, 5.0))
+        parameters |= {name: parameters[name] * stretch for name in trial.free}
+    return Accepted(effect=effect, parameters=parameters, free=trial.free, limits=trial.limits)
+
+
+def refined(
+    one: Accepted, clean: View, others: Sequence[Accepted], *, finer: int = 0
+) -> tuple[Accepted, View]:
+    """Return an effect with better parameters beside others, and the view with all at work.
+
+    finer  how many of the coarse steps to leave out, for parameters that are nearly right
+    """
+    best = (one, extended(clean, [*others, one]))
+    for part in PARTS[finer:]:
+        for name in one.free:
+            best = _walked(best, clean, others, name, part)
+    return best
+
+
+def _walked(
+    best: Refined, clean: View, others: Sequence[Accepted], name: str, part: float
+) -> Refined:
+    """Step on to the side that gets better, or to where a parabola through three errors ends."""
+
+    def tried(step: float) -> Refined:
+        there = stepped(best[0], name, step)
+        return there, extended(clean, [*others, there])
+
+    sides = []
+    for sign in (1.0, -1.0):
+        there = tried(sign * part)
+        if there[1].rms < best[1].rms * (1.0 - BETTER):
+            return _onward(there, clean, others, name, sign * part)
+        sides.append(there[1].rms)
+    bend = sides[0] + sides[1] - 2.0 * best[1].rms
+    vertex = 0.5 * part * (sides[1] - sides[0]) / bend if bend > 0.0 else 0.0
+    there = tried(vertex) if abs(vertex) > LEAST_STEP * part else best
+    return min(best, there, key=lambda one: one[1].rms)
+
+
+def _onward(
+    best: Refined, clean: View, others: Sequence[Accepted], name: str, step: float
+) -> Refined:
+    for _ in range(STEPS):
+        there = stepped(best[0], name, step)
+        view = extended(clean, [*others, there])
+        if not view.rms < best[1].rms * (1.0 - BETTER):
+            break
+        best = there, view
+    return best
+
+
+def stepped(one: Accepted, name: str, part: float) -> Accepted:
+    """Return an effect with one parameter a part of its width farther on."""
+    parameters: Parameters = {**one.parameters, name: moved(one, name, part)}
+    return replace(one, parameters=parameters)
+
+
+def moved(one: Accepted, name: str, part: float) -> float:
+    """Return a parameter a part of its width farther on: by a factor, or by a step below 1."""
+    width, value = one.free[name], one.parameters[name]
+    there = value * width**part if width > 1.0 else value + part * width
+    low, high = one.limits.get(name, (-float("inf"), float("inf")))
+    return min(max(there, low), high)

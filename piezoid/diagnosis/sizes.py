@@ -1,0 +1,91 @@
+"""Sizes: how large a cause is, with an interval from blocks that count as independent.
+
+Coefficients and nonlinear parameters are judged together, by the columns of the one and the
+tangents of the other beside the whole null; the size is a function of both,
+
+    var size = g' cov g,    g = its gradient by small steps.
+
+Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
+"""
+
+from dataclasses import replace
+from math import sqrt
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import Size
+from piezoid.diagnosis.extended import Accepted, driven, offset_of
+from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.refinement import stepped
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+
+NUDGE = 0.1  # of a parameter's width
+QUANTILE = 2.0  # of Student's distribution for some sixty blocks
+
+
+def size_of(cause: Judged) -> Size:
+    """Return a cause's size with its 95 % interval."""
+    effect, one, view = cause.effect, cause.accepted, cause.view
+    beta = cause.held.coefficient
+    if effect.size is None:
+        value = 100.0 * cause.share
+        across = float(np.linalg.norm(beta * cause.held.spread)) / max(float(beta @ beta), 1e-300)
+        reach = QUANTILE * min(across, 1.0) * value
+    else:
+        value = effect.size(view, one.parameters, beta)
+        reach = QUANTILE * _spread(cause, value)
+    return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
+
+
+def _spread(cause: Judged, value: float) -> float:
+    """Return the standard error of a size that coefficients and parameters make together."""
+    effect, one, view = cause.effect, cause.accepted, cause.view
+    assert effect.size is not None
+    beta = cause.held.coefficient
+    columns = [_nudged(cause, name) for name in one.free]
+    gradient = [
+        (effect.size(view, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
+        for name in one.free
+    ]
+    if one.adds and effect.columns is not None:
+        columns += list(effect.columns(view, one.parameters).T)
+        for k in range(len(beta)):
+            more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
+            step = more[k] - beta[k]
+            gradient.append((effect.size(view, one.parameters, more) - value) / step)
+    null = replace(view, accepted=_others(cause)).null
+    cov = null.doubt(np.column_stack(columns))
+    slope = np.array(gradient)
+    return sqrt(max(float(slope @ cov @ slope), 0.0))
+
+
+def _others(cause: Judged) -> Array:
+    """Return the accepted columns of all other effects."""
+    return cause.without.accepted
+
+
+def _nudged(cause: Judged, name: str) -> Array:
+    """Return how fast the response changes with a free parameter, in parts of its width."""
+    one, view = cause.accepted, cause.view
+    there = stepped(one, name, NUDGE)
+    effect = one.effect
+    if effect.passes is not None:
+        change = offset_of(view, [there]) - offset_of(view, [one])
+    elif effect.drive is not None:
+        change = _of_drive(cause, there)
+    else:
+        assert effect.columns is not None
+        moved = effect.columns(view, there.parameters) - effect.columns(view, one.parameters)
+        change = moved @ cause.held.coefficient
+    return np.asarray(change / NUDGE)
+
+
+def _of_drive(cause: Judged, there: Accepted) -> Array:
+    view = cause.view
+    other: View = driven(cause.without, [there])
+    parts = [
+        view.envelope.static_rows(k, view.weight, track.drive) - view.static[k][track.place]
+        for k, track in enumerate(other.tracks)
+    ]
+    return np.concatenate(parts)
