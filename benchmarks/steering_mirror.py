@@ -17,6 +17,8 @@ import numpy as np
 from piezoid.identification.dynamics.amplitude import AmplitudeDependence, extrapolate_mode
 from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.periodic_data import PeriodicData
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
@@ -85,6 +87,7 @@ def judge(folder: Path, level: str, modes: list[int], declaration: Declaration) 
     print(
         f"  mode near 1 kHz: {model.mode_frequency_Hz[near]:.2f} Hz [{low_Hz:.2f}, {high_Hz:.2f}]"
     )
+    tell_peak(measured, model)
     print(f"  all modes: {model.mode_frequency_Hz.round(1)} Hz")
     print(f"  dampings:  {model.mode_damping.round(4)}")
     print(
@@ -92,6 +95,21 @@ def judge(folder: Path, level: str, modes: list[int], declaration: Declaration) 
         f"{time.process_time() - cpu:.0f} s of processor"
     )
     return choice
+
+
+def tell_peak(measured: FrequencyResponse, model: LinearDynamics) -> None:
+    """Print where the response from the first piezo to the first displacement is largest.
+
+    That line is what the publishers call the resonance. It is not the frequency of a mode: modes
+    overlap here, and a sum of two peaks below the upper one.
+    """
+    lines_Hz = measured.frequency_Hz
+    seen_Hz = lines_Hz[np.abs(measured.response[:, 0, 0]).argmax()]
+    modelled_Hz = lines_Hz[np.abs(model.response_as_measured(lines_Hz)[:, 0, 0]).argmax()]
+    print(
+        f"  largest gain of path 1 from 1: measured at {seen_Hz:.1f} Hz, "
+        f"model {modelled_Hz:.1f} Hz"
+    )
 
 
 def tell_levels(found: AmplitudeDependence) -> None:

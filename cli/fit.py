@@ -118,7 +118,7 @@ def _show_model(model: "ActuatorModel") -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from piezoid_reports.junction_words import barrier_sentence
+    from piezoid_reports.junction_words import barrier_sentence, loop_sentence
 
     console = Console()
     if model.axes:
@@ -127,6 +127,11 @@ def _show_model(model: "ActuatorModel") -> None:
     if law is not None:
         console.print(Text(f"tunnelling: {barrier_sentence(law)}"))
         for reason in law.reasons:
+            console.print(Text(f"tunnelling: {reason}", style="dim"))
+    loop = None if model.tunnelling is None else model.tunnelling.loop_plant
+    if loop is not None:
+        console.print(Text(f"tunnelling: {loop_sentence(loop)}"))
+        for reason in loop.reasons:
             console.print(Text(f"tunnelling: {reason}", style="dim"))
     for remark in model.remarks:
         console.print(Text(remark, style="dim"))

@@ -29,6 +29,13 @@ def simulate(
     careless: Annotated[
         bool, typer.Option(help="Do not cycle the drive before recording: unknown memory.")
     ] = False,
+    junction: Annotated[
+        float | None,
+        typer.Option(
+            help="Record a tunnelling tip under its controller instead, this long on each spot.",
+            metavar="SECONDS",
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
@@ -41,6 +48,8 @@ def simulate(
     piezoid simulate --out virtual/ --seed 7
 
     piezoid simulate --out virtual/ --seed 7 --effect creep --effect slew_limit=0.6
+
+    piezoid simulate --out tip/ --seed 7 --junction 4
     """
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
@@ -48,6 +57,11 @@ def simulate(
     from piezoid_datasets.virtual_lab.write import campaign_files
 
     check_free(out, force=force)
+    if junction is not None:
+        if effect or truth or recording or careless:
+            raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
+        _write_junction(seed, junction, out, quiet=quiet)
+        return
     sizes = dict(_sized(text) for text in effect or ())
     with shown(quiet=quiet) as told:
         told("recording the virtual stage")
@@ -60,6 +74,27 @@ def simulate(
         write_folder(out, campaign_files(campaign))
     if not quiet:
         _show(campaign, out)
+
+
+def _write_junction(seed: int, seconds: float, out: Path, *, quiet: bool) -> None:
+    from piezoid_cli.output_folder import write_folder
+    from piezoid_cli.progress import shown
+    from piezoid_datasets.virtual_lab.junction_campaign import (
+        draw_junction_campaign,
+        junction_files,
+    )
+
+    with shown(quiet=quiet) as told:
+        told("recording the virtual tip")
+        try:
+            campaign = draw_junction_campaign(seed, seconds=seconds)
+        except ValueError as error:
+            raise typer.BadParameter(str(error)) from error
+        files = junction_files(campaign)
+        write_folder(out, files)
+    if not quiet:
+        for name in files:
+            typer.echo(str(out / name))
 
 
 def _sized(text: str) -> tuple[str, float | None]:

@@ -3,6 +3,7 @@
 import math
 
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import GapLaw
 from piezoid_reports.page import Prose
 from piezoid_reports.quantities import NARROW, significant, told
@@ -25,6 +26,32 @@ def barrier_sentence(law: GapLaw) -> str:
         else "every rule it is judged by is met"
     )
     return f"Apparent barrier {barrier}, {confidence_of(law)} confidence: {why}."
+
+
+SOURCES = {
+    "shot": "shot noise",
+    "johnson": "Johnson noise of the resistor",
+    "adc_step": "step of the current's converter",
+    "drive_step": "step of the drive's converter",
+    "gap": "unrest of the gap itself",
+}
+
+
+def loop_judged(loop: LoopPlant) -> Prose:
+    """Return barrier, interval and confidence of the closed loop as one paragraph."""
+    return Prose(text=loop_sentence(loop), tone=TONES[loop.confidence])
+
+
+def loop_sentence(loop: LoopPlant) -> str:
+    """Return what the closed loop says of barrier and gain as a sentence."""
+    barrier = told_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
+    gain = told_interval(loop.plant.gain_nepers_per_V, loop.gain_interval, "")
+    count = max(len(loop.records), 1)
+    records = "one closed loop" if count == 1 else f"{count} closed loops"
+    return (
+        f"From {records}: apparent barrier {barrier}, gain of the height loop {gain} nepers per "
+        f"volt, {loop.confidence.value} confidence."
+    )
 
 
 def confidence_of(law: GapLaw) -> str:

@@ -15,16 +15,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from piezoid_datasets.virtual_lab.junction_chain import Chain, Constants
+from piezoid_datasets.virtual_lab.junction_surface import Unrest, sunk_m
+from piezoid_datasets.virtual_lab.signals import Array
 
-SUBSTEPS = 10
-_ELECTRON_C = 1.602176634e-19
-_BOLTZMANN_J_PER_K = 1.380649e-23
 _DECAY_AT_ONE_EV_PER_M = 1.02462e10  # 2 sqrt(2 m e) / hbar
-_ROOM_K = 293.0
-_CHUNK = 1000  # ticks of noise drawn at once
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,13 +167,27 @@ class _Bench:
         self.generators = [np.random.default_rng(seed) for seed in seeds]
         self.surface_m = np.column_stack(
             [
-                _surface(junction, ticks + 1, self.tick_s, rng)
+                sunk_m(_unrest(junction), ticks + 1, self.tick_s, rng)
                 for junction, rng in zip(junctions, self.generators, strict=True)
             ]
         )
 
     def column(self, name: str) -> Array:
         return np.array([getattr(junction, name) for junction in self.junctions])
+
+    def constants(self) -> Constants:
+        return Constants(
+            tick_s=self.tick_s,
+            set_point_A=self.column("set_point_A"),
+            decay_per_m=self.column("decay_per_m"),
+            drive_gain_m_per_V=self.column("drive_gain_m_per_V"),
+            amplifier_pole_Hz=self.column("amplifier_pole_Hz"),
+            sensor_pole_Hz=self.column("sensor_pole_Hz"),
+            latency_s=self.column("latency_s"),
+            feedback_ohm=self.column("current_gain_V_per_A"),
+            mains_Hz=self.column("mains_Hz"),
+            mains_current_A=self.column("mains_current_A"),
+        )
 
     def run(self, reference: Array, added_V: Array) -> tuple[Array, Array]:
         """Step every tick; returned (ticks, junctions) of drive and of current."""
@@ -186,7 +196,7 @@ class _Bench:
         set_point_A, lost_A = self.column("set_point_A"), self.column("lost_below_A")
         gain_V, limit_V = self.column("integral_gain_V"), self.column("drive_range_V")
         limit_A = self.column("input_range_V") / self.column("current_gain_V_per_A")
-        chain = _Chain(self)
+        chain = Chain(self.constants(), self.surface_m, self.generators)
         command_V = np.zeros(len(self.junctions))
         drive_V, current_A = (np.empty((len(reference), len(self.junctions))) for _ in range(2))
         for tick, wanted in enumerate(reference):
@@ -201,82 +211,5 @@ class _Bench:
         return drive_V, current_A
 
 
-class _Chain:
-    """Everything between the converters, advanced one tick at a time in closed form."""
-
-    def __init__(self, bench: _Bench) -> None:
-        self.bench = bench
-        step_s = bench.tick_s / SUBSTEPS
-        # The current is taken in the middle of each step, the amplifier also at the tick's end.
-        middles = np.arange(SUBSTEPS) + 0.5
-        self.after_s = step_s * np.append(middles, SUBSTEPS)[:, None]
-        self.extension_per_V = bench.column("drive_gain_m_per_V")
-        self.decay = bench.column("decay_per_m")
-        self.set_point_A = bench.column("set_point_A")
-        amplifier = 2.0 * np.pi * bench.column("amplifier_pole_Hz")
-        since_new_s = np.maximum(self.after_s - bench.column("latency_s"), 0.0)
-        self.start_left = np.exp(-amplifier * self.after_s)
-        self.new_share = 1.0 - np.exp(-amplifier * since_new_s)
-        self.old_share = 1.0 - self.start_left - self.new_share
-        sensor = 2.0 * np.pi * bench.column("sensor_pole_Hz")
-        forget = np.exp(-sensor * step_s)
-        self.sensor_left = forget**SUBSTEPS
-        self.sensor_weight = (1.0 - forget) * forget ** np.arange(SUBSTEPS - 1, -1, -1)[:, None]
-        self.shot_A = _ELECTRON_C / step_s
-        self.johnson_A2 = (
-            2.0
-            * _BOLTZMANN_J_PER_K
-            * _ROOM_K
-            * bench.column("current_gain_V_per_A") ** -1
-            / step_s
-        )
-        self.hum_A = bench.column("mains_current_A")
-        self.hum_rad_per_s = 2.0 * np.pi * bench.column("mains_Hz")
-        self.amplifier_V = np.zeros(len(bench.junctions))
-        self.previous_V = np.zeros(len(bench.junctions))
-        self.sensed_A = self.set_point_A.copy()
-        self.noise = np.empty(0)
-
-    def advance(self, tick: int, drive_V: Array) -> None:
-        """Let one tick pass with the new drive arriving after the latency."""
-        if tick % _CHUNK == 0:
-            draws = [g.standard_normal((_CHUNK, SUBSTEPS)) for g in self.bench.generators]
-            self.noise = np.stack(draws, axis=-1)
-        inside_V = (
-            self.start_left * self.amplifier_V
-            + self.old_share * self.previous_V
-            + self.new_share * drive_V
-        )
-        before_m, after_m = self.bench.surface_m[tick], self.bench.surface_m[tick + 1]
-        surface_m = before_m + (after_m - before_m) * (self.after_s / self.bench.tick_s)
-        gap_m = (surface_m - self.extension_per_V * inside_V)[:-1]
-        tunnel_A = self.set_point_A * np.exp(-self.decay * gap_m)
-        noise_A = self.noise[tick % _CHUNK] * np.sqrt(self.shot_A * tunnel_A + self.johnson_A2)
-        now_s = tick * self.bench.tick_s + self.after_s[:-1]
-        hum_A = self.hum_A * np.sin(self.hum_rad_per_s * now_s)
-        arriving = self.sensor_weight * (tunnel_A + noise_A + hum_A)
-        self.sensed_A = self.sensor_left * self.sensed_A + arriving.sum(axis=0)
-        self.amplifier_V, self.previous_V = inside_V[-1], drive_V
-
-
-def _surface(junction: Junction, ticks: int, tick_s: float, rng: np.random.Generator) -> Array:
-    """Height the surface has sunk below the tip at rest, (ticks,) m."""
-    from scipy.signal import lfilter
-
-    time_s = tick_s * np.arange(ticks)
-    wander_m = np.cumsum(rng.standard_normal(ticks)) * junction.wander_m_per_root_s
-    wander_m *= math.sqrt(tick_s)
-    angle = 2.0 * np.pi * junction.vibration_Hz * tick_s
-    radius = math.exp(-0.05 * angle)  # a twentieth of critical damping
-    resonance = [1.0, -2.0 * radius * math.cos(angle), radius**2]
-    shaken = lfilter([1.0], resonance, rng.standard_normal(ticks))
-    vibration_m = junction.vibration_m * shaken / np.std(shaken)
-    forget = math.exp(-2.0 * np.pi * junction.flicker_Hz * tick_s)
-    flicker = lfilter([math.sqrt(1.0 - forget**2)], [1.0, -forget], rng.standard_normal(ticks))
-    flicker_m = junction.flicker_m * flicker
-    phase = 2.0 * np.pi * junction.mains_Hz * time_s
-    first, third = rng.uniform(0.0, 2.0 * np.pi, 2)
-    hum_m = junction.mains_gap_m * (np.sin(phase + first) + np.sin(3.0 * phase + third) / 3.0)
-    surface_m: Array = junction.drift_m_per_s * time_s + wander_m + vibration_m
-    surface_m += flicker_m + hum_m
-    return surface_m
+def _unrest(junction: Junction) -> Unrest:
+    return Unrest(**{name: getattr(junction, name) for name in Unrest.__dataclass_fields__})

@@ -74,7 +74,7 @@ class Tunnelling(_Table, frozen=True, kw_only=True):
     bandwidth_Hz           of the current sensor; the fitted pole stands in where it is missing
     feedback_ohm           resistor of the current sensor, for its Johnson noise
     extension_uncertainty  relative standard uncertainty of the tip's extension per volt
-    barrier_range_eV       (low, high) apparent barriers the loop must hold, beside those identified
+    barrier_range_eV       (low, high) apparent barriers to hold, beside those identified
     ceiling_A              > 0: from here on the tip is retracted at once
     retract_V              where to; the lowest command where it is missing
     retract_s              for how long

@@ -16,6 +16,7 @@ from piezoid_reports.sections import (
     residual_over_drive,
     residual_over_time,
     tunnelling,
+    tunnelling_loop,
     verdict,
 )
 
@@ -32,13 +33,19 @@ SECTIONS: tuple[Render, ...] = (
     certificate.render,
     dynamics.render,
     tunnelling.render,
+    tunnelling_loop.render,
     design.render,
     limits.render,
     provenance.render,
 )
 
 # What a stage without a single fitted axis still has to say, for example of its tunnelling tip.
-OF_STAGE: tuple[Render, ...] = (verdict.render, tunnelling.render, provenance.render)
+OF_STAGE: tuple[Render, ...] = (
+    verdict.render,
+    tunnelling.render,
+    tunnelling_loop.render,
+    provenance.render,
+)
 
 # A design of its own, made after the fit: what the recordings show stands in the report.
 OF_DESIGN: tuple[Render, ...] = (design.render, provenance.render)

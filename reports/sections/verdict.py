@@ -1,7 +1,7 @@
 """The verdict in three sentences, and a card for each axis."""
 
 from piezoid.identification.model import AxisModel
-from piezoid_reports.junction_words import judged
+from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.score import judgement_of, line_rms_m, score_of
@@ -28,8 +28,9 @@ def render(page: Page) -> Section:
 
 def _of_junction(page: Page) -> Section:
     """Return the verdict on a stage of which only the tunnelling current was recorded."""
-    law = None if page.model.tunnelling is None else page.model.tunnelling.gap_law
-    known = () if law is None else (judged(law),)
+    tip = page.model.tunnelling
+    known = [] if tip is None or tip.gap_law is None else [judged(tip.gap_law)]
+    known += [] if tip is None or tip.loop_plant is None else [loop_judged(tip.loop_plant)]
     return Section(
         anchor="verdict",
         title="Verdict",

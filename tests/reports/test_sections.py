@@ -6,7 +6,7 @@ from pathlib import Path
 import piezoid_reports.sections
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
-from piezoid_reports.sections import SECTIONS, design, dynamics, tunnelling
+from piezoid_reports.sections import SECTIONS, design, dynamics, tunnelling, tunnelling_loop
 from piezoid_reports.traces import all_traces
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -66,7 +66,12 @@ def test_the_certificate_states_its_conditions() -> None:
     ) in page
 
 
-ABOUT_MORE_THAN_AXES = {dynamics.render, tunnelling.render, design.render}
+ABOUT_MORE_THAN_AXES = {
+    dynamics.render,
+    tunnelling.render,
+    tunnelling_loop.render,
+    design.render,
+}
 
 
 def test_chapters_are_given_records_and_nothing_is_computed_twice() -> None:

@@ -1,0 +1,183 @@
+"""A tunnelling tip over several spots: closed loops with a dither, one Z spectroscopy, the answer.
+
+    recordings/  loop_1.csv ..., spectroscopy.dat, lab.toml
+    truth/       truth.json: barriers, electronics and unrest of every spot
+
+The spots differ in barrier and unrest; the electronics are one rig's.
+"""
+
+import json
+import math
+from dataclasses import asdict, dataclass, replace
+from zlib import crc32
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab.junction import (
+    Junction,
+    JunctionRecord,
+    multisine,
+    simulate_junctions,
+)
+from piezoid_datasets.virtual_lab.spectroscopy import Spectroscopy, draw_spectroscopy
+
+SCHEMA = "piezoid.junction_truth/1"
+SPOTS = 3
+PERIOD_SAMPLES = 2000
+FEWEST_PERIODS = 12  # below, a dither is hard to tell from the noise
+MAINS_FREE = [n for n in range(1, 400, 2) if (10 * n) % 50 and (10 * n) % 60]  # of 10 Hz
+DITHER_NEPERS = 0.15
+AMPLIFIER_GAIN_V_per_V = 15.0
+SPREAD = 0.05  # of the barrier from spot to spot
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JunctionCampaign:
+    """What a laboratory recorded of one tip, and the junctions behind it.
+
+    junctions     (spots)  the truth
+    records       (spots)  closed loops
+    spectroscopy  over the first spot
+    """
+
+    seed: int
+    junctions: tuple[Junction, ...]
+    records: tuple[JunctionRecord, ...]
+    spectroscopy: Spectroscopy
+
+
+def draw_junction_campaign(seed: int, *, seconds: float) -> JunctionCampaign:
+    """Draw a tip and its electronics, and record every spot; same arguments, same bytes.
+
+    seconds  of every closed loop, at least 1.2: whole periods of the dither, a tenth of a second
+
+    Raises ``ValueError`` for less.
+    """
+    rng = np.random.default_rng([seed, crc32(b"junction")])
+    junctions = _draw_spots(rng)
+    rate_Hz = junctions[0].sampling_rate_Hz
+    periods = math.floor(seconds * rate_Hz / PERIOD_SAMPLES + 1e-9)
+    if periods < FEWEST_PERIODS:
+        least_s = FEWEST_PERIODS * PERIOD_SAMPLES / rate_Hz
+        raise ValueError(f"{seconds:g} s of a closed loop is too short, at least {least_s:g} s")
+    # One sample more: differences take one, and all periods stay whole.
+    dither = multisine(PERIOD_SAMPLES, periods + 1, lines=MAINS_FREE, rms=DITHER_NEPERS, rng=rng)
+    records = simulate_junctions(
+        junctions,
+        reference_nepers=dither[: periods * PERIOD_SAMPLES + 1],
+        seeds=[crc32(f"{seed} spot {n}".encode()) for n in range(SPOTS)],
+    )
+    return JunctionCampaign(
+        seed=seed,
+        junctions=junctions,
+        records=records,
+        spectroscopy=draw_spectroscopy(junctions[0], rng),
+    )
+
+
+def junction_files(campaign: JunctionCampaign) -> dict[str, bytes]:
+    """Return the files of a campaign by path, sub-folder first."""
+    files = {
+        f"recordings/{name_of(n)}": _csv(record).encode()
+        for n, record in enumerate(campaign.records)
+    }
+    files["recordings/spectroscopy.dat"] = campaign.spectroscopy.text().encode()
+    files["recordings/lab.toml"] = _lab_toml(campaign).encode()
+    files["truth/truth.json"] = _truth(campaign).encode()
+    return files
+
+
+def name_of(spot: int) -> str:
+    """Return the file name of a spot's closed loop, spots counted from 0."""
+    return f"loop_{spot + 1}.csv"
+
+
+def _draw_spots(rng: np.random.Generator) -> tuple[Junction, ...]:
+    barrier_eV = rng.uniform(1.5, 5.0)
+    rig = Junction(
+        sensor_pole_Hz=rng.uniform(5000.0, 9000.0),
+        latency_s=rng.uniform(15e-6, 45e-6),
+        drive_range_V=float(rng.choice([1.0, 10.0])),
+        mains_Hz=float(rng.choice([50.0, 60.0])),
+    )
+    return tuple(
+        replace(
+            rig,
+            barrier_eV=barrier_eV * math.exp(SPREAD * rng.standard_normal()),
+            drift_m_per_s=rng.uniform(-50e-12, 50e-12),
+            flicker_m=rng.uniform(1e-12, 3e-12),
+        )
+        for _ in range(SPOTS)
+    )
+
+
+def _csv(record: JunctionRecord) -> str:
+    """Drive, current and dither of every tick; the drive's steps stay whole in seven decimals."""
+    ticks = range(len(record.drive_V))
+    rows = zip(
+        ticks,
+        record.drive_V.tolist(),
+        (1e9 * record.current_A).tolist(),
+        record.reference_nepers.tolist(),
+        strict=True,
+    )
+    interval_s = 1.0 / record.sampling_rate_Hz
+    lines = [f"{k * interval_s:.5f},{u:.7f},{i:.6f},{r:.7f}" for k, u, i, r in rows]
+    return "\n".join(["time [s],drive [V],current [nA],dither of ln set point", *lines]) + "\n"
+
+
+def _lab_toml(campaign: JunctionCampaign) -> str:
+    """What the owner declares: nothing of barrier, unrest or latency."""
+    one = campaign.junctions[0]
+    actuator = one.drive_gain_m_per_V / AMPLIFIER_GAIN_V_per_V
+    text = f"""[rig]
+name = "virtual tip {campaign.seed}"
+
+[acquisition]
+sampling_rate_Hz = {one.sampling_rate_Hz:g}
+dac_bits = 16
+adc_bits = 16
+input_range_V = [{-one.drive_range_V:g}, {one.drive_range_V:g}]
+
+[tunnelling]
+set_point_A = {one.set_point_A:g}
+floor_A = {one.lost_below_A:g}
+feedback_ohm = {one.current_gain_V_per_A:g}
+
+[axis.z.amplifier]
+gain_V_per_V = {AMPLIFIER_GAIN_V_per_V:g}
+bandwidth_Hz = {one.amplifier_pole_Hz:g}
+
+[axis.z.actuator]
+gain_m_per_V = {actuator:g}
+"""
+    columns = 'voltage = "drive [V]", current = "current [nA]", reference = 4'
+    for spot in range(len(campaign.records)):
+        text += f"""
+[[recording]]
+file = "{name_of(spot)}"
+axis = "z"
+columns = {{ time = "time [s]", {columns} }}
+"""
+    return text
+
+
+def _truth(campaign: JunctionCampaign) -> str:
+    content = {
+        "schema": SCHEMA,
+        "seed": campaign.seed,
+        "junctions": {
+            name_of(n): {
+                **asdict(junction),
+                "gain_nepers_per_V": junction.decay_per_m * junction.drive_gain_m_per_V,
+            }
+            for n, junction in enumerate(campaign.junctions)
+        },
+        "spectroscopy": {
+            "barrier_eV": campaign.junctions[0].barrier_eV,
+            "decay_per_m": campaign.junctions[0].decay_per_m,
+            "offset_A": campaign.spectroscopy.offset_A,
+            "shift_m": campaign.spectroscopy.shift_m,
+        },
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"

@@ -1,0 +1,239 @@
+"""The closed tunnelling loop: plant and barrier, the naive estimate, spectra, what limits it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.identification.tunnelling.joint_barrier import JointBarrier
+from piezoid.identification.tunnelling.junction import noise_of_loop
+from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, read_loop
+from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
+from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.numerics.arrays import Array
+from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.junction_words import SOURCES, loop_judged, told_interval
+from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.quantities import percent, significant, told
+
+LOOK_SPECTRA = (
+    "Good: the drive lies along the gap's unrest below the loop's bandwidth, which it cancels, "
+    "and the current lies far below both there. Bad: the current rising above the unrest over a "
+    "decade, a loop that amplifies; mains lines far above what surrounds them."
+)
+LEAST_m2_per_Hz = 1e-34  # what a still column shows
+
+
+def render(page: Page) -> Section | None:
+    """Return the loop's plant and spectra, where a closed loop was recorded."""
+    junction = page.model.tunnelling
+    if junction is None or junction.loop_plant is None:
+        return None
+    loop = junction.loop_plant
+    parts: list[Part] = [loop_judged(loop)]
+    parts += [Listing(items=loop.reasons)] if loop.reasons else []
+    parts += [_joint(junction.joint)] if junction.joint is not None else []
+    parts += [_plant(loop), _naive(loop)]
+    parts += [_records(loop)] if loop.records else []
+    parts += [*_sources(loop), *_figures(page, loop)]
+    return Section(
+        anchor="tunnelling-loop",
+        title="Tunnelling loop",
+        lead="While the controller holds the current, the drive answers to the very noise it is "
+        "to be told apart from; the external dither, which depends on nothing measured, is what "
+        "the plant is found by.",
+        parts=tuple(parts),
+    )
+
+
+def _joint(joint: JointBarrier) -> Prose:
+    ratio = told_interval(joint.ratio, joint.ratio_interval, "")
+    both = f"The loop's decay is {ratio} times that of the sweeps"
+    if joint.barrier_eV is None or joint.barrier_interval_eV is None:
+        return Prose(
+            text=f"{both}: they disagree. The extension per volt or the calibration of the height "
+            "is off by that factor, or the tip or the spot was another; no common barrier is "
+            "given.",
+            tone="bad",
+        )
+    barrier = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
+    return Prose(
+        text=f"{both}: sweeps and loop agree. Both together, weighted: {barrier}.", tone="good"
+    )
+
+
+def _plant(loop: LoopPlant) -> Table:
+    family = {
+        "gain [nepers per V]": [significant(m.gain_nepers_per_V, 4) for m in loop.family],
+        "sensor pole": [told(m.sensor_pole_Hz, "Hz") for m in loop.family],
+        "delay": [told(m.delay_s, "s") for m in loop.family],
+    }
+    plant = loop.plant
+    found = {
+        "gain [nepers per V]": told_interval(plant.gain_nepers_per_V, loop.gain_interval, ""),
+        "sensor pole": told_interval(plant.sensor_pole_Hz, loop.sensor_pole_interval_Hz, "Hz"),
+        "delay": told_interval(plant.delay_s, loop.delay_interval_s, "s"),
+    }
+    rows = []
+    for place, (name, text) in enumerate(found.items()):
+        extremes = family[name][1 + 2 * place : 3 + 2 * place]
+        rows.append((name, text, *(extremes if len(extremes) == 2 else ("", ""))))
+    rows.append(("amplifier's pole, declared", told(plant.amplifier_pole_Hz, "Hz"), "", ""))
+    seen = loop.family_records > 2
+    spread = (
+        f"the family holds 95 % of further spots, judged from {loop.family_records} records"
+        if seen
+        else f"{loop.family_records} record(s) cannot show how spots differ: the family holds "
+        "what one of them leaves uncertain"
+    )
+    return Table(
+        caption=f"Plant from drive to ln of the current, 95 % intervals; {spread}.",
+        columns=("", "found", "family, from", "to"),
+        rows=tuple(rows),
+    )
+
+
+def _records(loop: LoopPlant) -> Table:
+    return Table(
+        caption="Record by record, 95 % intervals. Drift is positive where the gap opens.",
+        columns=("recording", "barrier", "naive barrier", "dither in the drive", "gap", "drift"),
+        rows=tuple(
+            (
+                record.recording,
+                told_interval(record.barrier_eV, record.barrier_interval_eV, "eV"),
+                f"{significant(_naive_barrier_eV(record), 3)} eV",
+                percent(record.dither_share),
+                "" if record.unrest is None else f"{told(record.unrest.gap_rms_m, 'm')} rms",
+                _drift(record),
+            )
+            for record in loop.records
+        ),
+    )
+
+
+def _naive_barrier_eV(record: LoopSummary) -> float:
+    """The barrier goes with the square of the gain."""
+    return record.barrier_eV * (record.naive_gain / record.gain) ** 2
+
+
+def _drift(record: LoopSummary) -> str:
+    if record.unrest is None:
+        return ""
+    drift = record.unrest.drift_m_per_s
+    return told_interval(drift, record.unrest.drift_interval_m_per_s, "m/s")
+
+
+def _naive(loop: LoopPlant) -> Prose:
+    return Prose(
+        text=f"The naive estimate, a plain transfer function from drive to current, gives "
+        f"{significant(loop.naive_gain, 3)} nepers per volt where the dither gives "
+        f"{significant(loop.plant.gain_nepers_per_V, 3)}, however long the record: "
+        f"{loop.naive_reason}."
+    )
+
+
+def _sources(loop: LoopPlant) -> tuple[Part, ...]:
+    known = [(r.recording, r.unrest) for r in loop.records if r.unrest is not None]
+    if not known:
+        return ()
+    sources = [[told(source.rms_m, "m") for source in unrest.sources] for _, unrest in known]
+    rows = [
+        (SOURCES[source.name], *(column[place] for column in sources))
+        for place, source in enumerate(known[0][1].sources)
+    ]
+    rows.append(("limits most", *(SOURCES[unrest.limiting_source] for _, unrest in known)))
+    rows.append(
+        ("of the electronics", *(SOURCES[unrest.limiting_electronics] for _, unrest in known))
+    )
+    rows.append(("mains lines in the gap", *(_mains(unrest.mains) for _, unrest in known)))
+    return (
+        Table(
+            caption="What blurs or moves the gap, rms within "
+            f"{told(known[0][1].bandwidth_Hz, 'Hz')}. A converter's step that the record does not "
+            "show counts as none.",
+            columns=("", *(name for name, _ in known)),
+            rows=tuple(rows),
+        ),
+    )
+
+
+def _mains(lines: Sequence[MainsLine]) -> str:
+    found = [f"{told(line.frequency_Hz, 'Hz')}: {told(line.amplitude_m, 'm')}" for line in lines]
+    return ", ".join(found) or "none"
+
+
+def _figures(page: Page, loop: LoopPlant) -> list[Part]:
+    """Spectra of the recordings at hand; what else the model was fitted to is not drawn."""
+    if loop.rig is None:
+        return []
+    fitted = {record.recording: record for record in loop.records}
+    return [
+        _spectra(loop, loop.rig, fitted[recording.name], read_loop(recording, loop.rig))
+        for recording in page.recordings
+        if is_loop(recording) and recording.name in fitted
+    ]
+
+
+def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
+    """Current, drive and unrest in one unit: what they amount to in the gap."""
+    rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
+    current_m, drive_m = per_V / summary.gain * record.log_current, per_V * record.drive_V
+    shown = [
+        (
+            "before",
+            "current",
+            *power_density(_level(current_m), rate_Hz),
+        ),
+        (
+            "model",
+            "drive",
+            *power_density(_level(drive_m), rate_Hz),
+        ),
+    ]
+    noise = noise_of_loop(record, rig, replace(loop.plant, gain_nepers_per_V=summary.gain))
+    if noise is not None:
+        shown.append(("trend", "unrest of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
+    curves = [
+        (role, name, np.log10(f_Hz[1:]), 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)))
+        for role, name, f_Hz, density in shown
+    ]
+    x = axis_over("log10 of the frequency over 1 Hz", [f for _, _, f, _ in curves], "")
+    y = axis_over("log10 of the density over 1 m/√Hz", [level for *_, level in curves], "")
+    canvas = Canvas(x=x, y=y)
+    mains = () if summary.unrest is None else summary.unrest.mains
+    ends = np.array([y.low, y.high])
+    layers: list[Layer] = [
+        canvas.line(
+            "zero",
+            f"mains, {line.frequency_Hz:.0f} Hz",
+            np.full(2, np.log10(line.frequency_Hz)),
+            ends,
+        )[0]
+        for line in mains
+    ]
+    layers += [canvas.line(role, name, f, level, points=900)[0] for role, name, f, level in curves]
+    return Figure(
+        title=f"Spectra in the closed loop: {summary.recording}",
+        numbers=_numbers(summary),
+        look=LOOK_SPECTRA,
+        x=x,
+        y=y,
+        layers=tuple(layers),
+    )
+
+
+def _numbers(summary: LoopSummary) -> str:
+    text = "ln of the current over the decay, the drive times its extension, and what the drive "
+    text += "does not explain. The comb in current and drive is the dither"
+    if summary.period_s is not None:
+        text += f", which repeats every {told(summary.period_s, 's')}"
+    if summary.unrest is None:
+        return f"{text}. The record is too short to tell drift and mains."
+    return f"{text}. Mains lines found: {_mains(summary.unrest.mains)}."
+
+
+def _level(signal: Array) -> Array:
+    """The signal without its straight line: drift would leak over every frequency."""
+    place = np.arange(len(signal), dtype=np.float64)
+    return np.asarray(signal - np.polyval(np.polyfit(place, signal, 1), place))

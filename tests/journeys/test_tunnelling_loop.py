@@ -1,0 +1,226 @@
+"""`piezoid simulate --junction`, then `piezoid fit` on it: a tip under its controller."""
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid.errors import ExcitationError, LabFileError
+from piezoid.identification.store import read_model, write_model
+from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.joint_barrier import join_barriers
+from piezoid.identification.tunnelling.loop_files import loops_of, period_of, rig_of_loop
+from piezoid.records.ingest import ingest
+from piezoid.records.inspection import inspect_file
+from piezoid.records.lab import Lab, read_lab
+from piezoid_cli.fit import fit
+from piezoid_cli.simulate import simulate
+
+APP = typer.Typer()
+APP.command()(fit)
+APP.command()(simulate)
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner(env={"COLUMNS": "300"}).invoke(APP, [str(a) for a in arguments])
+    return result.exit_code, result.output
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three spots, two seconds each, without a controller's range: nothing is designed."""
+    out = tmp_path_factory.mktemp("tip") / "made"
+    status, shown = run("simulate", "--out", out, "--seed", "7", "--junction", "2.1")
+    assert status == 0, shown
+    lab = out / "recordings" / "lab.toml"
+    lines = lab.read_text().splitlines(keepends=True)
+    lab.write_text("".join(line for line in lines if not line.startswith("input_range_V")))
+    return out
+
+
+@pytest.fixture(scope="module")
+def fitted(made: Path) -> tuple[Path, str]:
+    folder = made / "recordings"
+    files = [*sorted(folder.glob("loop_*.csv")), folder / "spectroscopy.dat"]
+    status, shown = run("fit", *files, "--lab", folder / "lab.toml", "--out", made / "fit")
+    assert status == 0, shown
+    return made / "fit", shown
+
+
+@pytest.fixture(scope="module")
+def junction(fitted: tuple[Path, str]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((fitted[0] / "model.json").read_bytes())["tunnelling"]
+    return found
+
+
+@pytest.fixture(scope="module")
+def truths(made: Path) -> dict[str, Any]:
+    held: dict[str, Any] = json.loads((made / "truth" / "truth.json").read_text())["junctions"]
+    return held
+
+
+def test_gain_sensor_pole_and_delay_lie_in_their_intervals(
+    junction: dict[str, Any], truths: dict[str, Any]
+) -> None:
+    loop = junction["loop_plant"]
+    gains = [truth["gain_nepers_per_V"] for truth in truths.values()]
+    low, high = loop["gain_interval"]
+    assert low < math.exp(np.mean(np.log(gains))) < high
+    spot = next(iter(truths.values()))
+    low, high = loop["sensor_pole_interval_Hz"]
+    assert low < spot["sensor_pole_Hz"] < high
+    low, high = loop["delay_interval_s"]
+    assert low < spot["latency_s"] < high
+    assert loop["axis"] == "z"
+    assert loop["family_records"] == 3
+
+
+def test_every_spots_barrier_is_found_and_the_naive_one_is_not(
+    junction: dict[str, Any], truths: dict[str, Any]
+) -> None:
+    for record in junction["loop_plant"]["records"]:
+        truth = truths[record["recording"]]
+        assert record["barrier_eV"] == pytest.approx(truth["barrier_eV"], rel=0.08)
+        assert record["naive_gain"] < 0.9 * truth["gain_nepers_per_V"]
+        assert "minus the controller's inverse" in record["naive_reason"]
+
+
+def test_mains_drift_and_the_limit_of_resolution_are_told(
+    junction: dict[str, Any], truths: dict[str, Any]
+) -> None:
+    for record in junction["loop_plant"]["records"]:
+        truth, unrest = truths[record["recording"]], record["unrest"]
+        hum = {round(line["frequency_Hz"]): line["amplitude_m"] for line in unrest["mains"]}
+        assert hum[round(truth["mains_Hz"])] == pytest.approx(truth["mains_gap_m"], rel=0.15)
+        low, high = unrest["drift_interval_m_per_s"]
+        walk = 2.0 * truth["wander_m_per_root_s"] / math.sqrt(2.1)  # its mean rate is not drift
+        assert low - walk < truth["drift_m_per_s"] < high + walk
+        step_m = truth["drive_range_V"] / 2**15 * truth["drive_gain_m_per_V"] / math.sqrt(12)
+        sources = {source["name"]: source["rms_m"] for source in unrest["sources"]}
+        assert sources["drive_step"] == pytest.approx(step_m, rel=0.01)
+        assert unrest["limiting_electronics"] == "drive_step"
+
+
+def test_sweeps_and_loop_agree_and_give_one_barrier(junction: dict[str, Any]) -> None:
+    joint = junction["joint"]
+    assert joint["agree"]
+    low, high = joint["ratio_interval"]
+    assert low < 1.0 < high
+    sweep, loop = junction["gap_law"]["barrier_eV"], junction["loop_plant"]["barrier_eV"]
+    low, high = joint["barrier_interval_eV"]
+    assert low < sweep < high  # far better known than the mean of three spots
+    assert abs(loop - joint["barrier_eV"]) < 0.15 * joint["barrier_eV"]
+
+
+def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, str]) -> None:
+    folder, shown = fitted
+    page = (folder / "report.html").read_text()
+    for words in (
+        'id="tunnelling-loop"',
+        "Spectra in the closed loop: loop_2.csv",
+        "The naive estimate, a plain transfer function",
+        "step of the drive",
+        "mains, 60 Hz",
+        "sweeps and loop agree",
+    ):
+        assert words in page
+    assert "From 3 closed loops: apparent barrier" in shown
+
+
+def test_the_model_with_its_loop_comes_back_to_the_last_bit(fitted: tuple[Path, str]) -> None:
+    content = (fitted[0] / "model.json").read_bytes()
+    assert write_model(read_model(content)) == content
+
+
+def test_inspection_calls_the_dither_a_reference(made: Path) -> None:
+    folder = made / "recordings"
+    (seen,) = inspect_file(folder / "loop_1.csv", read_lab(folder / "lab.toml"))
+    assert seen.refusal is None
+    assert [column.meaning for column in seen.columns][3] == "reference of z"
+    assert not [problem for problem in seen.problems if problem.kind == "incomplete"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("set_point_A = 1e-09\n", "", r"lacks \[tunnelling\] set_point_A"),
+        (
+            "set_point_A = 1e-09",
+            "set_point_A = 5e-09",
+            "the median current of loop_1.csv is 9.99e-10",
+        ),
+        ("floor_A = 1e-12", "floor_A = 0", "floor_A is 0"),
+        ("set_point_A = 1e-09", "set_point_A = 0", "set_point_A is zero"),
+        ("gain_m_per_V = 1.2e-09", "gain_m_per_V = -1.2e-09", "positive where it extends the tip"),
+        ("sampling_rate_Hz = 20000", "sampling_rate_Hz = 40000", "every tick of the loop"),
+        ("[axis.z.actuator]\ngain_m_per_V = 1.2e-09\n", "", r"\[axis.z.actuator\] gain_m_per_V"),
+        ("floor_A = 1e-12", "floor_A = 1e-12\nextension_uncertainty = 5", "from 0 to below 1"),
+        ("reference = 4", "reference = 9", "no column 9"),
+        ("reference = 4", "dither = 4", "reference"),
+    ],
+)
+def test_what_lab_toml_lacks_or_has_wrong_is_refused_with_what_to_write(
+    made: Path, tmp_path: Path, old: str, new: str, told: str
+) -> None:
+    text = (made / "recordings" / "lab.toml").read_text()
+    assert old in text
+    place = tmp_path / "lab.toml"
+    place.write_text(text.replace(old, new))
+    with pytest.raises(LabFileError, match=told):
+        _read(made / "recordings" / "loop_1.csv", read_lab(place))
+
+
+def test_a_drive_of_the_wrong_sign_is_refused(made: Path) -> None:
+    folder = made / "recordings"
+    rig, (loop,) = _read(folder / "loop_1.csv", read_lab(folder / "lab.toml"))
+    with pytest.raises(ExcitationError, match="falls as the drive rises"):
+        identify_closed_loop(
+            replace(loop, drive_V=-loop.drive_V),
+            amplifier_pole_Hz=rig.amplifier_pole_Hz,
+            drive_gain_m_per_V=rig.drive_gain_m_per_V,
+        )
+
+
+def test_a_tip_whose_rig_nobody_declared_is_refused() -> None:
+    with pytest.raises(LabFileError, match="set_point_A"):
+        rig_of_loop(Lab(), "z")
+
+
+def test_a_period_is_found_and_only_where_there_is_one(rng: np.random.Generator) -> None:
+    once = rng.standard_normal(250)
+    assert period_of(np.round(np.tile(once, 4)[:930], 7)) == 250
+    assert period_of(rng.standard_normal(900)) is None
+    assert period_of(np.ones(100)) is None
+
+
+def test_two_barriers_that_differ_are_not_averaged() -> None:
+    sweeps = [(20.6e9, (20.4e9, 20.8e9)), (20.7e9, (20.5e9, 20.9e9))]
+    same = join_barriers(sweeps, (20.0e9, (19.0e9, 21.0e9)))
+    other = join_barriers(sweeps, (15.0e9, (14.5e9, 15.5e9)))
+    assert same.agree
+    assert same.decay_per_m == pytest.approx(20.65e9, rel=5e-3)
+    assert not other.agree
+    assert other.decay_per_m is None
+    assert other.ratio == pytest.approx(15.0 / 20.65, rel=1e-3)
+
+
+def test_an_unbounded_sweep_leaves_the_loop_alone() -> None:
+    joint = join_barriers([(30e9, (0.0, math.inf))], (20.0e9, (19.0e9, 21.0e9)))
+    assert joint.agree
+    assert joint.decay_per_m == pytest.approx(20e9)
+
+
+def test_too_short_a_tip_is_a_usage_error(tmp_path: Path) -> None:
+    status, shown = run("simulate", "--out", tmp_path / "out", "--junction", "0.5")
+    assert status == 2
+    assert "too short" in shown
+
+
+def _read(path: Path, lab: Lab):  # type: ignore[no-untyped-def]
+    return loops_of([ingest(path, lab)], lab)
