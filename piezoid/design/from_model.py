@@ -52,7 +52,7 @@ def lateral_task(
 
     axis              whose model class applies
     sampling_rate_Hz  of the controller
-    forms             wanted; the affine one is left out where its slope sector is not known
+    forms             wanted
     seed              of the replicates drawn from the fit's covariance
 
     The family holds, besides the nominal plant, its four corners: the ends of the gain's 95 %
@@ -63,9 +63,7 @@ def lateral_task(
     nominal = _nominal(axis, sampling_rate_Hz)
     inverse = family_from_chains(nominal.chain, _corners(nominal, axis))
     bounds = _bounds(axis, seed)
-    families = {"inverse": inverse}
-    if "affine" in bounds:
-        families["affine"] = with_sector(inverse, bounds["affine"])
+    families = {"inverse": inverse, "affine": with_sector(inverse, bounds["affine"])}
     return LateralTask(
         families={form: family for form, family in families.items() if form in forms},
         bounds=bounds,
@@ -166,9 +164,7 @@ def lag_half_s(axis: AxisModel) -> float:
 
 
 def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
-    """Bound both forms; the bounds know no envelope in front of the plays."""
-    if not (axis.hysteresis.envelope.slope == 1.0).all():
-        return {}
+    """Bound both forms, the inverse one where enough draws of the fit have an inverse."""
     reach_V = axis.certificate.reach_V
     affine = affine_bounds(axis.hysteresis, reach_V, remainder_m=axis.certificate.bound_m)
     drawn = draw_replicates(axis, np.random.default_rng(seed))

@@ -5,11 +5,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array
+from piezoid.design.slope_ratio import (
+    envelope_reach_V,
+    model_error_m,
+    output_reach_m,
+    ratio_sector,
+    static_difference,
+)
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.worst_case import slope_difference, worst_case
+from piezoid.operators.worst_case import worst_case
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,22 +50,25 @@ def affine_bounds(
     """Bound what an affine map leaves of a hysteresis model.
 
         m <= D Gamma / D u <= M,   a = (M + m)/2,   eps = (M - m)/(M + m)
-        |Gamma[u] - a u - b| <= int_0^R |s W(r) - a| dr + sup |Psi(h) - s h|,  s = mid slope of Psi
+        |Gamma[u] - a u - b| <= int_0^V |s W(r) - c| dr + sup |c gamma(u) - a u|
+                                + sup |Psi(h) - s h|,   V = sup |gamma(u)|
 
-    The play states' increments lie between 0 and 1 and do not grow with the threshold, so Abel
-    summation bounds the slope; the integral is exact for plays [Brokate & Sprekels 1996].
+    s and a/c are the mid slopes of Psi and gamma. The play states' increments lie between 0 and 1
+    and do not grow with the threshold, so Abel summation bounds the slope of H, and those of Psi
+    and gamma multiply it; the integral is exact for plays [Brokate & Sprekels 1996].
 
     remainder_m  what the model itself leaves, for example the 99.9 % quantile of the held-out
                  residual
     """
     least, greatest = model.slope_sector_m_per_V
     gain = 0.5 * (greatest + least)
-    local = model.dead_zones.slope
-    middle = 0.5 * float(local.min() + local.max())
+    middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
     scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
-    line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain]))
-    static = _static_difference(model.dead_zones, None, middle, _reach_m(model, reach_V))
-    error = worst_case(scaled, line, reach_V).bound + static + remainder_m
+    line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
+    static = static_difference(model.dead_zones, None, middle, output_reach_m(model, reach_V))
+    bent = gain / bend * static_difference(model.envelope, None, bend, reach_V)
+    plays = worst_case(scaled, line, envelope_reach_V(model, reach_V)).bound
+    error = plays + bent + static + remainder_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,
@@ -86,9 +95,10 @@ def inverse_bounds(
 ) -> HysteresisBounds:
     """Bound what exact inversion of a model leaves, from models refitted to resampled data.
 
-        |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) int_0^R |W_t - W_m| dr
+        |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) (int_0^V |W_t - W_m| dr
+                                     + Lip(H_m) sup |gamma_t - gamma_m|)
                                      + sup |Psi_t - Psi_m| + rho_max
-        m = min W_t/W_m min s_t/s_m,   M = max W_t/W_m max s_t/s_m
+        m = min D(Gamma_t o Gamma_m^-1),   M = max of the same, see ``slope_ratio``
 
     The compensation error is the model error at the inverse's output. Each replicate stands for
     the truth once; the quantile ``confidence`` over replicates is reported. All models are in the
@@ -99,8 +109,8 @@ def inverse_bounds(
     """
     reference = model.regauged()
     truths = [replicate.regauged() for replicate in replicates]
-    errors = [_model_error_m(reference, truth, reach_V) for truth in truths]
-    sectors = np.array([_ratio_sector(reference, truth, reach_V) for truth in truths])
+    errors = [model_error_m(reference, truth, reach_V) for truth in truths]
+    sectors = np.array([ratio_sector(reference, truth, reach_V) for truth in truths])
     low = float(np.quantile(sectors[:, 0], 1.0 - confidence))
     high = float(np.quantile(sectors[:, 1], confidence))
     centre = 0.5 * (low + high)
@@ -119,41 +129,5 @@ def inverse_bounds(
     )
 
 
-def _model_error_m(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
-) -> float:
-    plays = worst_case(truth.plays, model.plays, reach_V).bound
-    static = _static_difference(truth.dead_zones, model.dead_zones, 0.0, _reach_m(truth, reach_V))
-    return float(model.dead_zones.slope.max()) * plays + static
-
-
-def _ratio_sector(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
-) -> tuple[float, float]:
-    edges, difference = slope_difference(truth.plays, model.plays, reach_V)
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    place = np.searchsorted(model.plays.threshold, middle, side="right") - 1
-    plays = 1.0 + difference / model.plays.slope[place]
-    knots = np.union1d(model.dead_zones.threshold, truth.dead_zones.threshold)
-    span = max(float(np.abs(knots).max()), 1e-12)
-    inner = np.concatenate([[knots[0] - span], knots, [knots[-1] + span]])
-    points = 0.5 * (inner[1:] + inner[:-1])
-    static = (
-        truth.dead_zones.run_with_slope(points)[1] / model.dead_zones.run_with_slope(points)[1]
-    )
-    return float(plays.min() * static.min()), float(plays.max() * static.max())
-
-
-def _static_difference(
-    zones: DeadZones, other: DeadZones | None, slope: float, reach_m: float
-) -> float:
-    """Return sup over |h| <= reach of |Psi(h) - other(h) - slope h|; it is met at a knot."""
-    knots = zones.threshold if other is None else np.union1d(zones.threshold, other.threshold)
-    h: Array = np.concatenate([[-reach_m], knots[np.abs(knots) < reach_m], [reach_m]])
-    difference = zones.run(h) - slope * h - (0.0 if other is None else other.run(h))
-    return float(np.abs(difference).max())
-
-
-def _reach_m(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
-    """Return the largest |H[u]| for |u| <= reach: the loading curve there."""
-    return float(np.abs(model.plays.loading_curve(np.array([reach_V]))[0]))
+def _mid_slope(zones: DeadZones) -> float:
+    return 0.5 * float(zones.slope.min() + zones.slope.max())

@@ -31,24 +31,28 @@ def draw_replicates(
 def _operator(axis: AxisModel, drawn: dict[str, float]) -> ModifiedPrandtlIshlinskii | None:
     """Return the operator of these numbers, or None where thresholds cross."""
     model = axis.hysteresis
-    plays, zones = len(model.plays.weight), model.dead_zones
-    play_V = np.array([0.0, *(drawn[f"play_threshold_V[{i}]"] for i in range(1, plays))])
-    zone_m = _numbered("dead_zone_threshold_m", len(zones.weight), drawn)
-    zone_m[zones.zero] = 0.0
+    plays, zones, envelope = model.plays, model.dead_zones, model.envelope
+    play_V = _drawn("play_threshold_V", plays.threshold, drawn)
+    zone_m = _drawn("dead_zone_threshold_m", zones.threshold, drawn)
+    play_V[0], zone_m[zones.zero] = 0.0, 0.0
     if not ((np.diff(play_V) > 0).all() and (np.diff(zone_m) > 0).all()):
         return None
     return ModifiedPrandtlIshlinskii(
         plays=PrandtlIshlinskii(
-            threshold=play_V, weight=_numbered("play_weight_m_per_V", plays, drawn)
+            threshold=play_V, weight=_drawn("play_weight_m_per_V", plays.weight, drawn)
         ),
         dead_zones=DeadZones(
-            threshold=zone_m, weight=_numbered("dead_zone_weight", len(zones.weight), drawn)
+            threshold=zone_m, weight=_drawn("dead_zone_weight", zones.weight, drawn)
         ),
         voltage_offset_V=model.voltage_offset_V,
         displacement_offset_m=model.displacement_offset_m,
-        envelope=model.envelope,
+        envelope=DeadZones(
+            threshold=envelope.threshold,
+            weight=_drawn("envelope_weight", envelope.weight, drawn),
+        ),
     )
 
 
-def _numbered(stem: str, count: int, drawn: dict[str, float]) -> Array:
-    return np.array([drawn[f"{stem}[{i}]"] for i in range(count)])
+def _drawn(stem: str, fitted: Array, drawn: dict[str, float]) -> Array:
+    """Return the drawn numbers of one array; what was not fitted stays as it is."""
+    return np.array([drawn.get(f"{stem}[{i}]", value) for i, value in enumerate(fitted.tolist())])

@@ -35,11 +35,19 @@ REACH_V = 3.0
 ATTAINED = 1.0 + 1e-9  # the bounds are met exactly by some inputs
 
 
-def hysteresis(scale: float = 1.0, zones: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
+def hysteresis(
+    scale: float = 1.0, zones: DeadZones = LINEAR, envelope: DeadZones = LINEAR
+) -> ModifiedPrandtlIshlinskii:
     weight = np.diff(SLOPES, prepend=0.0) * LATERAL_m_per_V
     weight[1:] *= scale
     plays = PrandtlIshlinskii(threshold=THRESHOLD_V, weight=weight)
-    return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=zones)
+    return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=zones, envelope=envelope)
+
+
+def bent(by: float = 0.0) -> DeadZones:
+    return DeadZones(
+        threshold=np.array([-1.0, 0.0, 1.5]), weight=np.array([-0.08, 1.05 + by, 0.06])
+    )
 
 
 def curved() -> DeadZones:
@@ -97,8 +105,8 @@ def test_dividing_by_a_difference_undoes_multiplying_by_it(rng):
 
 
 def test_the_affine_bound_is_never_exceeded_and_nearly_attained(rng):
-    for zones in (LINEAR, curved()):
-        model = hysteresis(zones=zones)
+    for zones, envelope in ((LINEAR, LINEAR), (curved(), LINEAR), (LINEAR, bent())):
+        model = hysteresis(zones=zones, envelope=envelope)
         bounds = affine_bounds(model, REACH_V, remainder_m=0.0)
         worst, least, most = 0.0, np.inf, 0.0
         for _ in range(60):
@@ -112,6 +120,52 @@ def test_the_affine_bound_is_never_exceeded_and_nearly_attained(rng):
         assert bounds.slope_min - 1e-9 <= least
         assert most <= bounds.slope_max + 1e-9
         assert bounds.slope_min + bounds.slope_max == pytest.approx(2.0)
+
+
+def one_play(envelope: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
+    plays = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([LATERAL_m_per_V]))
+    return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=LINEAR, envelope=envelope)
+
+
+KINKED = DeadZones(threshold=np.array([-3e-6, 0.0, 3e-6]), weight=np.array([0.4, 1.0, 0.4]))
+WRONG = (-0.1, -0.05, 0.05, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("model", "truths"),
+    [
+        pytest.param(
+            hysteresis(zones=curved(), envelope=bent()),
+            [hysteresis(1.0 + a, curved(), bent(0.3 * a)) for a in WRONG],
+            id="everything is a little wrong",
+        ),
+        pytest.param(one_play(bent()), [one_play(bent(a)) for a in WRONG], id="envelope alone"),
+        pytest.param(
+            hysteresis(zones=KINKED),
+            [hysteresis(1.0 + 4.0 * a, KINKED) for a in WRONG],
+            id="the truth is past a kink, the model is not yet",
+        ),
+    ],
+)
+def test_the_inverse_of_a_model_leaves_no_more_than_its_bounds(model, truths, rng):
+    bounds = inverse_bounds(
+        model, truths, REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
+    )
+    least, most, worst = np.inf, 0.0, 0.0
+    for truth in truths:
+        for _ in range(30):
+            u = np.cumsum(rng.normal(size=400))
+            u *= REACH_V / np.abs(u).max() * rng.uniform(0.2, 1.0)
+            wanted, _ = model.run(u, model.virgin_memory())
+            y, _ = truth.run(u, truth.virgin_memory())
+            slope = np.diff(y) / np.diff(wanted)
+            least, most = min(least, slope.min()), max(most, slope.max())
+            worst = max(worst, np.abs(y - wanted).max())
+    centre = bounds.gain_m_per_V / LATERAL_m_per_V
+    assert bounds.slope_min * centre <= least * ATTAINED
+    assert most <= bounds.slope_max * centre * ATTAINED
+    assert 0.3 * bounds.error_m < worst <= bounds.error_m * ATTAINED
+    assert (bounds.slope_max - bounds.slope_min) * centre < 3.0 * (most - least)
 
 
 def test_the_sector_of_the_example_is_its_extreme_slopes():
@@ -134,7 +188,7 @@ def test_the_inverse_bound_covers_every_refit_it_was_made_from(rng):
             )
             assert np.abs(difference).max() <= bounds.error_m * ATTAINED
     assert (
-        bounds.increment_gain < 0.3 * affine_bounds(model, REACH_V, remainder_m=0.0).increment_gain
+        bounds.increment_gain < 0.4 * affine_bounds(model, REACH_V, remainder_m=0.0).increment_gain
     )
 
 

@@ -17,6 +17,7 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, AxisModel, Lag
 from piezoid.numerics.frequency import response
 from piezoid.numerics.polynomial import roots_of
+from piezoid.operators.dead_zone import DeadZones
 from piezoid.records.lab import Acquisition, Lab
 from tests.reports.known_stage import axis_model, stage_model
 
@@ -131,14 +132,32 @@ def test_replicates_scatter_as_the_intervals_say(rng: np.random.Generator) -> No
     assert all(operator.is_invertible for operator in drawn)
 
 
-def test_bounds_are_not_claimed_for_an_operator_with_an_envelope() -> None:
-    from piezoid.operators.dead_zone import DeadZones
-
+def test_an_operator_with_an_envelope_has_bounds_and_families_in_both_forms() -> None:
     bent = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
     axis = rigged(hysteresis=replace(axis_model().hysteresis, envelope=bent))
     found = lateral_task(axis, RATE_Hz)
-    assert not found.bounds
-    assert list(found.families) == ["inverse"]
+    assert set(found.bounds) == set(found.families) == {"inverse", "affine"}
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    affine = found.bounds["affine"]
+    assert affine.slope_min * affine.gain_m_per_V == pytest.approx(least)
+    assert affine.slope_max * affine.gain_m_per_V == pytest.approx(greatest)
+
+
+def test_an_envelope_that_was_fitted_scatters_with_the_rest(rng: np.random.Generator) -> None:
+    known = axis_model().uncertainty
+    names = (*known.names, "envelope_weight[0]", "envelope_weight[1]")
+    covariance = np.zeros((len(names), len(names)))
+    covariance[-1, -1] = 0.02**2
+    bent = DeadZones(threshold=np.array([0.0, 2.0]), weight=np.array([1.0, -0.1]))
+    axis = rigged(
+        hysteresis=replace(axis_model().hysteresis, envelope=bent),
+        uncertainty=replace(
+            known, names=names, values=np.r_[known.values, 1.0, -0.1], covariance=covariance
+        ),
+    )
+    drawn = draw_replicates(axis, rng)
+    assert {float(operator.envelope.weight[0]) for operator in drawn} == {1.0}
+    assert np.std([o.envelope.weight[1] for o in drawn]) == pytest.approx(0.02, rel=0.25)
 
 
 def test_without_any_pole_nothing_is_designed_and_the_remedy_is_said() -> None:
