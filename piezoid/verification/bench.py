@@ -12,6 +12,7 @@ from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant, Junction
+from piezoid.verification.trace import SpiralTrace
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 _REACH = 0.7  # of the way from rest to the nearer end of the references
@@ -35,6 +36,7 @@ class Bench:
     comparison: list[ComparisonRow] = field(default_factory=list)
     spirals: list[SpiralRow] = field(default_factory=list)
     currents: list[CurrentRow] = field(default_factory=list)
+    traces: list[SpiralTrace] = field(default_factory=list)
     verdicts: list[Verdict] = field(default_factory=list)
 
     def methods(self) -> tuple[str, ...]:

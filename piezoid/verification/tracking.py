@@ -95,6 +95,19 @@ def align(
     return float(np.sqrt(np.sum(error**2) / len(inner))), delay_s
 
 
+def shape_error(wanted: Array, moved: Array, sampling_rate_Hz: float, delay_s: float) -> Array:
+    """Return the distance from the path that a common delay leaves, sample by sample.
+
+    wanted, moved  (axes, samples)
+    returned       (samples,); outside the record the path stands still
+    """
+    from scipy.interpolate import CubicSpline
+
+    time_s = np.arange(wanted.shape[1]) / sampling_rate_Hz
+    late = CubicSpline(time_s, wanted, axis=1)(np.clip(time_s - delay_s, 0.0, time_s[-1]))
+    return np.asarray(np.sqrt(np.sum((moved - late) ** 2, axis=0)))
+
+
 def _pitch_error(moved: Array, path: Path, radius_m: float) -> float | None:
     """Return how unequal the distances between neighbouring turns are, relative to the pitch."""
     angle = np.maximum.accumulate(np.unwrap(np.arctan2(moved[1], moved[0])))

@@ -8,6 +8,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
+from piezoid.verification.trace import SpiralTrace
 
 SCHEMA = "piezoid.verification/1"
 
@@ -61,6 +62,7 @@ class Verification:
     radius_m         of every path; percents are of twice that; 0 without a lateral axis
     comparison       by frequency and method
     spirals, currents   further numbers
+    traces           a few spirals place by place, for pictures
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
     plants           label and axis of every plant that was run
@@ -73,6 +75,7 @@ class Verification:
     comparison: tuple[ComparisonRow, ...]
     spirals: tuple[SpiralRow, ...]
     currents: tuple[CurrentRow, ...]
+    traces: tuple[SpiralTrace, ...]
     verdicts: tuple[Verdict, ...]
     proofs: tuple[Proof, ...]
     plants: tuple[str, ...]
@@ -101,6 +104,7 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         "comparison": ComparisonRow,
         "spirals": SpiralRow,
         "currents": CurrentRow,
+        "traces": SpiralTrace,
         "verdicts": Verdict,
         "proofs": Proof,
     }
@@ -110,7 +114,7 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         for name, kind in rows.items():
             known = {f.name for f in dataclasses.fields(kind)}
             values[name] = tuple(
-                kind(**{key: entry[key] for key in known}) for entry in record[name]
+                kind(**{key: _as_written(entry[key]) for key in known}) for entry in record[name]
             )
         return Verification(**{**values, "plants": tuple(values["plants"])})
     except (KeyError, TypeError) as error:
@@ -119,3 +123,8 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
             needed=f"every entry of schema {SCHEMA}",
             remedy="Verify again with this version.",
         ) from error
+
+
+def _as_written(value: Any) -> Any:
+    """Return a list of JSON as the tuple it was written from."""
+    return tuple(value) if isinstance(value, list) else value

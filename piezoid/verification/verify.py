@@ -12,21 +12,14 @@ from piezoid.verification import criteria
 from piezoid.verification.bench import Bench, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
-from piezoid.verification.plant import AxisPlant, Junction
+from piezoid.verification.over_surface import judge_tips, run_tips
+from piezoid.verification.plant import AxisPlant
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS, Scenario
-from piezoid.verification.surface import RoughSurface
+from piezoid.verification.trace import is_traced, trace_of
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.trajectories import Path
-from piezoid.verification.verification import (
-    ComparisonRow,
-    CurrentRow,
-    SpiralRow,
-    Verification,
-)
-
-_ROUGHNESS_m = 0.1e-9
-_WAVELENGTH = 0.5  # of the radius, the surface's shortest
+from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification
 
 
 def verify(
@@ -67,6 +60,7 @@ def verify(
         comparison=tuple(bench.comparison),
         spirals=tuple(bench.spirals),
         currents=tuple(bench.currents),
+        traces=tuple(bench.traces),
         verdicts=(criteria.drive(bench.records, shipped), *bench.verdicts),
         proofs=tuple(proofs),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
@@ -100,12 +94,21 @@ def _lateral(
     return found
 
 
+def _centred(
+    bench: Bench, records: Mapping[str, LoopRecord]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return references and positions about the path's middle."""
+    return (
+        {name: r.reference - bench.centre_m[name] for name, r in records.items()},
+        {name: r.position - bench.centre_m[name] for name, r in records.items()},
+    )
+
+
 def _tracked(
     bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> Tracking:
     return track(
-        {name: r.reference - bench.centre_m[name] for name, r in records.items()},
-        {name: r.position - bench.centre_m[name] for name, r in records.items()},
+        *_centred(bench, records),
         path=path,
         radius_m=bench.radius_m,
         frequency_Hz=scenario.frequency_Hz,
@@ -120,7 +123,7 @@ def _run(bench: Bench, scenario: Scenario) -> None:
     if records:
         _judge(bench, scenario, path, records)
     if scenario.kind == "spiral":
-        _over_a_surface(bench, scenario, path, records)
+        judge_tips(bench, scenario, path, records)
 
 
 def _judge(
@@ -136,15 +139,23 @@ def _judge(
         limit = bench.limits.aligned_percent
         bench.verdicts.append(criteria.shape(scenario.name, found, bench.radius_m, limit))
     if scenario.is_compared:
-        _compare(bench, scenario, path, found)
+        _compare(bench, scenario, path, found, records)
 
 
-def _compare(bench: Bench, scenario: Scenario, path: Path, shipped: Tracking) -> None:
+def _compare(
+    bench: Bench,
+    scenario: Scenario,
+    path: Path,
+    shipped: Tracking,
+    records: Mapping[str, LoopRecord],
+) -> None:
     first, *others = bench.methods()
     found = {first: shipped}
+    _trace(bench, scenario, path, records, first, shipped)
     for method in others:
         records = _lateral(bench, path, method)
         found[method] = _tracked(bench, scenario, path, records)
+        _trace(bench, scenario, path, records, method, found[method])
     for method, numbers in found.items():
         bench.comparison.append(
             ComparisonRow(
@@ -169,50 +180,27 @@ def _compare(bench: Bench, scenario: Scenario, path: Path, shipped: Tracking) ->
         bench.verdicts.append(criteria.against_none(scenario.name, shipped, found["none"]))
 
 
-def _over_a_surface(
-    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
-) -> None:
-    """Judge every tip while the stage moves it over a rough surface."""
-    for name, record in _tips(bench, path, records, bench.plants).items():
-        response = _junction(bench.plants[name])
-        verdicts = criteria.tunnelling(scenario.name, record, bench.limits)
-        bench.currents.append(
-            CurrentRow(
-                scenario=scenario.name,
-                ln_current_std=verdicts[0].value,
-                height_rms_m=verdicts[0].value / response.decay_per_m,
-                largest_ratio=float(record.position.max()) / response.current_A,
-                retracted_samples=int(verdicts[1].value),
-            )
-        )
-        if scenario.frequency_Hz <= bench.limits.judged_Hz:
-            bench.verdicts.extend(verdicts)
-
-
-def _tips(
+def _trace(
     bench: Bench,
+    scenario: Scenario,
     path: Path,
     records: Mapping[str, LoopRecord],
-    plants: Mapping[str, AxisPlant],
-) -> dict[str, LoopRecord]:
-    """Let every tip regulate its current where the lateral axes take it."""
-    ways = [r.position - bench.centre_m[name] for name, r in records.items()]
-    ways = (ways + [np.zeros(len(path.x))] * 2)[:2]
-    surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * (bench.radius_m or 1e-6))
-    height_m = surface.height(*ways)
-    found = {}
-    for name in bench.tunnelling:
-        response = _junction(plants[name])
-        reference = np.full(len(path.x), response.current_A)
-        disturbance = response.decay_per_m * height_m
-        axis = bench.file.axis(name)
-        found[name] = bench.run(axis, plants[name], reference, disturbance=disturbance)
-    return found
-
-
-def _junction(plant: AxisPlant) -> Junction:
-    assert isinstance(plant.response, Junction)
-    return plant.response
+    method: str,
+    found: Tracking,
+) -> None:
+    """Keep what a picture of this run needs, if it is one of those shown."""
+    if not is_traced(method, bench.methods()[0], scenario.frequency_Hz):
+        return
+    kept = trace_of(
+        method,
+        found,
+        *_centred(bench, records),
+        path=path,
+        radius_m=bench.radius_m,
+        frequency_Hz=scenario.frequency_Hz,
+        sampling_rate_Hz=bench.rate_Hz,
+    )
+    bench.traces.append(kept)
 
 
 def _run_varied(
@@ -228,7 +216,7 @@ def _run_varied(
             numbers = _tracked(bench, scenario, path, records)
             limit = bench.limits.varied_percent
             found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
-        for record in _tips(bench, path, records, plants).values():
+        for record in run_tips(bench, path, records, plants).values():
             found.extend(criteria.tunnelling(scenario.name, record, bench.limits))
     for name in dict.fromkeys(verdict.name for verdict in found):
         same = [verdict for verdict in found if verdict.name == name]

@@ -1,0 +1,71 @@
+"""What a spiral looked like: a few hundred places with the error there, for a picture."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.verification.tracking import Tracking, shape_error
+from piezoid.verification.trajectories import Path
+
+POINTS = 300
+TRACED_Hz = (1.0, 10.0, 100.0)  # spirals of these frequencies are kept
+TRACED_BESIDE = "none"  # the method that is kept beside what ships
+_DECIMALS = 12  # a picometre
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpiralTrace:
+    """Where a spiral went, about its middle, and how far its shape was wrong there.
+
+    method, frequency_Hz   as in the comparison
+    axes                   that moved; with one only, y is where a second one should have been
+    x_m, y_m               (points,)
+    shape_error_m          (points,)  largest distance from the path since the point before, after
+                           the best common delay
+    """
+
+    method: str
+    frequency_Hz: float
+    axes: tuple[str, ...]
+    x_m: tuple[float, ...]
+    y_m: tuple[float, ...]
+    shape_error_m: tuple[float, ...]
+
+
+def is_traced(method: str, shipped: str, frequency_Hz: float) -> bool:
+    """Return whether this run is kept for a picture."""
+    return method in (shipped, TRACED_BESIDE) and frequency_Hz in TRACED_Hz
+
+
+def trace_of(
+    method: str,
+    found: Tracking,
+    reference: Mapping[str, Array],
+    position: Mapping[str, Array],
+    *,
+    path: Path,
+    radius_m: float,
+    frequency_Hz: float,
+    sampling_rate_Hz: float,
+) -> SpiralTrace:
+    """Thin one run, (samples,) by axis about the path's middle, to ``POINTS`` places."""
+    axes = tuple(reference)
+    wanted = np.stack([reference[axis] for axis in axes])
+    moved = np.stack([position[axis] for axis in axes])
+    error = shape_error(wanted, moved, sampling_rate_Hz, found.delay_s)
+    starts = np.unique(np.linspace(0, len(error), POINTS, endpoint=False).astype(int))
+    second = moved[1] if len(axes) > 1 else radius_m * path.y
+    return SpiralTrace(
+        method=method,
+        frequency_Hz=frequency_Hz,
+        axes=axes,
+        x_m=_rounded(moved[0][starts]),
+        y_m=_rounded(second[starts]),
+        shape_error_m=_rounded(np.maximum.reduceat(error, starts)),
+    )
+
+
+def _rounded(values: Array) -> tuple[float, ...]:
+    return tuple(np.round(values, _DECIMALS).tolist())
