@@ -1,0 +1,57 @@
+"""A stage under its maker's servo: the ceramic's hysteresis is held down, the bandwidth is low.
+
+    command -> servo of first order, 1 / (1 + s / w) -> displacement
+
+Recorded from the command input as if that were the drive: wide loops that are only lag. A loop of
+1 Hz under 10 Hz of bandwidth opens by 4 f T = 6.4 % of the stroke, as much as a soft ceramic.
+"""
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab import drives
+from piezoid_datasets.virtual_lab.effects.effect import Act, Place
+from piezoid_datasets.virtual_lab.effects.lag import filtered
+from piezoid_datasets.virtual_lab.rig import Rig, draw_rig
+from piezoid_datasets.virtual_lab.signals import Array
+from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, record
+from piezoid_datasets.virtual_lab.truths.truth import Ceramic
+
+RATE_Hz = 500.0
+CYCLES = 6
+
+
+def servo_stage(bandwidth_Hz: float, *, seed: int = 0, ceramic: Ceramic | None = None) -> Stage:
+    """Return a stage that follows its command through a first-order servo.
+
+    ceramic  None: the servo holds its hysteresis down; one given is only behind the same lag
+    """
+    tau_s = 1.0 / (2.0 * np.pi * bandwidth_Hz)
+    follow = Act(
+        name="servo",
+        place=Place.MECHANICS,
+        change=lambda moved_m, scene, _: filtered(moved_m, tau_s, scene.rate_Hz),
+    )
+    held = Ceramic(share=0.0, reversible_curve=_straight, memory=np.zeros_like)
+    rig = draw_rig(np.random.default_rng([seed, 10]), name=f"servo of {bandwidth_Hz:g} Hz")
+    return Stage(rig=rig, ceramic=ceramic or held, acts=(follow,), seed=seed)
+
+
+def triangles(stage: Stage, frequencies_Hz: tuple[float, ...], *, order: int = 0) -> Rows:
+    """Record triangles over the whole range, so many cycles of each frequency in turn."""
+    shape = drives.rates(RATE_Hz, tuple((f, CYCLES) for f in frequencies_Hz), triangle=True)
+    rig = stage.rig
+    run = Run(
+        name="triangles_" + "_".join(f"{f:g}".replace(".", "p") for f in frequencies_Hz),
+        sampling_rate_Hz=RATE_Hz,
+        command_V=_volts(rig, shape),
+        history_V=np.array([rig.drive_max_V, rig.drive_min_V]),
+    )
+    return record(stage, run, order)
+
+
+def _volts(rig: Rig, shape: Array) -> Array:
+    return rig.drive_min_V + 0.5 * (shape + 1.0) * (rig.drive_max_V - rig.drive_min_V)
+
+
+def _straight(field: Array) -> Array:
+    return 0.5 * (field + 1.0)

@@ -1,0 +1,68 @@
+"""A stage recorded under its maker's servo: `piezoid fit` says lag, and not hysteresis."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from piezoid.identification.fit import rig_of
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.records.ingest import ingest
+from piezoid.records.lab import read_lab
+from piezoid_cli.fit import fit
+from piezoid_datasets.virtual_lab.servo import servo_stage, triangles
+from piezoid_datasets.virtual_lab.stage import Stage
+from piezoid_datasets.virtual_lab.table import csv_text
+from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
+from piezoid_datasets.virtual_lab.write import lab_toml
+
+APP = typer.Typer()
+APP.command()(fit)
+BANDWIDTH_Hz = 10.0
+LAG_s = 1.0 / (2.0 * np.pi * BANDWIDTH_Hz)
+
+
+def write(folder: Path, stage: Stage) -> None:
+    """Record triangles of 1 Hz and write what a lab hands over."""
+    (folder / "triangles.csv").write_text(csv_text(triangles(stage, (1.0,)), axis="x"))
+    (folder / "lab.toml").write_text(lab_toml(stage.rig))
+
+
+@pytest.fixture(scope="module")
+def servo(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("servo")
+    write(folder, servo_stage(BANDWIDTH_Hz, seed=3))
+    arguments = (folder / "triangles.csv", "--lab", folder / "lab.toml", "--out", folder / "out")
+    result = CliRunner(env={"COLUMNS": "400"}).invoke(APP, [str(a) for a in arguments])
+    model: dict[str, Any] = json.loads((folder / "out" / "model.json").read_bytes())
+    return result.exit_code, result.output, model["axes"]["x"]
+
+
+def test_a_wide_loop_that_is_only_lag_is_reported_as_lag(
+    servo: tuple[int, str, dict[str, Any]],
+) -> None:
+    status, shown, axis = servo
+    assert status == 1
+    assert axis["verdict"]["applies"] is False
+    assert "is phase lag, not hysteresis" in axis["verdict"]["reason"]
+    assert "a first-order lag of 15.9 ms without any hysteresis" in axis["verdict"]["reason"]
+    assert "is phase lag, not hysteresis" in shown
+
+
+def test_its_time_constant_is_that_of_the_servo(servo: tuple[int, str, dict[str, Any]]) -> None:
+    assert servo[2]["lag"]["time_s"] == pytest.approx(LAG_s, rel=0.05)
+
+
+def test_a_ceramic_behind_the_same_lag_is_not_called_lag(tmp_path: Path) -> None:
+    write(
+        tmp_path,
+        servo_stage(BANDWIDTH_Hz, seed=3, ceramic=draw_preisach(np.random.default_rng(5))),
+    )
+    lab = read_lab(tmp_path / "lab.toml")
+    recording = ingest(tmp_path / "triangles.csv", lab)
+    found = estimate_axis([recording], "x", rig_of(lab, "x"), orders=((8, 2),))
+    assert found.verdict.applies
