@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from piezoid.provenance import seal
+from piezoid.errors import ParameterFileError
+from piezoid.provenance import seal, unseal
 
 SCHEMA = "piezoid.diagnosis/1"
 
@@ -115,6 +116,33 @@ def write_diagnosis(diagnosis: Diagnosis) -> bytes:
     return seal(SCHEMA, diagnosis.to_json())
 
 
+def read_diagnosis(content: bytes, place: str = "diagnosis.json") -> Diagnosis:
+    """Read diagnosis.json back.
+
+    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
+    missing.
+    """
+    record = unseal(content, SCHEMA, place)
+    try:
+        return Diagnosis(
+            axis=record["axis"],
+            stroke_m=record["stroke_m"],
+            baseline=_held_out_from(record["baseline"]),
+            final=_held_out_from(record["final"]),
+            envelope_rms_m=record["envelope_rms_m"],
+            noise_floor_rms_m=record["noise_floor_rms_m"],
+            explained_fraction=record["explained_fraction"],
+            findings=tuple(_finding_from(entry) for entry in record["findings"]),
+            not_detected=tuple(_absent_from(entry) for entry in record["not_detected"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__} at {error}",
+            needed=f"every entry of schema {SCHEMA}, of its own kind",
+            remedy="Diagnose the recordings again with this version.",
+        ) from error
+
+
 def _held_out(held: HeldOut) -> dict[str, float]:
     return {"held_out_rms_m": held.rms_m, "held_out_rms_percent": held.rms_percent}
 
@@ -145,3 +173,31 @@ def _absent(absent: NotDetected) -> dict[str, Any]:
         "reason": absent.reason,
         "next_experiment": absent.next_experiment,
     }
+
+
+def _held_out_from(record: Mapping[str, float]) -> HeldOut:
+    return HeldOut(rms_m=record["held_out_rms_m"], rms_percent=record["held_out_rms_percent"])
+
+
+def _finding_from(record: Mapping[str, Any]) -> Finding:
+    low, high = record["size"]["ci95"]
+    kept = ("effect", "held_out_gain", "held_out_rms_before_m", "held_out_rms_after_m", "p_value")
+    return Finding(
+        **{name: record[name] for name in kept},
+        share=record["rms_percent"] / 100.0,
+        size=Size(value=record["size"]["value"], unit=record["size"]["unit"], ci95=(low, high)),
+        not_separable_from=tuple(record["not_separable_from"]),
+        explanation=record["explanation"],
+        next_experiment=record["next_experiment"],
+        parameters=record["parameters"],
+    )
+
+
+def _absent_from(record: Mapping[str, Any]) -> NotDetected:
+    return NotDetected(
+        effect=record["effect"],
+        upper_bound_m=record["upper_bound"],
+        detection_limit_m=record["detection_limit"],
+        reason=record["reason"],
+        next_experiment=record["next_experiment"],
+    )

@@ -1,0 +1,183 @@
+"""Driven: what the fitted model makes of a drive, and how it would change with its parameters.
+
+    y = Psi(h),   h = sum_i w_i z_i,   z_i the plays' states
+
+The model's own Jacobian along the drive has the columns
+
+    Psi'(h) z_i,  Psi'(h) w_i dz_i/dr_i,  s_j(h),  1{h beyond r_j},  Psi'(h) D[u^p],  dy/dt
+
+of play weights and thresholds, dead-zone weights and thresholds, a bent input (p = 0, 2, 3), and
+a lag; beside them, for each drive of its own, a zero and what other pasts would have left.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.identification.hysteresis.pieces import behind_pole
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import PlayTangents, first_carry, play_tangents
+
+BENT = (0, 2, 3)  # powers of the input that the model might have bent
+BEND = 1e-3  # of half the range, for the difference that stands for a derivative
+SETTLED = 2  # cycles over the range before a drive of which the past is not known
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Driven:
+    """One drive, played on the model of one axis.
+
+    name       of the experiment or recording
+    model      of the axis
+    rate_Hz    of its samples
+    voltage_V  (samples,)
+    others     scaled drives of other axes that move, by axis
+    memory_V   (plays,)  before the first sample; None: cycled over the range, then here
+    rows       (rows,)   samples that are looked at
+    """
+
+    name: str
+    model: AxisModel
+    rate_Hz: float
+    voltage_V: Array
+    rows: NDArray[np.int_]
+    others: Mapping[str, Array] = field(default_factory=dict)
+    memory_V: Array | None = None
+
+    @property
+    def time_s(self) -> Array:
+        """Return the time of every sample."""
+        return np.arange(len(self.voltage_V)) / self.rate_Hz
+
+    @property
+    def half_range_V(self) -> float:
+        """Return half the range of the drive in the model's data."""
+        low_V, high_V = self.model.voltage_V
+        return 0.5 * (high_V - low_V)
+
+    @cached_property
+    def drive_V(self) -> Array:
+        """Return the drive behind the declared amplifier, about the model's offset, bent."""
+        bandwidth_Hz = self.model.rig.amplifier_bandwidth_Hz
+        driven_V = behind_pole(self.voltage_V, bandwidth_Hz, self.rate_Hz)
+        hysteresis = self.model.hysteresis
+        return np.asarray(hysteresis.envelope.run(driven_V - hysteresis.voltage_offset_V))
+
+    @cached_property
+    def past_V(self) -> Array:
+        """Return the memory before the first sample."""
+        return self._after(1.0) if self.memory_V is None else self.memory_V
+
+    @cached_property
+    def output_m(self) -> Array:
+        """Return the output of the plays, sum_i w_i z_i."""
+        return self._plays(self.drive_V, self.past_V)
+
+    @cached_property
+    def slope(self) -> Array:
+        """Return Psi'(h)."""
+        return self.model.hysteresis.dead_zones.run_with_slope(self.output_m)[1]
+
+    @cached_property
+    def static_m(self) -> Array:
+        """Return the static response, rising or falling as the axis does."""
+        return self.model.polarity * self.model.hysteresis.dead_zones.run(self.output_m)
+
+    @cached_property
+    def walls_m(self) -> Array:
+        """Return the irreversible part: what a play without width does not explain."""
+        weight = self.model.hysteresis.plays.weight[0]
+        return np.asarray(self.static_m - self.model.polarity * self.slope * weight * self.drive_V)
+
+    @cached_property
+    def state(self) -> Array:
+        """Return the memory at the rows over half the range, (rows, plays)."""
+        return np.asarray(self._tangents.state / self.half_range_V)
+
+    @cached_property
+    def shared(self) -> Array:
+        """Return the columns of the model's own parameters at the rows, (rows, columns)."""
+        plays, zones = self.model.hysteresis.plays, self.model.hysteresis.dead_zones
+        h, slope = self.output_m[self.rows, None], self.slope[self.rows, None]
+        beyond = np.where(zones.threshold >= 0, h > zones.threshold, h < zones.threshold)
+        parts = [
+            slope * self._tangents.state,
+            slope * self._tangents.threshold * plays.weight,
+            beyond * (h - zones.threshold),
+            beyond[:, zones.threshold != 0].astype(float),
+            np.column_stack([self._bent(power) for power in BENT])[self.rows],
+        ]
+        return np.hstack(parts)
+
+    @cached_property
+    def speed(self) -> Array:
+        """Return what a small lag takes away, dy/dt at the rows, (rows, 1)."""
+        return np.asarray((np.gradient(self.static_m) * self.rate_Hz)[self.rows, None])
+
+    @cached_property
+    def own(self) -> Array:
+        """Return the columns of this drive alone: its zero, and what other pasts would leave."""
+        others = [self._after(way) for way in (-1.0, 1.0)] + [self.model.virgin_memory_V]
+        parts = [np.ones(len(self.rows))]
+        for memory_V in others:
+            changed = self._plays(self.drive_V, memory_V) - self.output_m
+            parts.append((self.slope * changed)[self.rows])
+        return np.column_stack(parts)
+
+    @cached_property
+    def _tangents(self) -> PlayTangents:
+        """Return states and their derivatives at the rows."""
+        plays = self.model.hysteresis.plays
+        found = play_tangents(self.drive_V, plays.threshold, first_carry(self.past_V))
+        return replace(found, state=found.state[self.rows], threshold=found.threshold[self.rows])
+
+    def _plays(self, drive_V: Array, memory_V: Array) -> Array:
+        return self.model.hysteresis.plays.run(drive_V, memory_V)[0]
+
+    def _bent(self, power: int) -> Array:
+        unit = self.drive_V / self.half_range_V
+        bend_V = BEND * self.half_range_V * unit**power
+        return (
+            self.slope * (self._plays(self.drive_V + bend_V, self.past_V) - self.output_m) / BEND
+        )
+
+    def _after(self, way: float) -> Array:
+        """Return the memory after cycles over the range that came from above (1) or below."""
+        reach_V, start_V = self.half_range_V, float(self.drive_V[0])
+        middle_V = sum(self.model.voltage_V) / 2 - self.model.hysteresis.voltage_offset_V
+        turns = [middle_V - way * reach_V, middle_V + way * reach_V] * SETTLED
+        history_V = np.array([*turns, start_V])
+        plays = self.model.hysteresis.plays
+        return plays.run(history_V, plays.virgin_memory())[1]
+
+
+def rows_of(samples: int, count: int) -> NDArray[np.int_]:
+    """Return rows spread over a drive, evenly on average and at no one distance."""
+    if samples <= count:
+        return np.arange(samples)
+    spread = np.random.default_rng(samples).random(count)
+    return np.unique(((np.arange(count) + spread) * (samples / count)).astype(int))
+
+
+def null_columns(drives: Sequence[Driven], *, lag: bool) -> Array:
+    """Return what a refit of the model could take up, all drives together.
+
+    lag  whether the model's lag is among it; not where an effect is a lag itself
+    """
+    shared = [np.hstack([one.shared, one.speed]) if lag else one.shared for one in drives]
+    return np.hstack([np.vstack(shared), side_by_side([one.own for one in drives])])
+
+
+def side_by_side(parts: Sequence[Array]) -> Array:
+    """Return columns of which each drive has its own, zero along all others."""
+    rows, columns = (sum(part.shape[axis] for part in parts) for axis in (0, 1))
+    joined = np.zeros((rows, columns))
+    row = column = 0
+    for part in parts:
+        joined[row : row + part.shape[0], column : column + part.shape[1]] = part
+        row, column = row + part.shape[0], column + part.shape[1]
+    return joined

@@ -1,0 +1,149 @@
+"""Drives that move walls: loops, reversal curves, held levels, fast ramps, inside the limits.
+
+Every one begins and ends at rest and, before it begins, cycles twice over the whole range: what
+the stage did before is then forgotten by every play that the range can reach.
+"""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.excitation import DriveLimits
+
+CYCLES_BEFORE = 2
+CYCLE_s = 2.0  # of one such cycle, where the slew limit allows
+FULL_AT_Hz = 100.0  # fastest sine of the full range: mechanics is spared
+GLIDE = np.pi / 2  # peak speed of half a cosine over its mean speed
+
+
+def rest_V(limits: DriveLimits) -> float:
+    """Return the voltage next to 0 V that the limits allow."""
+    return float(np.clip(0.0, limits.voltage_min_V, limits.voltage_max_V))
+
+
+def between(body_V: Array, rate_Hz: float, limits: DriveLimits) -> Array:
+    """Return a drive with cycles over the whole range before it, and the way back to rest."""
+    rest, ends = rest_V(limits), (limits.voltage_max_V, limits.voltage_min_V)
+    stops = [rest, *ends * CYCLES_BEFORE, float(body_V[0])]
+    before = path_V(stops, limits, rate_Hz, move_s=CYCLE_s / 2)
+    after = path_V([float(body_V[-1]), rest], limits, rate_Hz, move_s=CYCLE_s / 2)
+    return np.concatenate([before, body_V, after])
+
+
+def path_V(
+    stops_V: Sequence[float],
+    limits: DriveLimits,
+    rate_Hz: float,
+    *,
+    move_s: float,
+    hold_s: float = 0.0,
+) -> Array:
+    """Return the way along stops, each reached along half a cosine and held.
+
+    move_s  of each way; longer where the slew limit asks for it
+    """
+    parts = [np.array([stops_V[0]])]
+    for here, there in pairwise(stops_V):
+        time_s = max(move_s, GLIDE * abs(there - here) / limits.slew_V_per_s)
+        count = max(int(np.ceil(time_s * rate_Hz)), 1)
+        along = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+        parts += [here + (there - here) * along, np.full(round(hold_s * rate_Hz), there)]
+    return np.concatenate(parts)
+
+
+def decaying_loops(
+    limits: DriveLimits, rate_Hz: float, *, frequency_Hz: float, cycles: int
+) -> Array:
+    """Return triangles about the middle whose amplitude falls to nothing: nested minor loops."""
+    middle_V, reach_V = _middle(limits)
+    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (4.5 * reach_V))
+    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
+    falling = reach_V * (1.0 - phase / cycles)
+    return middle_V + np.asarray(falling) * triangle(np.asarray(phase))
+
+
+def reversal_curves(limits: DriveLimits, rate_Hz: float, *, curves: int, move_s: float) -> Array:
+    """Return first-order reversal curves: from the top down to ever lower turns and back."""
+    top_V, low_V = limits.voltage_max_V, limits.voltage_min_V
+    turns = np.linspace(top_V, low_V, curves + 1)[1:]
+    stops = [top_V, *(stop for turn in turns.tolist() for stop in (turn, top_V))]
+    return path_V(stops, limits, rate_Hz, move_s=move_s)
+
+
+def held_levels(
+    limits: DriveLimits,
+    rate_Hz: float,
+    *,
+    levels: int,
+    hold_s: float,
+    mirrored: bool,
+    rng: np.random.Generator,
+) -> Array:
+    """Return random levels, each held; ``mirrored``: then the same about the middle."""
+    middle_V, reach_V = _middle(limits)
+    places = rng.uniform(-0.95, 0.95, levels)
+    ways = np.concatenate([places, -places]) if mirrored else places
+    stops_V = (middle_V + reach_V * ways).tolist()
+    return path_V([limits.voltage_min_V, *stops_V], limits, rate_Hz, move_s=0.05, hold_s=hold_s)
+
+
+def sine_grid(
+    limits: DriveLimits,
+    rate_Hz: float,
+    *,
+    shares: Sequence[float],
+    frequencies_Hz: Sequence[float],
+    block_s: float,
+) -> Array:
+    """Return sines of every amplitude at every frequency that the slew limit allows.
+
+    shares   amplitudes, of half the range; small and fast ones come first
+    block_s  of one sine, and at least three cycles of it
+    """
+    middle_V, reach_V = _middle(limits)
+    parts = [np.array([middle_V])]
+    for share in sorted(shares):
+        for frequency_Hz in sorted(frequencies_Hz, reverse=True):
+            speed_V_per_s = 2 * np.pi * frequency_Hz * share * reach_V
+            if speed_V_per_s > limits.slew_V_per_s or share * frequency_Hz > FULL_AT_Hz:
+                continue
+            cycles = max(round(block_s * frequency_Hz), 3)
+            count = round(cycles / frequency_Hz * rate_Hz)
+            phase = cycles * np.arange(1, count + 1) / count
+            parts.append(middle_V + share * reach_V * np.sin(2 * np.pi * phase))
+    return np.concatenate(parts)
+
+
+def rising_ramps(limits: DriveLimits, rate_Hz: float, *, slowest: float, steps: int) -> Array:
+    """Return full triangles whose speed rises from a share of the slew limit up to it."""
+    low_V, _ = limits.voltage_min_V, limits.voltage_max_V
+    _, reach_V = _middle(limits)
+    parts = [np.array([low_V])]
+    for share in np.geomspace(slowest, 1.0, steps):
+        frequency_Hz = share * limits.slew_V_per_s / (4.5 * reach_V)
+        count = max(round(2.0 / frequency_Hz * rate_Hz), 8)
+        phase = 2.0 * np.arange(1, count + 1) / count
+        parts.append(low_V + reach_V * (1.0 + triangle(phase - 0.25)))
+    return np.concatenate(parts)
+
+
+def equal_cycles(
+    limits: DriveLimits, rate_Hz: float, *, frequency_Hz: float, cycles: int
+) -> Array:
+    """Return full sines, all alike."""
+    middle_V, reach_V = _middle(limits)
+    frequency_Hz = min(frequency_Hz, limits.slew_V_per_s / (2 * np.pi * reach_V))
+    phase = np.arange(round(cycles / frequency_Hz * rate_Hz)) * frequency_Hz / rate_Hz
+    return np.asarray(middle_V + reach_V * np.sin(2 * np.pi * phase))
+
+
+def triangle(phase: Array) -> Array:
+    """Return the triangle that turns where the sine of 2 pi phase does."""
+    return np.asarray(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase)))
+
+
+def _middle(limits: DriveLimits) -> tuple[float, float]:
+    low_V, high_V = limits.voltage_min_V, limits.voltage_max_V
+    return 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
