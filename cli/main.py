@@ -10,6 +10,7 @@ import typer
 # thread gives the same bits on every machine. Whoever sets another number keeps it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from piezoid_cli.batch import batch
 from piezoid_cli.design import design
 from piezoid_cli.diagnose import diagnose
 from piezoid_cli.export import export
@@ -22,7 +23,7 @@ from piezoid_cli.verify import verify
 
 INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
-VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, simulate)
+VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, simulate, batch)
 
 app = typer.Typer(
     name="piezoid",

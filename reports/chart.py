@@ -118,6 +118,14 @@ class Canvas:
         per_step = self.y.scale.factor * (self.y.high - self.y.low) / (self.height * FINE)
         return Layer(role=role, name=name, path=path, kind="line"), furthest * per_step
 
+    def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
+        """Draw a dot for every pair of finite values: a stroke of no length with a round end."""
+        there = np.isfinite(x) & np.isfinite(y)
+        across = self.x.places(x[there], self.width)
+        up = self.y.places(y[there], self.height)
+        ends = (self._path(across[k : k + 1], up[k : k + 1]) for k in range(len(across)))
+        return Layer(role=role, name=name, path="".join(ends), kind="line")
+
     def band(self, role: str, name: str, x: Array, low: Array, high: Array) -> Layer:
         """Draw the area between two curves."""
         across = self.x.places(x, self.width)

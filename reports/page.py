@@ -103,6 +103,7 @@ class Table:
     columns  headings with units
     rows     texts; a row as long as ``columns``
     digests  numbers of the columns that hold digests, which may break anywhere
+    links    for each row the relative place its first entry leads to; empty for none
     """
 
     kind: ClassVar[str] = "table"
@@ -110,8 +111,11 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     digests: tuple[int, ...] = ()
+    links: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.links and len(self.links) != len(self.rows):
+            raise ValueError(f"{self.caption}: {len(self.links)} links for {len(self.rows)} rows")
         if any(len(row) != len(self.columns) for row in self.rows):
             raise ValueError(f"{self.caption}: a row has not {len(self.columns)} entries")
 

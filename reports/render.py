@@ -17,10 +17,15 @@ from piezoid.identification.store import write_model
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, Section
 from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import OF_DESIGN, OF_STAGE, SECTIONS, Render
 from piezoid_reports.traces import all_traces
+
+ALARM = (
+    "The model does not apply to this stage as a whole.",
+    "Numbers of an axis it does not apply to are shown so that one can see why, not to be used.",
+)
 
 
 def render(
@@ -73,13 +78,23 @@ def _digest(model: ActuatorModel) -> str:
 
 def _written(page: Page, chapters: Sequence[Render]) -> str:
     sections = [section for make in chapters if (section := make(page)) is not None]
+    return html(f"Stage {page.model.stage}", sections, alarm=None if page.model.applies else ALARM)
+
+
+def html(title: str, sections: Sequence[Section], *, alarm: tuple[str, str] | None = None) -> str:
+    """Return the whole page.
+
+    title     a name from the data, shown as text
+    sections  its chapters
+    alarm     what must be known before anything is read, and why
+    """
     style, script = _text("style.css"), _text("figures.js")
     return (
         _environment()
         .get_template("page.html.j2")
         .render(
-            stage=page.model.stage,
-            applies=page.model.applies,
+            title=title,
+            alarm=alarm,
             sections=sections,
             style=Markup(style),
             script=Markup(script),

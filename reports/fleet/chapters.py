@@ -1,0 +1,279 @@
+"""The chapters of a batch: verdict, failures, what stands out, spread and drift, all stages."""
+
+from urllib.parse import quote
+
+import numpy as np
+
+from piezoid_reports.chart import Axis, Canvas, axis_over
+from piezoid_reports.fleet.findings import FALSE_ALARMS, FEWEST, TREND_P, Distribution
+from piezoid_reports.fleet.records import (
+    CRASHED,
+    FAILED,
+    PASSED,
+    REFUSED,
+    STATES,
+    Fleet,
+    FleetStage,
+)
+from piezoid_reports.page import Figure, Heading, Part, Prose, Section, Table
+from piezoid_reports.quantities import Scale, significant, told
+
+PLACE = "stages"  # folder of the stages beside the page
+LOOK_SPREAD = (
+    "Good: one hump, no stage outside the dashed lines. Bad: two humps (two batches of ceramics, "
+    "two operators), a long tail, single stages far away."
+)
+LOOK_DRIFT = (
+    "Good: dots scatter about a level line. Bad: a slope (tool wear, a changing supplier, a "
+    "reference that ages), a step (a new batch, a new sensor), single dots far away."
+)
+
+
+def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
+    """Return what must be known if nothing else is read."""
+    good, whole = len(fleet.of_state(PASSED)), len(fleet.stages)
+    tone = "good" if fleet.passed else "middling" if good >= 0.9 * whole else "bad"
+    return Section(
+        anchor="verdict",
+        title="Verdict",
+        lead="",
+        parts=(Prose(text=" ".join((_counted(fleet), _odd(found), _drifting(found))), tone=tone),),
+    )
+
+
+def _counted(fleet: Fleet) -> str:
+    good, whole = len(fleet.of_state(PASSED)), len(fleet.stages)
+    if fleet.passed:
+        return f"All {whole} stages passed."
+    kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "broke off"))
+    rest = [f"{n} {word}" for state, word in kinds if (n := len(fleet.of_state(state)))]
+    return f"{good} of {whole} stages passed; {', '.join(rest)}."
+
+
+def _odd(found: tuple[Distribution, ...]) -> str:
+    if not found:
+        return f"Fewer than {FEWEST} stages can be compared, so nothing is said of the spread."
+    odd = {one.stages[k] for one in found for k in one.outliers}
+    if not odd:
+        return "No stage stands out from the others in anything that was compared."
+    shown = ", ".join(sorted(odd)[:3]) + (", ..." if len(odd) > 3 else "")
+    return f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out from the others: {shown}."
+
+
+def _drifting(found: tuple[Distribution, ...]) -> str:
+    named = [f"{one.quantity.label} of axis {one.axis}" for one in found if one.drifts]
+    if named:
+        return f"Over the serial numbers {', '.join(named)} drifts."
+    if any(one.trend is not None for one in found):
+        return "Nothing drifts over the serial numbers."
+    return "Too few stages carry a serial number in their name to speak of drift."
+
+
+def failures(fleet: Fleet) -> Section:
+    """Return every stage that did not pass, with the reason as it was given."""
+    rows = [stage for stage in fleet.stages if stage.state != PASSED]
+    parts: tuple[Part, ...] = (Prose(text="Every stage passed.", tone="good"),)
+    if rows:
+        parts = (
+            Table(
+                caption="Stages that did not pass.",
+                columns=("stage", "what happened", "reason"),
+                rows=tuple((s.name, s.state, s.reason) for s in rows),
+                links=tuple(_link(s) for s in rows),
+            ),
+        )
+    lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
+    return Section(
+        anchor="failures", title="Failures and their reasons", lead=f"{lead}.", parts=parts
+    )
+
+
+def outliers(found: tuple[Distribution, ...]) -> Section:
+    """Return the stages that stand out, farthest first."""
+    rows = sorted(
+        ((one, k) for one in found for k in one.outliers),
+        key=lambda pair: -abs(pair[0].away[pair[1]]),
+    )
+    limit = min((one.limit for one in found), default=0.0)
+    lead = (
+        f"At least {limit:.1f} robust standard deviations from the others, a limit that knows how "
+        "often was looked and how well the spread is known: in a batch where nothing is wrong, "
+        f"chance alone names {FALSE_ALARMS:g} stages at most."
+    )
+    if not rows:
+        return Section(
+            anchor="outliers",
+            title="Stages that stand out",
+            lead=lead if found else "",
+            parts=(Prose(text="None.", tone="good"),),
+        )
+    return Section(
+        anchor="outliers",
+        title="Stages that stand out",
+        lead=lead,
+        parts=(
+            Table(
+                caption="Measured against the middle of all stages, or against the drift.",
+                columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
+                rows=tuple(_odd_row(one, k) for one, k in rows),
+                links=tuple(_place(one.stages[k]) for one, k in rows),
+            ),
+        ),
+    )
+
+
+def _odd_row(one: Distribution, k: int) -> tuple[str, ...]:
+    return (
+        one.stages[k],
+        one.axis,
+        one.quantity.label,
+        told(float(one.values[k]), one.quantity.unit),
+        told(one.spread.median, one.quantity.unit),
+        f"{significant(float(one.away[k]), 2)} sigma",
+        one.quantity.means,
+    )
+
+
+def spread(found: tuple[Distribution, ...]) -> Section | None:
+    """Return a table and, for each quantity, its histogram and its course over serial numbers."""
+    if not found:
+        return None
+    parts: list[Part] = []
+    for axis in dict.fromkeys(one.axis for one in found):
+        own = [one for one in found if one.axis == axis]
+        parts += [Heading(text=f"Axis {axis}"), _table(axis, own)]
+        for one in own:
+            if np.ptp(one.values) > 0.0:
+                parts.append(_histogram(one))
+            if one.trend is not None:
+                parts.append(_course(one))
+    return Section(
+        anchor="parameters",
+        title="Distribution and drift of the parameters",
+        lead="Every stage to which the model applies, whether it passed or not.",
+        parts=tuple(parts),
+    )
+
+
+def _table(axis: str, own: list[Distribution]) -> Table:
+    return Table(
+        caption=f"Axis {axis}: spread over the stages, and the drift for 100 serial numbers. A "
+        f"drift counts if chance makes it in less than {100 * TREND_P:g} % of batches, all "
+        "quantities taken together.",
+        columns=("quantity", "stages", "median", "5 % to 95 %", "drift (95 %)", "p"),
+        rows=tuple(
+            (
+                one.quantity.label,
+                str(one.spread.count),
+                told(one.spread.median, one.quantity.unit),
+                f"{told(one.spread.low, one.quantity.unit)} to "
+                f"{told(one.spread.high, one.quantity.unit)}",
+                _drift(one),
+                "" if one.trend is None else significant(one.trend_p, 2),
+            )
+            for one in own
+        ),
+    )
+
+
+def _drift(one: Distribution) -> str:
+    if one.trend is None:
+        return "not known"
+    low, high = (100.0 * end for end in one.trend.ci95)
+    unit = one.quantity.unit
+    return f"{told(100.0 * one.trend.slope, unit)} ({told(low, unit)} to {told(high, unit)})"
+
+
+def _histogram(one: Distribution) -> Figure:
+    edges = np.histogram_bin_edges(
+        one.values, bins=int(np.clip(2 * len(one.values) ** 0.5, 8, 40))
+    )
+    counts, _ = np.histogram(one.values, edges)
+    across = np.repeat(edges, 2)
+    up = np.concatenate([[0.0], np.repeat(counts, 2), [0.0]]).astype(float)
+    limits = one.spread.median + one.limit * one.spread.sigma * np.array([-1.0, 1.0])
+    inside = limits[(limits >= edges[0]) & (limits <= edges[-1])]
+    y = Axis(label="stages", scale=Scale(factor=1.0, unit=""), low=0.0, high=1.08 * counts.max())
+    canvas = Canvas(
+        x=axis_over(one.quantity.label, [one.values], one.quantity.unit), y=y, height=200
+    )
+    layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
+    for level in inside:
+        line = canvas.line(
+            "limit", "limit for standing out", np.array([level, level]), np.array([0.0, y.high])
+        )
+        layers.append(line[0])
+    return Figure(
+        title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
+        numbers=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
+        f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
+        f"{len(one.outliers)} beyond {one.limit:.1f} of them.",
+        look=LOOK_SPREAD,
+        x=canvas.x,
+        y=canvas.y,
+        height=canvas.height,
+        layers=tuple(layers),
+    )
+
+
+def _course(one: Distribution) -> Figure:
+    assert one.trend is not None
+    ends = np.array([np.nanmin(one.serials), np.nanmax(one.serials)])
+    line = one.trend.middle + one.trend.slope * (ends - one.trend.about)
+    x = axis_over("serial number", [one.serials], "")
+    canvas = Canvas(
+        x=x, y=axis_over(one.quantity.label, [one.values], one.quantity.unit), height=200
+    )
+    odd = np.zeros(len(one.values), dtype=bool)
+    odd[list(one.outliers)] = True
+    layers = [
+        canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
+        canvas.line("trend", "median trend", ends, line)[0],
+    ]
+    if (odd & np.isfinite(one.serials)).any():
+        layers.append(canvas.dots("odd", "standing out", one.serials[odd], one.values[odd]))
+    return Figure(
+        title=f"{one.quantity.label}, axis {one.axis}: over the serial numbers",
+        numbers=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
+        f"{'a drift' if one.drifts else 'no drift that can be told from chance'}.",
+        look=LOOK_DRIFT,
+        x=canvas.x,
+        y=canvas.y,
+        height=canvas.height,
+        layers=tuple(layers),
+    )
+
+
+def stages(fleet: Fleet) -> Section:
+    """Return all stages with what they were made from and became."""
+    return Section(
+        anchor="stages",
+        title="All stages, and where their numbers come from",
+        lead="The same inputs and the same version give the same files, byte for byte. A stage "
+        "whose inputs have changed is not the one this page speaks of.",
+        parts=(
+            Table(
+                caption="Digests of the model and of the parameter file of every stage.",
+                columns=("stage", "state", "held-out error", "model.json", "params.json"),
+                rows=tuple(_row(stage) for stage in fleet.stages),
+                digests=(3, 4),
+                links=tuple(_link(stage) for stage in fleet.stages),
+            ),
+        ),
+    )
+
+
+def _row(stage: FleetStage) -> tuple[str, ...]:
+    shares = [axis.values.get("held_out_rms_percent") for axis in stage.axes]
+    errors = ", ".join(told(share, "%") for share in shares if share is not None)
+    made = [stage.outputs.get(name, "") for name in ("model.json", "params.json")]
+    return stage.name, stage.state, errors, *made
+
+
+def _link(stage: FleetStage) -> str:
+    return _place(stage.name) if stage.state in (PASSED, FAILED) else ""
+
+
+def _place(name: str) -> str:
+    """Return where a stage's report lies; a name can be no scheme and no other place."""
+    return f"./{PLACE}/{quote(name)}/report.html"

@@ -1,0 +1,102 @@
+"""What is compared over stages: one row for each quantity, tested against the page."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from piezoid.design.design import AxisDesign
+from piezoid.identification.model import AxisModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """One number that every stage has, or has not.
+
+    name    in JSON and Parquet; its unit ends it
+    label   for people
+    unit    SI
+    of      takes it from an axis and its design; None where there is none
+    means   what a stage that stands out in it may be
+    """
+
+    name: str
+    label: str
+    unit: str
+    of: Callable[[AxisModel, AxisDesign | None], float | None]
+    means: str
+
+
+def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
+    known = axis.uncertainty
+    return float(known.loading_m[-1] / known.reach_V[-1]) if known.reach_V[-1] > 0.0 else None
+
+
+def _loop_width(axis: AxisModel, _: AxisDesign | None) -> float | None:
+    return 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m
+
+
+def _modulus_margin(_: AxisModel, design: AxisDesign | None) -> float | None:
+    return None if design is None else design.recommended.worst_modulus_margin
+
+
+def _bandwidth(_: AxisModel, design: AxisDesign | None) -> float | None:
+    return None if design is None else design.recommended.bandwidth_Hz
+
+
+QUANTITIES = (
+    Quantity(
+        name="sensitivity_m_per_V",
+        label="sensitivity",
+        unit="m/V",
+        of=_sensitivity,
+        means="another ceramic, a cracked stack, a preload that is off, a wrong sensor gain",
+    ),
+    Quantity(
+        name="loop_width_percent",
+        label="loop width, of the range",
+        unit="%",
+        of=_loop_width,
+        means="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
+    ),
+    Quantity(
+        name="held_out_rms_percent",
+        label="held-out error, of the range",
+        unit="%",
+        of=lambda axis, _: axis.quality.held_out_rms_percent,
+        means="something that the model does not know: read the diagnosis of that stage",
+    ),
+    Quantity(
+        name="noise_rms_m",
+        label="sensor noise",
+        unit="m",
+        of=lambda axis, _: axis.quality.noise_rms_m,
+        means="a sensor that is misaligned, a cable, a ground loop",
+    ),
+    Quantity(
+        name="lag_s",
+        label="lag beyond the declared poles",
+        unit="s",
+        of=lambda axis, _: axis.lag.time_s,
+        means="an undeclared filter, a capacitance that is off, channels sampled apart",
+    ),
+    Quantity(
+        name="error_bound_m",
+        label="certified error bound",
+        unit="m",
+        of=lambda axis, _: axis.certificate.bound_m,
+        means="too little data of that stage, or a large remainder",
+    ),
+    Quantity(
+        name="bandwidth_Hz",
+        label="closed-loop bandwidth",
+        unit="Hz",
+        of=_bandwidth,
+        means="a mode or a delay that limits this stage and not the others",
+    ),
+    Quantity(
+        name="modulus_margin",
+        label="modulus margin, worst member",
+        unit="",
+        of=_modulus_margin,
+        means="a plant family that is wider than those of the others",
+    ),
+)

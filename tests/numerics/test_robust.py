@@ -1,0 +1,58 @@
+"""Statistics of a fleet: known answers, and one broken sample that changes none of them."""
+
+import numpy as np
+import pytest
+
+from piezoid.numerics.robust import deviations, holm, spread_of, trend_of
+
+
+def test_the_spread_of_a_normal_sample_is_its_standard_deviation() -> None:
+    found = spread_of(np.random.default_rng(1).normal(3.0, 0.5, 20_000))
+    assert found.median == pytest.approx(3.0, abs=0.02)
+    assert found.sigma == pytest.approx(0.5, rel=0.02)
+    assert found.low == pytest.approx(3.0 - 1.645 * 0.5, abs=0.03)
+
+
+def test_a_broken_sample_and_a_missing_one_move_nothing() -> None:
+    values = np.random.default_rng(2).normal(size=101)
+    clean = spread_of(values)
+    broken = spread_of(np.concatenate([values, [1e9, np.nan]]))
+    assert broken.count == clean.count + 1
+    assert broken.median == pytest.approx(clean.median, abs=0.05)
+    assert broken.sigma == pytest.approx(clean.sigma, rel=0.1)
+    assert deviations(np.array([1e9]), broken)[0] > 1e8
+
+
+def test_where_most_values_are_equal_the_odd_one_still_stands_out() -> None:
+    values = np.array([1.0] * 20 + [2.0])
+    assert np.argmax(np.abs(deviations(values, spread_of(values)))) == 20
+    assert np.all(deviations(np.ones(5), spread_of(np.ones(5))) == 0.0)
+
+
+def test_a_line_is_found_through_gross_errors() -> None:
+    x = np.arange(60.0)
+    y = 5.0 + 0.25 * x + np.random.default_rng(3).normal(scale=0.5, size=60)
+    y[::10] += 40.0
+    found = trend_of(x, y)
+    assert found is not None
+    assert found.ci95[0] < 0.25 < found.ci95[1]
+    assert found.p_value < 1e-6
+
+
+def test_no_trend_is_seen_in_noise_more_often_than_promised() -> None:
+    rng = np.random.default_rng(4)
+    found = [trend_of(np.arange(30.0), rng.normal(size=30)) for _ in range(200)]
+    share = np.mean([trend.p_value < 0.05 for trend in found if trend is not None])
+    assert share < 0.09
+
+
+def test_too_few_pairs_have_no_trend() -> None:
+    assert trend_of(np.arange(7.0), np.arange(7.0)) is None
+    assert trend_of(np.ones(20), np.arange(20.0)) is None
+
+
+def test_holm_is_the_worked_example_and_never_below_the_raw_value() -> None:
+    raw = np.array([0.01, 0.04, 0.03, 0.005])
+    assert holm(raw) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    drawn = np.random.default_rng(5).uniform(size=50)
+    assert np.all(holm(drawn) >= drawn)

@@ -1,0 +1,123 @@
+"""The page of a batch: what was put into the fleet is named, and nothing else."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid_reports.fleet.findings import FALSE_ALARMS, distributions
+from piezoid_reports.fleet.quantities import QUANTITIES
+from piezoid_reports.fleet.records import (
+    FAILED,
+    PASSED,
+    REFUSED,
+    Fleet,
+    FleetAxis,
+    FleetStage,
+    stage_from_json,
+)
+from piezoid_reports.fleet.render import render_fleet
+from tests.reports.anatomy import Anatomy
+
+MIDDLE = {"sensitivity_m_per_V": 3.3e-6, "noise_rms_m": 1e-8, "held_out_rms_percent": 0.1}
+
+
+def stage(serial: int, rng: np.random.Generator, **changes: float) -> FleetStage:
+    values = {name: value * (1 + 0.02 * rng.standard_normal()) for name, value in MIDDLE.items()}
+    axis = FleetAxis(
+        axis="x",
+        applies=True,
+        values=values | changes,
+        parameters={"play_weight_m_per_V": [1e-6, 2e-6], "voltage_offset_V": 5.0},
+    )
+    return FleetStage(name=f"unit {serial:03d}", state=PASSED, axes=(axis,), version="1")
+
+
+def fleet(count: int, seed: int = 1, **changes: float) -> Fleet:
+    rng = np.random.default_rng(seed)
+    made = [stage(k, rng) for k in range(count)]
+    if changes:
+        made[count // 2] = stage(count // 2, rng, **changes)
+    return Fleet(name="night", stages=tuple(made))
+
+
+def test_the_one_noisy_stage_is_named_with_its_number() -> None:
+    found = distributions(fleet(40, noise_rms_m=4e-8))
+    noise = next(one for one in found if one.quantity.name == "noise_rms_m")
+    assert [noise.stages[k] for k in noise.outliers] == ["unit 020"]
+    rows = Anatomy(render_fleet(fleet(40, noise_rms_m=4e-8))).all("tr")
+    first = next(row.text for row in rows if "sigma" in row.text)
+    assert "unit 020" in first  # the farthest stands on top
+    assert "40.0\u202fnm" in first
+
+
+@pytest.mark.parametrize("count", [6, 12, 40])
+def test_where_nothing_is_wrong_chance_names_as_few_as_the_page_says(count: int) -> None:
+    named = [
+        sum(len(one.outliers) for one in distributions(fleet(count, seed))) for seed in range(60)
+    ]
+    assert np.mean(named) < FALSE_ALARMS * 1.2
+
+
+def test_a_drift_over_the_serial_numbers_is_seen_and_the_drifted_are_no_outliers() -> None:
+    rng = np.random.default_rng(2)
+    stages = tuple(
+        stage(k, rng, sensitivity_m_per_V=3.3e-6 * (1 - 2e-3 * k) * (1 + 1e-3 * rng.normal()))
+        for k in range(60)
+    )
+    (found,) = (
+        one
+        for one in distributions(Fleet(name="night", stages=stages))
+        if one.quantity.name == "sensitivity_m_per_V"
+    )
+    assert found.drifts
+    assert found.trend is not None
+    assert found.trend.slope == pytest.approx(-2e-3 * 3.3e-6, rel=0.05)
+    assert not found.outliers
+    assert "drifts." in render_fleet(Fleet(name="night", stages=stages))
+
+
+def test_a_constant_quantity_and_a_missing_serial_are_no_trouble() -> None:
+    same = FleetAxis(axis="x", applies=True, values={"lag_s": 0.0}, parameters={})
+    stages = tuple(FleetStage(name=name, state=PASSED, axes=(same,)) for name in "abcdefghij")
+    page = render_fleet(Fleet(name="night", stages=stages))
+    assert "Too few stages carry a serial number" in page
+    Anatomy(page)
+
+
+def test_every_failure_stands_there_with_its_reason() -> None:
+    bad = (
+        FleetStage(name="a/1", state=REFUSED, reason="sweep.csv: no <column> is a displacement"),
+        FleetStage(name="a/2", state=FAILED, reason="rms (spiral): 3e-08, allowed 2e-08, m"),
+    )
+    page = render_fleet(Fleet(name="night", stages=bad))
+    assert "0 of 2 stages passed; 1 failed a verdict, 1 could not be used." in page
+    assert "no &lt;column&gt; is a displacement" in page
+    links = [e.attributes["href"] for e in Anatomy(page).all("a")]
+    assert "./stages/a/2/report.html" in links
+    assert "./stages/a/1/report.html" not in links
+
+
+def test_a_hostile_name_of_a_folder_is_neither_markup_nor_another_place() -> None:
+    name = "javascript:alert(1)//<b>&\"'"
+    page = render_fleet(
+        Fleet(name="<i>", stages=(FleetStage(name=name, state=FAILED, reason="x"),))
+    )
+    assert "<b>&" not in page
+    links = [e.attributes["href"] for e in Anatomy(page).all("a")]
+    assert any("javascript%3A" in link for link in links)
+    assert all(link.startswith(("./stages/", "#")) for link in links)
+
+
+def test_a_record_comes_back_and_a_changed_bit_is_refused() -> None:
+    made = stage(7, np.random.default_rng(3))
+    content = made.to_json()
+    assert stage_from_json(content, "batch.json") == made
+    assert made.serial == 7
+    with pytest.raises(ParameterFileError):
+        stage_from_json(content.replace(b"unit 007", b"unit 008"), "batch.json")
+
+
+def test_names_of_quantities_end_with_their_unit() -> None:
+    for quantity in QUANTITIES:
+        unit = {"%": "_percent", "m/V": "_m_per_V", "": ""}.get(quantity.unit, f"_{quantity.unit}")
+        assert quantity.name.endswith(unit)
