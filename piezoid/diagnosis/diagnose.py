@@ -17,7 +17,6 @@ from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
-from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -64,7 +63,7 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
 
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
     stroke_m = outcome.first.stroke_m
-    noise = _noise_floor(outcome)
+    noise = outcome.clean.noise
     findings = [
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
@@ -87,12 +86,6 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
 
 def _held_out(rms: float, stroke_m: float) -> HeldOut:
     return HeldOut(rms_m=rms * stroke_m, rms_percent=50.0 * rms)
-
-
-def _noise_floor(outcome: Outcome) -> float:
-    rows = [len(track.place) for track in outcome.clean.tracks]
-    noise = [white_noise_rms(track.response) for track in outcome.clean.tracks]
-    return float(np.sqrt(np.average(np.square(noise), weights=rows)))
 
 
 def _explained(before: float, after: float, noise: float) -> float:

@@ -72,6 +72,7 @@ class Effect:
     untestable   (view) -> why these recordings cannot show it, empty where they can
     trials       (view) -> trials, real ones and twins
     columns      (view, parameters) -> what the accepted effect adds, (rows, columns)
+    beside       (view) -> columns that come with the effect and are no evidence of it
     drive        (drive, rate_Hz, parameters) -> what reaches the stage, for effects in front of it
     passes       (response, rate_Hz, parameters) -> what is read of it, for filters that all of the
                  response passes
@@ -80,6 +81,7 @@ class Effect:
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
                  judged at the end, when everything else is in
     inject       (recording, share) -> the recording with the effect, share of the stroke
+    sure         standard errors to ask for
     worth        part of the error on rows left out that it must take off
     shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
     least        share of the stroke below which it is not looked for
@@ -94,11 +96,13 @@ class Effect:
     untestable: Callable[[View], str] = lambda _: ""
     trials: Callable[[View], Sequence[Trial]] | None = None
     columns: Callable[[View, Parameters], Array] | None = None
+    beside: Callable[[View], Array] | None = None
     drive: Callable[[Array, float, Parameters], Array] | None = None
     passes: Callable[[Array, float, Parameters], Array] | None = None
     fault: Callable[[View], Fault | None] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
+    sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
     least: float = 1.2e-4
     worth: float = 0.03
     shows_at: float = 2e-3

@@ -7,10 +7,11 @@ z_i plays, n = 1 .. 4; x_j friction states that forget exponentially with the wa
 
     dx/dt = du/dt - |du/dt| x / r,
 
-f_j their powers and their products with the drive. Plays with powers of their states are Preisach
-operators in play form; products with the drive let loops change with bias; friction states are
-Dahl's and Bouc's. The class is far wider than any model that ships: what it can follow is no
-evidence of a cause, and effects are decided on what it cannot.
+f_j their powers and their products with the drive; and, where that beats every effect, one
+Bouc-Wen state of free parameters, because its small loops do not close. Plays with powers of their
+states are Preisach operators in play form; products with the drive let loops change with bias;
+friction states are Dahl's. The class is far wider than any model that ships: what it can follow is
+no evidence of a cause, and effects are decided on what it cannot.
 
 Source: Krejci (1996); Dahl (1968); Bouc (1967); a wide class of nulls, Box (1980).
 """
@@ -23,17 +24,20 @@ import numpy as np
 
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.play import first_carry, play_columns, play_tangents
 
 PLAYS = 18
 POWERS = 4
 FORGETTING = 4  # groups of plays whose first states each track may correct
-DECAYS_s = (0.3, 3.0, 30.0)  # a track's own return to rest; what it hides is no one's evidence
 PASTS = 16
 CHUNK = 65536
 FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
 
 THRESHOLD = np.geomspace(0.01, 0.97, PLAYS)
+SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
+KNEE_COLUMNS = 5
+Knee = tuple[float, float, float]
 
 
 def past(drive: Array, turns: Sequence[float]) -> Array:
@@ -120,16 +124,23 @@ def friction_states(drive: Array, start: Array) -> Array:
     return states
 
 
+def knee_columns(state: Array, drive: Array) -> Array:
+    """Return the columns of a Bouc-Wen state: its powers and its products with the drive."""
+    return np.column_stack([state, state**2, state**3, drive * state, drive**2 * state])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Envelope:
     """The class on some tracks, each with a past.
 
     tracks  what is followed
     turns   (tracks,)  values at which the drive turned before each track
+    knee    beta, gamma and exponent of a Bouc-Wen state beside the others, or none
     """
 
     tracks: tuple[Track, ...]
     turns: tuple[tuple[float, ...], ...]
+    knee: Knee | None = None
 
     @cached_property
     def edges(self) -> Places:
@@ -139,12 +150,12 @@ class Envelope:
     @cached_property
     def shared(self) -> int:
         """Return how many columns all tracks share."""
-        return (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
+        return SHARED + (KNEE_COLUMNS if self.knee else 0)
 
     @property
     def own(self) -> int:
         """Return how many columns belong to one track."""
-        return 1 + FORGETTING + len(DECAYS_s)
+        return 1 + FORGETTING
 
     @property
     def memory_columns(self) -> tuple[int, ...]:
@@ -157,7 +168,7 @@ class Envelope:
         """Return the columns that are products of a state with the drive."""
         plays = (PLAYS + 1) * POWERS
         friction = plays + 2 * PLAYS + 3 * len(FRICTION)
-        return (*range(plays, plays + 2 * PLAYS), *range(friction, self.shared))
+        return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED))
 
     @cached_property
     def columns(self) -> Array:
@@ -168,19 +179,19 @@ class Envelope:
             rows = slice(self.edges[k], self.edges[k + 1])
             memory = first_carry(past(track.drive, self.turns[k]))
             tangents = play_tangents(track.drive, THRESHOLD, memory)
-            columns[rows, : self.shared] = shape_columns(
+            columns[rows, :SHARED] = shape_columns(
                 tangents.state[track.place],
                 friction_states(track.drive, rubbed(track.drive, self.turns[k]))[track.place],
                 track.drive[track.place],
             )
+            if self.knee:
+                state = self.bent(k, track.drive)[track.place]
+                columns[rows, SHARED : self.shared] = knee_columns(state, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
             groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
             for g, group in enumerate(groups):
                 columns[rows, first + 1 + g] = tangents.memory[track.place][:, group].mean(axis=1)
-            time_s = track.time_s[track.place]
-            for d, decay_s in enumerate(DECAYS_s):
-                columns[rows, first + 1 + FORGETTING + d] = np.exp(-time_s / decay_s)
         return columns
 
     def static(self, k: int, weight: Array) -> Array:
@@ -192,12 +203,25 @@ class Envelope:
         for first in range(0, len(track.drive), CHUNK):
             drive = np.asarray(track.drive[first : first + CHUNK])
             states, memory = play_columns(drive, THRESHOLD, memory)
-            parts.append(shape(states, friction[first : first + CHUNK], drive, weight))
-        return np.concatenate(parts)
+            parts.append(shape(states, friction[first : first + CHUNK], drive, weight[:SHARED]))
+        total = np.concatenate(parts)
+        if self.knee:
+            total += knee_columns(self.bent(k, track.drive), track.drive) @ weight[SHARED:]
+        return np.asarray(total)
+
+    def bent(self, k: int, drive: Array) -> Array:
+        """Return the Bouc-Wen state along a drive with a track's past, (samples,)."""
+        assert self.knee is not None
+        way = np.array([*self.turns[k], float(drive[0])])
+        start = float(bouc_wen_states(way, *self.knee)[-1])
+        return bouc_wen_states(drive, *self.knee, start)
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""
         place = self.tracks[k].place
         states, _ = play_columns(drive, THRESHOLD, past(drive, self.turns[k]))
         friction = friction_states(drive, rubbed(drive, self.turns[k]))
-        return np.asarray(shape_columns(states[place], friction[place], drive[place]) @ weight)
+        rows = shape_columns(states[place], friction[place], drive[place]) @ weight[:SHARED]
+        if self.knee:
+            rows = rows + knee_columns(self.bent(k, drive)[place], drive[place]) @ weight[SHARED:]
+        return np.asarray(rows)

@@ -95,9 +95,10 @@ def offset_of(view: View, accepted: Sequence[Accepted]) -> Array:
 
 def columns_of(view: View, accepted: Sequence[Accepted]) -> Array:
     """Return the columns of all accepted effects that act on the response."""
-    parts = [
-        one.effect.columns(view, one.parameters)
-        for one in accepted
-        if one.adds and one.effect.columns is not None
-    ]
-    return np.hstack([np.zeros((len(view.offset), 0)), *parts])
+    parts = [np.zeros((len(view.offset), 0))]
+    for one in accepted:
+        if one.adds and one.effect.columns is not None:
+            parts.append(one.effect.columns(view, one.parameters))
+        if one.effect.beside is not None:
+            parts.append(one.effect.beside(view))
+    return np.hstack(parts)

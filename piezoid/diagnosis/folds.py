@@ -171,6 +171,11 @@ class Null:
         cov = inverse @ (scores.T @ scores) @ inverse * (count / max(count - 1, 1))
         return np.asarray(cov / np.outer(length, length))
 
+    @property
+    def rms(self) -> float:
+        """Return the rms of the residual."""
+        return float(np.sqrt(np.mean(self.residual**2)))
+
     @cached_property
     def energy(self) -> Array:
         """Return the sum of squares of every block's residual."""

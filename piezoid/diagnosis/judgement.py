@@ -7,10 +7,9 @@ from math import sqrt
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Held, compared, surely
-from piezoid.diagnosis.screening import Screened, screened
+from piezoid.diagnosis.screening import Screened, null_of, screened
 from piezoid.diagnosis.view import View
 
-SURE = 3.3  # standard errors: 0.0005 on one side; a wrong cause is worse than one not named
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves, as surely
 
@@ -46,7 +45,7 @@ class Judged:
         """Tell whether this is evidence: sure, worth it, physical, and better than its twins."""
         return (
             self.sound
-            and self.held.z > SURE
+            and self.held.z > self.effect.sure
             and self.held.gain > self.effect.worth
             and self.share > self.effect.least
             and self._beats_its_twin
@@ -57,7 +56,7 @@ class Judged:
         if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
             return True
         left = (1.0 - self.held.gain) / (1.0 - self.twin.gain)
-        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > SURE
+        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > self.effect.sure
 
 
 def judged(
@@ -92,7 +91,7 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
     assert one.effect.columns is not None
     columns = one.effect.columns(view, one.parameters)
     trial = Trial(columns=columns, parameters=one.parameters, within=seen.trial.within)
-    found = screened(one.effect, without.null, [trial])
+    found = screened(one.effect, null_of(one.effect, without), [trial])
     return Judged(
         accepted=one,
         held=found.held,

@@ -4,7 +4,7 @@ It tells where to look. What counts is said in ``judgement``, with the real thin
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ class Screened:
     share  rms of what it adds, of the whole stroke
     bound  the largest such share the data allow, one-sided 95 %
     sound  whether physics allows it
+    total  1 - rms / rms without, all that comes with it included
     """
 
     effect: Effect
@@ -35,15 +36,27 @@ class Screened:
     share: float
     bound: float
     sound: bool
+    total: float
 
 
 def screen(effect: Effect, view: View) -> Screened | None:
     """Return the best of an effect's trials, None where it has none on these recordings."""
     trials = [t for t in effect.trials(view) if np.any(t.columns)] if effect.trials else []
-    null = view.null if effect.against is None else effect.against(view)
+    null = null_of(effect, view)
     if not any(trial.real for trial in trials):
         return None
-    return screened(effect, null, trials)
+    found = screened(effect, null, trials)
+    beside = null.rms / view.null.rms if effect.beside is not None else 1.0
+    return replace(found, total=1.0 - (1.0 - found.held.gain) * beside)
+
+
+def null_of(effect: Effect, view: View) -> Null:
+    """Return what an effect has to beat."""
+    if effect.against is not None:
+        return effect.against(view)
+    if effect.beside is None:
+        return view.null
+    return replace(view, accepted=np.hstack([view.accepted, effect.beside(view)])).null
 
 
 def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
@@ -67,6 +80,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
         share=share,
         bound=bound,
         sound=bool(allowed),
+        total=held.gain,
     )
 
 

@@ -10,19 +10,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
+import numpy as np
+
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.view import View, with_tracks
+from piezoid.diagnosis.view import View, with_knee, with_own_pasts, with_pasts, with_tracks
 
 MOST_CAUSES = 5
 MOST_REPAIRS = 3
 WORTH = 0.02  # of the rms: what removing a cause must lose
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
+NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
+KNEE = 0.97  # of the error: what one more state of hysteresis must leave
+OTHER_PASTS = 0.98  # of the error: what other pasts of the tracks must leave
 LEFT_OVER = 0.3  # of a rival's share
 NEAR = 1.6  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
@@ -53,7 +59,7 @@ class Outcome:
 def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
     clean, faults = _repaired(view, progress)
-    accepted, silent = _grown(clean, progress)
+    clean, accepted, silent = _grown(clean, progress)
     accepted = _pruned(clean, accepted, progress)
     final = extended(clean, accepted)
     causes = [_cause(clean, accepted, one) for one in accepted]
@@ -111,18 +117,31 @@ def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:
     return view, faults
 
 
-def _grown(clean: View, progress: Progress) -> tuple[list[Accepted], dict[str, Screened]]:
-    """Accept one effect after another; return them, and the last word on all others."""
+Grown = tuple[View, list[Accepted], dict[str, Screened]]
+
+
+def _grown(clean: View, progress: Progress) -> Grown:
+    """Accept one effect after another; other pasts or a knee first, where those leave less.
+
+    Return the view with these pasts, the effects, and the last word on all others.
+    """
     accepted: list[Accepted] = []
-    silent: dict[str, Screened] = {}
-    for _ in range(MOST_CAUSES):
+    for _ in range(MOST_CAUSES + 2):
         view = extended(clean, accepted)
         silent = _screened_all(view, {one.effect.name for one in accepted}, progress)
         best = _best(clean, accepted, list(silent.values()), progress)
-        if best is None:
+        least = best.view.rms if best else np.inf
+        own = with_own_pasts(view)
+        bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
+        if bent.rms < min(KNEE * view.rms, least, own.rms):
+            clean = with_knee(clean, bent.envelope.knee)
+        elif own.rms < min(OTHER_PASTS * view.rms, least):
+            clean = with_pasts(clean, own.envelope.turns)
+        elif best is None:
             break
-        accepted = _settled(clean, [*accepted, best.accepted])
-    return accepted, silent
+        else:
+            accepted = _settled(clean, [*accepted, best.accepted])
+    return clean, accepted, silent
 
 
 def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, Screened]:
@@ -144,8 +163,8 @@ def _best(
     progress: Progress,
 ) -> Judged | None:
     """Return the effect that leaves least among those that are evidence."""
-    best = max((found.held.gain for found in screenings if found.sound), default=0.0)
-    telling = [f for f in screenings if f.held.gain > max(TELLING * best, LEAST_GAIN) and f.sound]
+    best = max((found.total for found in screenings if found.sound), default=0.0)
+    telling = [f for f in screenings if f.total > max(TELLING * best, LEAST_GAIN) and f.sound]
     first = []
     for found in telling:
         one = begun(found.effect, found.trial, float(found.held.coefficient[0]))

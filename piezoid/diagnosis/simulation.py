@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import PLAYS, DECAYS_s
+from piezoid.diagnosis.envelope import PLAYS
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.search import Outcome
@@ -71,12 +71,12 @@ def error_of(view: View) -> float:
 
 
 def _own(view: View) -> Array:
-    """Return zero and memory of every track: its own columns without slow returns to rest."""
+    """Return zero and memory of every track."""
     envelope = view.envelope
     kept = [
         envelope.shared + envelope.own * k + j
         for k in range(len(view.tracks))
-        for j in range(envelope.own - len(DECAYS_s))
+        for j in range(envelope.own)
     ]
     columns = envelope.columns[:, kept]
     return np.asarray(columns[:, np.abs(columns).max(axis=0) > 0.0])

@@ -12,20 +12,25 @@ import numpy as np
 
 from piezoid.diagnosis.envelope import (
     FRICTION,
+    SHARED,
     THRESHOLD,
     Envelope,
+    Knee,
     friction_states,
+    knee_columns,
     past,
     pasts,
     rubbed,
-    shape_columns,
+    shape,
 )
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.play import play_columns
 
-ROUNDS = 2  # of choosing pasts
+FOR_ALL = 0.97  # of the error of all tracks: what such a past must leave
 CLEARLY = 0.7  # of the misfit of a cycled past: what another past must leave to be believed
 
 
@@ -79,7 +84,14 @@ class View:
     @property
     def rms(self) -> float:
         """Return the rms of the residual."""
-        return float(np.sqrt(np.mean(self.null.residual**2)))
+        return self.null.rms
+
+    @cached_property
+    def noise(self) -> float:
+        """Return the white noise of the response, rms."""
+        rows = [len(track.place) for track in self.tracks]
+        noise = [white_noise_rms(track.response) for track in self.tracks]
+        return float(np.sqrt(np.average(np.square(noise), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
         """Return one column: signals of all tracks at the rows."""
@@ -99,17 +111,42 @@ class View:
 
 
 def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float) -> View:
-    """Fit the envelope and choose the past of every track by what it misfits."""
+    """Fit the envelope to tracks whose drives were cycled before."""
     turns = tuple(pasts(track.drive)[0] for track in tracks)
-    for _ in range(ROUNDS):
-        view = _view(tracks, turns, stroke_m, voltage_V)
-        turns = tuple(_best_past(view, k) for k in range(len(view.tracks)))
-    return _view(tracks, turns, stroke_m, voltage_V)
+    return _of(Envelope(tracks=tuple(tracks), turns=turns), stroke_m, voltage_V)
+
+
+def cycled(view: View) -> View:
+    """Return the view as it is if every drive was cycled over its range before."""
+    return with_pasts(view, tuple(pasts(track.drive)[0] for track in view.tracks))
+
+
+def with_own_pasts(view: View) -> View:
+    """Return the view in which every track has the past that fits it best.
+
+    A past other than that of a cycled drive must be clearly better for its track, and better for
+    all tracks together once the envelope is refitted: what else is wrong must not pass for memory.
+    """
+    view = cycled(view)
+    for k in range(len(view.tracks)):
+        best = _best_past(view, k)
+        if best == view.envelope.turns[k]:
+            continue
+        turns = view.envelope.turns
+        other = with_pasts(view, (*turns[:k], best, *turns[k + 1 :]))
+        if other.rms < FOR_ALL * view.rms:
+            view = other
+    return view
 
 
 def with_pasts(view: View, turns: tuple[tuple[float, ...], ...]) -> View:
     """Return the view with other pasts of its tracks."""
-    return replace(view, envelope=Envelope(tracks=view.tracks, turns=turns))
+    return replace(view, envelope=replace(view.envelope, turns=turns))
+
+
+def with_knee(view: View, knee: Knee | None) -> View:
+    """Return the view with a Bouc-Wen state of these parameters in its envelope."""
+    return replace(view, envelope=replace(view.envelope, knee=knee))
 
 
 def with_commands(view: View, commands: Sequence[Array]) -> View:
@@ -120,21 +157,17 @@ def with_commands(view: View, commands: Sequence[Array]) -> View:
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
-    return _view(tracks, view.envelope.turns, view.stroke_m, view.voltage_V)
+    envelope = replace(view.envelope, tracks=tuple(tracks))
+    return _of(envelope, view.stroke_m, view.voltage_V)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
     """Return the view of repaired tracks."""
-    return _view(tracks, view.envelope.turns, view.stroke_m, view.voltage_V)
+    envelope = replace(view.envelope, tracks=tuple(tracks))
+    return _of(envelope, view.stroke_m, view.voltage_V)
 
 
-def _view(
-    tracks: Sequence[Track],
-    turns: tuple[tuple[float, ...], ...],
-    stroke_m: float,
-    voltage_V: float,
-) -> View:
-    envelope = Envelope(tracks=tuple(tracks), turns=turns)
+def _of(envelope: Envelope, stroke_m: float, voltage_V: float) -> View:
     rows = int(envelope.edges[-1])
     return View(
         envelope=envelope,
@@ -154,13 +187,18 @@ def _best_past(view: View, k: int) -> tuple[float, ...]:
     options = pasts(track.drive)
     began = rubbed(drive, options[0])
     friction = friction_states(drive, began)[kept]
+    knee = view.envelope.knee
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(drive)))])[kept]
     forgotten = np.exp(-way[:, None] / FRICTION)
     misses = []
     for turns in options:
         states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
         rubs = friction + (rubbed(drive, turns) - began) * forgotten
-        missed = shape_columns(states[kept], rubs, drive[kept]) @ view.weight
+        missed = shape(states[kept], rubs, drive[kept], view.weight[:SHARED])
+        if knee:
+            start = float(bouc_wen_states(np.array([*turns, float(drive[0])]), *knee)[-1])
+            bent = bouc_wen_states(drive, *knee, start)[kept]
+            missed = missed + knee_columns(bent, drive[kept]) @ view.weight[SHARED:]
         misses.append(float(np.std(missed - track.response[kept])))
     best = int(np.argmin(misses))
     return options[best] if misses[best] < CLEARLY * min(misses[:2]) else options[0]

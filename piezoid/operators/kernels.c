@@ -248,3 +248,25 @@ void pk_activated(size_t samples, const double *input, double step, double wide,
         output[k] = input[k] - lag;
     }
 }
+
+static inline double bouc_wen_slope(double z, double way, double beta, double gamma,
+                                    double exponent) {
+    const double grip = gamma + (z * way > 0.0 ? beta : -beta);
+    return 1.0 - grip * pow(fabs(z), exponent);
+}
+
+void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
+                 double longest, double *state, double *output) {
+    double z = *state;
+    for (size_t k = 0; k < samples; ++k) {
+        const double way = k > 0 ? input[k] - input[k - 1] : 0.0;
+        const double parts = ceil(fabs(way) / longest);
+        const double step = parts > 0.0 ? way / parts : 0.0;
+        for (double part = 0.0; part < parts; part += 1.0) {
+            const double middle = z + 0.5 * step * bouc_wen_slope(z, step, beta, gamma, exponent);
+            z += step * bouc_wen_slope(middle, step, beta, gamma, exponent);
+        }
+        output[k] = z;
+    }
+    *state = z;
+}

@@ -86,4 +86,9 @@ void pk_creep(size_t samples, const double *input, double part, double threshold
  *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
 void pk_activated(size_t samples, const double *input, double step, double wide, double *output);
 
+/* A Bouc-Wen state along an input, by midpoint steps of at most `longest`:
+ *   dz/du = 1 - |z|^exponent (gamma + beta sgn(z du));   *state is z before, then after */
+void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
+                 double longest, double *state, double *output);
+
 #endif

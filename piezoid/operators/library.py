@@ -28,6 +28,7 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_creep": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),
+    "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
     "pk_activated": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),
 }
 

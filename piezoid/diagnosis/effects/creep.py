@@ -25,6 +25,7 @@ from piezoid.records.recording import Recording
 
 PER_DECADE = 2
 FASTEST_s = 0.01
+DECAY_s = 30.0  # of what began before a track: the rest of it is in its zero
 LONGER = 10.0  # slowest time constant over the longest track
 ALLOWED = (0.0, 0.2)  # share of a step for each decade
 LEAST_s = 2.0  # a shorter record shows no slow motion
@@ -72,6 +73,16 @@ def _trials(view: View) -> list[Trial]:
     return found
 
 
+def _decays(view: View) -> Array:
+    """Return each track's own return to rest: creep that began before it did."""
+    return np.column_stack(
+        [
+            view.of_track(k, np.exp(-track.place / (track.rate_Hz * DECAY_s)))
+            for k, track in enumerate(view.tracks)
+        ]
+    )
+
+
 def _columns(view: View, parameters: Parameters) -> Array:
     return _ladder(view, parameters["first_s"], parameters["last_s"])
 
@@ -97,8 +108,10 @@ EFFECT = Effect(
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
     rivals=("thermal_drift",),
+    sure=2.7,
     untestable=_untestable,
     trials=_trials,
+    beside=_decays,
     columns=_columns,
     size=_size,
     inject=inject,

@@ -16,30 +16,25 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Trial
-from piezoid.diagnosis.envelope import pasts
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.signals import scaled_to, with_displacement
-from piezoid.diagnosis.view import View, with_pasts
+from piezoid.diagnosis.view import View, cycled
 from piezoid.records.recording import Recording
-
-
-def _cycled(view: View) -> View:
-    return with_pasts(view, tuple(pasts(track.drive)[0] for track in view.tracks))
 
 
 def _against(view: View) -> Null:
     """Return the envelope as it would be had every drive been cycled before."""
-    cycled = _cycled(view)
-    columns = np.delete(cycled.null.columns, list(view.envelope.memory_columns), axis=1)
+    before = cycled(view)
+    columns = np.delete(before.null.columns, list(view.envelope.memory_columns), axis=1)
     return Null(columns=columns, response=view.response, block=view.block)
 
 
 def _trials(view: View) -> list[Trial]:
-    cycled = _cycled(view)
+    before = cycled(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
-        known = cycled.envelope.static_rows(k, view.weight, drive)
+        known = before.envelope.static_rows(k, view.weight, drive)
         columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
     memory = view.envelope.columns[:, list(view.envelope.memory_columns)]
     both = np.column_stack([*columns, memory])
