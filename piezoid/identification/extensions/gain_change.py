@@ -58,7 +58,7 @@ class GainChange(Extension):
         """Return the step of the zero."""
         if where.recording != self.recording:
             return 0.0
-        return self.offset_m * (where.time_s >= self.instant_s)
+        return np.asarray(self.offset_m * (where.time_s >= self.instant_s))
 
     def free(self) -> Free:
         """Return ratio and step; the instant stays."""

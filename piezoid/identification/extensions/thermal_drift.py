@@ -7,12 +7,12 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.signals import hats
 from piezoid.numerics.arrays import Array
 
 KNOTS = 6
 LEAST_s = 5.0
 FARTHEST_m = 1.0
+STEADY = 0.03  # weight of a slope beside that of its change
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,9 +59,8 @@ class ThermalDrift(Extension):
         for curve in self.curves:
             count = len(curve.level_m)
             if (curve.recording, curve.first) == (where.recording, where.first):
-                place = np.linspace(0.0, count, where.samples)
                 found = np.zeros((where.samples, total))
-                found[:, first : first + count] = hats(place, count + 1)[:, 1:]
+                found[:, first : first + count] = _splines(count + 1, where.samples)[:, 1:]
             first += count
         return found
 
@@ -82,10 +81,11 @@ class ThermalDrift(Extension):
         return type(self)(curves=tuple(curves))
 
     def prior(self) -> Array:
-        """Return the step from each knot to the next: heat is slow."""
+        """Return changes of slope from knot to knot, and slopes, weakly: heat is slow."""
         count = len(self.curves[0].level_m) if self.curves else 0
         steps = np.eye(count) - np.eye(count, k=-1)
-        return np.asarray(np.kron(np.eye(len(self.curves)), steps), dtype=np.float64)
+        rows = np.vstack([np.diff(steps, axis=0), STEADY * steps])
+        return np.asarray(np.kron(np.eye(len(self.curves)), rows), dtype=np.float64)
 
     @classmethod
     def from_json(cls, entries: Mapping[str, Any]) -> Self:
@@ -96,3 +96,11 @@ class ThermalDrift(Extension):
                 for curve in entries["curves"]
             )
         )
+
+
+def _splines(knots: int, samples: int) -> Array:
+    """Return natural cubic splines that are 1 at one knot each, (samples, knots)."""
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(np.arange(knots), np.eye(knots), bc_type="natural")
+    return np.asarray(spline(np.linspace(0.0, knots - 1.0, samples)))

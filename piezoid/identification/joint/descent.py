@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.identification.joint.bounded import bounded_minimum
 from piezoid.identification.joint.chain import follow, residual
 from piezoid.identification.joint.parts import FOLDS, Part
 from piezoid.identification.joint.tangents import tangents_of
@@ -20,7 +21,7 @@ from piezoid.numerics.arrays import Array
 CONVERGED = 1e-4
 TRIES = 8
 CHORDS = 3  # steps on the rows kept
-FIRM = (1e-7, 1e-4, 1e-2)  # damping on a fold, tried in turn
+FIRM = (1e-6, 1e-4, 1e-2, 1.0)  # damping on a fold, tried in turn
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,19 +51,18 @@ class Reached:
 
 def search(state: State, parts: Sequence[Part], *, longest_lag_s: float, steps: int) -> Reached:
     """Search from a point for the least error, then repeat it on the rows kept of each fold."""
-    bounds = state.bounds(longest_lag_s)
-    state = state.at(np.clip(state.vector, *bounds))
+    state = state.at(np.clip(state.vector, *state.bounds(longest_lag_s)))
     errors = [residual(state, k, part) for k, part in enumerate(parts)]
     damping, converged = 1e-4, False
     rows = _tangents(state, parts)
     for _ in range(steps):
         before = _cost(errors)
-        state, errors, damping = _stepped(state, parts, rows, errors, bounds, damping)
+        state, errors, damping = _stepped(state, parts, rows, errors, longest_lag_s, damping)
         rows = _tangents(state, parts)
         if 1.0 - _cost(errors) / before < CONVERGED:
             converged = True
             break
-    held, folds = _folded(state, parts, rows, errors, bounds)
+    held, folds = _folded(state, parts, rows, errors, longest_lag_s)
     count = sum(len(error) for error in errors)
     return Reached(
         state=state,
@@ -87,14 +87,14 @@ def _stepped(
     parts: Sequence[Part],
     rows: Sequence[Array],
     errors: list[Array],
-    bounds: tuple[Array, Array],
+    longest_lag_s: float,
     damping: float,
 ) -> tuple[State, list[Array], float]:
     """Return the next point, or this one where no step is better."""
     gram = sum((part.T @ part for part in rows), np.zeros((1, 1)))
     slope = sum((part.T @ error for part, error in zip(rows, errors, strict=True)), np.zeros(1))
     gram, slope = _with_prior(state, gram, slope)
-    cost = _cost(errors) + _prior_cost(state)
+    cost, bounds = _cost(errors) + _prior_cost(state), state.bounds(longest_lag_s)
     for _ in range(TRIES):
         trial = state.at(_next(state.vector, gram, slope, bounds, damping))
         found = [residual(trial, k, part) for k, part in enumerate(parts)]
@@ -137,43 +137,12 @@ def _next(
     return np.clip(vector + step / scale, *bounds)
 
 
-def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Array:
-    """Minimise x' G x / 2 - b' x with l <= x <= u, changing whole sets of bounds at once.
-
-    G, b  (numbers, numbers), (numbers,)  G positive definite
-    l, u  (numbers,)  l <= 0 <= u
-
-    Ends after a fixed number of rounds: the step is then still inside the bounds, if not the best.
-    """
-    from scipy.linalg import cho_factor, cho_solve
-
-    x = np.zeros(len(right))
-    free = upper > lower
-    for _ in range(20):
-        inner = np.ix_(free, free)
-        against = right[free] - gram[np.ix_(free, ~free)] @ x[~free]
-        found = cho_solve(cho_factor(gram[inner]), against)
-        x[free] = np.clip(found, lower[free], upper[free])
-        outside = np.zeros_like(free)
-        outside[free] = (found < lower[free]) | (found > upper[free])
-        if outside.any():
-            free = free & ~outside
-            continue
-        slope = gram @ x - right
-        inwards = ((x <= lower) & (slope < 0.0)) | ((x >= upper) & (slope > 0.0))
-        inwards &= ~free & (upper > lower) & (np.abs(slope) > 1e-12)
-        if not inwards.any():
-            break
-        free = free | inwards
-    return x
-
-
 def _folded(
     state: State,
     parts: Sequence[Part],
     rows: Sequence[Array],
     errors: Sequence[Array],
-    bounds: tuple[Array, Array],
+    longest_lag_s: float,
 ) -> tuple[Array, Array]:
     """Return the residual at the rows left out, and the vectors of the folds."""
     held, vectors = [], []
@@ -182,7 +151,7 @@ def _folded(
         gram = sum((r[k].T @ r[k] for r, k in zip(rows, kept, strict=True)), np.zeros((1, 1)))
         here, now = state, list(errors)
         for _ in range(CHORDS):
-            there, found = _chord(here, parts, rows, now, kept, gram, bounds)
+            there, found = _chord(here, parts, rows, now, kept, gram, longest_lag_s)
             if there is here:
                 break
             here, now = there, found
@@ -198,13 +167,13 @@ def _chord(
     errors: list[Array],
     kept: Sequence[Array],
     gram: Array,
-    bounds: tuple[Array, Array],
+    longest_lag_s: float,
 ) -> tuple[State, list[Array]]:
     """Return the next point on the rows kept; firmer where the first step fails."""
     across = zip(rows, errors, kept, strict=True)
     slope = sum((r[k].T @ e[k] for r, e, k in across), np.zeros(1))
     whole = _with_prior(state, gram, slope)
-    before = _kept_cost(errors, kept) + _prior_cost(state)
+    before, bounds = _kept_cost(errors, kept) + _prior_cost(state), state.bounds(longest_lag_s)
     for damping in FIRM:
         trial = state.at(_next(state.vector, *whole, bounds, damping))
         found = [residual(trial, k, part) for k, part in enumerate(parts)]

@@ -5,18 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.hysteresis.estimate import longest_lag_s
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.joint.chain import first_memory, follow
 from piezoid.identification.joint.descent import Reached, search
 from piezoid.identification.joint.parts import Part, parts_of
-from piezoid.identification.joint.vector import State, state_of
+from piezoid.identification.joint.vector import State, Structure, state_of
 from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 STEPS = 10  # Gauss-Newton steps at most
+WHOLE = Structure()
 HELD_OUT_KIND = "blocks of several seconds, in five folds"
 
 
@@ -45,7 +46,8 @@ def fit_extended(
     recordings: Sequence[Recording],
     extensions: Sequence[Extension] = (),
     *,
-    lag: bool = True,
+    structure: Structure = WHOLE,
+    places: Sequence[Samples] | None = None,
     steps: int = STEPS,
 ) -> Extended:
     """Refit weights, thresholds, memory and zero of an axis together with extensions.
@@ -55,7 +57,8 @@ def fit_extended(
     model       fitted axis: where the search begins, and how many plays and dead zones there are
     recordings  of this axis; those the model does not know begin at rest
     extensions  with start values near the truth
-    lag         whether the model's own lag is kept and fitted; False: the static model alone
+    structure   what of the hysteresis itself may be used
+    places      samples that may count, piece by piece; None: all, spread thinly
 
     Every piece has one constant zero; slow motion is ``ThermalDrift``'s. The error on rows left
     out is of blocks of several seconds that neither hysteresis nor extension nor a recording's
@@ -63,8 +66,8 @@ def fit_extended(
     What goes wrong: a number the rows do not determine stays where it began, and a mode that
     begins more than its width away is not found.
     """
-    parts = parts_of(model, recordings)
-    state = state_of(model, parts, extensions, lag=lag)
+    parts = parts_of(model, recordings, places)
+    state = state_of(model, parts, extensions, structure)
     longest_s = longest_lag_s([part.piece for part in parts])
     reached = search(state, parts, longest_lag_s=longest_s, steps=steps)
     return _extended(model, parts, reached)

@@ -1,8 +1,8 @@
 """Recordings as the joint fit sees them: pieces, the rows that count, the blocks they form.
 
 Rows lie at no one distance, so that no hum hides between them. Blocks are stretches of several
-seconds, or fifths of a short piece; the first of each piece is never left out, because nothing
-else tells the memory and the zero with which the piece begins.
+seconds, or sixths of a short piece. Of the first block of each piece, every other quarter is never
+left out: nothing else tells the memory and the zero with which the piece begins.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from piezoid.records.recording import Recording
 
 ROWS = 12_000  # of all pieces together
 FOLDS = 5
-FEWEST, MOST = 5, 15  # blocks of a piece
+FEWEST, MOST = 6, 15  # blocks of a piece
 BLOCK_s = 4.0
 KEPT = -1  # the fold of blocks that are never left out
 
@@ -55,10 +55,17 @@ def scales_from(model: AxisModel) -> Scales:
     )
 
 
-def parts_of(model: AxisModel, recordings: Sequence[Recording], rows: int = ROWS) -> list[Part]:
-    """Cut recordings into parts; those the model knows begin as it says."""
+def parts_of(
+    model: AxisModel,
+    recordings: Sequence[Recording],
+    places: Sequence[Samples] | None = None,
+) -> list[Part]:
+    """Cut recordings into parts; those the model knows begin as it says.
+
+    places  samples that may count, piece by piece; None chooses them
+    """
     pieces = pieces_of(recordings, model.axis, scales_from(model), model.rig)
-    share = max(rows // len(pieces), 50)
+    share = max(ROWS // len(pieces), 50)
     known = {name: [s for s in model.starts if s.recording == name] for name in _names(model)}
     ends = {k: _slices(recording, pieces, k) for k, recording in enumerate(recordings)}
     parts = []
@@ -71,7 +78,7 @@ def parts_of(model: AxisModel, recordings: Sequence[Recording], rows: int = ROWS
             piece = replace(piece, first=start.first, last=start.last)
             known[recording.name] = starts
         where = where_of(recording, model.axis, ends[piece.recording].pop(0))
-        place = _rows(piece, share)
+        place = _rows(piece, share) if places is None else _within(piece, places[number])
         parts.append(
             Part(
                 piece=piece,
@@ -105,8 +112,13 @@ def _rows(piece: Piece, share: int) -> Samples:
     return np.unique(steps.astype(int)) + piece.first
 
 
+def _within(piece: Piece, place: Samples) -> Samples:
+    return place[(place >= piece.first) & (place < piece.last)]
+
+
 def _folds(piece: Piece, place: Samples, number: int) -> Samples:
     duration_s = piece.rows / piece.sampling_rate_Hz
     blocks = int(np.clip(duration_s / BLOCK_s, FEWEST, MOST))
-    block = (place - piece.first) * blocks // piece.rows
-    return np.where(block == 0, KEPT, (block + number) % FOLDS)
+    quarter = (place - piece.first) * blocks * 4 // piece.rows
+    first = np.where(quarter % 2 == 0, KEPT, (quarter + number) % FOLDS)
+    return np.where(quarter < 4, first, (quarter // 4 + number) % FOLDS)

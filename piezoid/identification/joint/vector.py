@@ -13,6 +13,7 @@ from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
     Shape,
+    bent,
     operator_of,
     vector_of,
 )
@@ -22,6 +23,9 @@ from piezoid.identification.joint.parts import Part, scales_from
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR, from_slopes
+from piezoid.operators.play import play_columns
+
+SIDES, ZONES = ("below", "above"), ("gap", "slope")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,6 +36,7 @@ class State:
     theta        (total,)  as in the fit of the hysteresis alone
     extensions   with their own numbers, in the order in which they act
     scales, rig  as the parts were scaled
+    held         places of the vector that may not move
     """
 
     coordinates: Coordinates
@@ -39,6 +44,7 @@ class State:
     extensions: tuple[Extension, ...]
     scales: Scales
     rig: Rig
+    held: tuple[slice, ...] = ()
 
     @cached_property
     def operator(self) -> Scaled:
@@ -59,17 +65,22 @@ class State:
         return np.concatenate([self.theta, *(e.free().value for e in self.extensions)])
 
     def bounds(self, longest_lag_s: float) -> tuple[Array, Array]:
-        """Return lower and upper bounds of all numbers."""
+        """Return lower and upper bounds of all numbers.
+
+        Thresholds may go beyond the reach of the drive: a play there rests, and bounding the sum
+        of all gaps would bend every step.
+        """
         lower, upper = self.coordinates.bounds(longest_lag_s)
         frees = [e.free() for e in self.extensions]
-        return (
-            np.concatenate([lower, *(f.lower for f in frees)]),
-            np.concatenate([upper, *(f.upper for f in frees)]),
-        )
+        lower = np.concatenate([lower, *(f.lower for f in frees)])
+        upper = np.concatenate([upper, *(f.upper for f in frees)])
+        for place in self.held:
+            lower[place] = upper[place] = self.theta[place]
+        return lower, upper
 
     def at(self, vector: Array) -> "State":
-        """Return the point with these numbers; thresholds stay within the drive's reach."""
-        theta = self.coordinates.within_reach(vector[: len(self.theta)])
+        """Return the point with these numbers."""
+        theta = vector[: len(self.theta)]
         extensions = tuple(
             extension.moved_to(vector[place])
             for extension, place in zip(self.extensions, self.slices, strict=True)
@@ -83,38 +94,82 @@ class State:
         return replace(self, extensions=tuple(extensions))
 
 
-def state_of(
-    model: AxisModel, parts: Sequence[Part], extensions: Sequence[Extension], *, lag: bool
-) -> State:
-    """Return the point at which a model stands, with extensions put to it.
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """What of the hysteresis itself a joint fit may use.
 
-    lag  whether the model's own lag is kept and fitted
+    lag     the model's own lag, fitted
+    memory  a memory of its own for every piece; False: what a drive cycled over its range leaves
+    zones   dead zones that bend; False: a symmetric operator
+    bends   kinks of the envelope on each side of its middle; None: as many as the model has
     """
+
+    lag: bool = True
+    memory: bool = True
+    zones: bool = True
+    bends: int | None = None
+
+
+def state_of(
+    model: AxisModel,
+    parts: Sequence[Part],
+    extensions: Sequence[Extension],
+    structure: Structure,
+) -> State:
+    """Return the point at which a model stands, with extensions put to it."""
     scales = scales_from(model)
-    operator = _scaled(model, scales, keep_lag=lag)
+    operator = _structured(_scaled(model, scales, keep_lag=structure.lag), structure)
     shape = Shape(
         plays=len(operator.gap),
         below=operator.zero,
         above=len(operator.knot) - operator.zero - 1,
-        lag=model.lag.kind if lag else "none",
+        lag=model.lag.kind if structure.lag else "none",
         bends=operator.envelope.zero,
     )
     coordinates = Coordinates(shape=shape, offsets=(1,) * len(parts))
     theta = vector_of(operator, coordinates)
     stretch_V = envelope_stretch(operator) * scales.voltage_V
     for index, part in enumerate(parts):
+        memory = coordinates.memory_slice(index)
         if part.start is not None:
             zero_m = float(part.start.zero_m.mean()) - part.piece.centre_m
             theta[coordinates.offset_slice(index)] = zero_m / scales.displacement_m
             slopes = np.diff(part.start.memory_V / stretch_V) / operator.gap
-            theta[coordinates.memory_slice(index)] = np.clip(slopes, -1.0, 1.0)
+            theta[memory] = np.clip(slopes, -1.0, 1.0)
+        if not structure.memory:
+            theta[memory] = _cycled(operator, float(part.piece.drive[0]))
     return State(
         coordinates=coordinates,
         theta=theta,
         extensions=in_order(extensions),
         scales=scales,
         rig=model.rig,
+        held=_held(coordinates, structure),
     )
+
+
+def _structured(operator: Scaled, structure: Structure) -> Scaled:
+    if not structure.zones:
+        operator = replace(operator, slope=np.ones_like(operator.slope))
+    if structure.bends is None or structure.bends == operator.envelope.zero:
+        return operator
+    return bent(operator, structure.bends)
+
+
+def _held(coordinates: Coordinates, structure: Structure) -> tuple[slice, ...]:
+    held = []
+    if not structure.zones:
+        held += [coordinates.slices[f"{side}_{what}"] for side in SIDES for what in ZONES]
+    if not structure.memory:
+        held += [coordinates.memory_slice(k) for k in range(len(coordinates.offsets))]
+    return tuple(held)
+
+
+def _cycled(operator: Scaled, first: float) -> Array:
+    """Return the memory slopes that a drive leaves which went down, up and then to its start."""
+    way = operator.envelope.run(np.array([0.0, -1.0, 1.0, first]))
+    memory = play_columns(way, operator.threshold, np.zeros(len(operator.gap)))[1]
+    return np.asarray(np.diff(memory, prepend=way[-1]) / operator.gap)
 
 
 def _scaled(model: AxisModel, scales: Scales, *, keep_lag: bool) -> Scaled:

@@ -1,0 +1,364 @@
+"""The simulation's own error, refitted before and after: a diagnosis put into the shipped model.
+
+Each effect that was found becomes extensions of the axis model, with start values from what the
+search found; everything is then refitted together, with each one left out in turn, and judged on
+rows left out in the same way. The baseline is the static model with the declared rig alone.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
+from piezoid.identification.extensions.converter_hold import ConverterHold
+from piezoid.identification.extensions.creep_ladder import CreepLadder
+from piezoid.identification.extensions.cross_axis import CrossAxis
+from piezoid.identification.extensions.delay import Delay
+from piezoid.identification.extensions.extension import Extension, Samples, Where
+from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.extensions.mains_lines import MainsLines
+from piezoid.identification.extensions.periodic_error import PeriodicError
+from piezoid.identification.extensions.rate_dependence import RateDependence
+from piezoid.identification.extensions.slew_limit import SlewLimit
+from piezoid.identification.extensions.thermal_drift import ThermalDrift
+from piezoid.identification.joint.fit_extended import Extended, fit_extended
+from piezoid.identification.joint.parts import parts_of
+from piezoid.identification.joint.vector import Structure
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+
+RUNGS = 8  # of a creep ladder: as many as the runtime has
+FASTEST_s = 0.01
+LONGER = 10.0  # slowest rung over the longest piece
+GAPS = (0.2, 0.5, 0.8)  # of another axis' half range: thresholds of its plays
+BENDS = 3
+STATIC = Structure(lag=False)
+Parameters = Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """One effect as a search left it.
+
+    effect       its name
+    parameters   nonlinear ones, by name with unit; drives in half ranges
+    coefficient  (columns,)  linear ones
+    """
+
+    effect: str
+    parameters: Parameters = field(default_factory=dict)
+    coefficient: Array = field(default_factory=lambda: np.ones(1))
+
+    @property
+    def share(self) -> float:
+        """Return the first coefficient, 1 where there is none."""
+        return float(self.coefficient[0]) if len(self.coefficient) else 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Setting:
+    """What the numbers of a search mean, and the pieces they were found on.
+
+    voltage_V         half the range of the drive: what 1 means
+    voltage_offset_V  its middle: what 0 means
+    stroke_m          half the stroke
+    pieces            in the order of the search's tracks
+    recordings        names, in the order in which they were made
+    """
+
+    voltage_V: float
+    voltage_offset_V: float
+    stroke_m: float
+    pieces: tuple[Where, ...]
+    recordings: tuple[str, ...]
+
+    @property
+    def longest_s(self) -> float:
+        """Return the duration of the longest piece."""
+        return max(piece.samples / piece.rate_Hz for piece in self.pieces)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refitted:
+    """Errors on rows left out, in m, and the model they belong to.
+
+    baseline    of the static model on the recordings as they came
+    final       with everything that was found
+    without     with everything but one, by its name
+    extensions  the extensions each effect became, as fitted
+    spread      for each effect the standard errors of their numbers
+    model       what ships: with the fitted lag where no lag or delay was found
+    """
+
+    baseline: Extended
+    final: Extended
+    without: Mapping[str, Extended]
+    extensions: Mapping[str, tuple[Extension, ...]]
+    spread: Mapping[str, tuple[Array, ...]]
+    model: AxisModel
+
+
+def _creep(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    first_s = max(found.parameters.get("first_s", 0.0), FASTEST_s)
+    longest_s = LONGER * setting.longest_s
+    last_s = min(found.parameters.get("last_s", longest_s), longest_s)
+    count = int(np.clip(np.ceil(2.0 * np.log10(max(last_s / first_s, 1.0))) + 1.0, 2, RUNGS))
+    time_s = np.geomspace(first_s, max(last_s, 1.5 * first_s), count)
+    share = np.clip(found.share * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
+    return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * count),)
+
+
+def _lag(found: Found, _: Setting) -> tuple[Extension, ...]:
+    return (FirstOrderLag(lag_s=max(found.parameters["time_s"] * found.share, 0.0)),)
+
+
+def _delay(found: Found, _: Setting) -> tuple[Extension, ...]:
+    samples = found.parameters.get("delay_samples", 0.0) * found.share
+    if samples > 0.0:
+        return (Delay(delay_samples=samples),)
+    return (Delay(delay_s=max(found.parameters.get("delay_s", 0.0) * found.share, 0.0)),)
+
+
+def _resonance(found: Found, _: Setting) -> tuple[Extension, ...]:
+    return (
+        LinearMode(
+            frequency_Hz=found.parameters["frequency_Hz"],
+            quality=max(found.parameters["quality"], 0.5),
+            participation=float(np.clip(found.share, 0.0, 2.0)),
+        ),
+    )
+
+
+def _amplifier_saturation(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    level_V = {
+        f"{side}_V": setting.voltage_offset_V + setting.voltage_V * found.parameters[side]
+        for side in ("low", "high")
+        if side in found.parameters
+    }
+    return (AmplifierLimits(**level_V),)
+
+
+def _slew_limit(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    return (SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),)
+
+
+def _rate_dependence(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    bend_s, time_s = found.parameters.get("bend_s", 0.0), found.parameters.get("time_s", 0.0)
+    share = max(found.share, 0.0)
+    if bend_s > 0.0:
+        return (RateDependence(beta_s=share, barrier_m=share / bend_s * setting.stroke_m),)
+    return (RateDependence(beta_s=share * time_s if time_s > 0.0 else share),)
+
+
+def _cross_coupling(_: Found, setting: Setting) -> tuple[Extension, ...]:
+    axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
+    return tuple(_answer(axis, setting) for axis in axes)
+
+
+def _answer(axis: str, setting: Setting) -> Extension:
+    drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
+    low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
+    return CrossAxis(
+        axis=axis,
+        centre_V=(high + low) / 2,
+        gain_m_per_V=0.0,
+        curvature_m_per_V_per_V=0.0,
+        play_threshold_V=tuple(gap * (high - low) / 2 for gap in GAPS),
+        play_weight_m_per_V=(0.0,) * len(GAPS),
+    )
+
+
+def _thermal_drift(_: Found, setting: Setting) -> tuple[Extension, ...]:
+    return (ThermalDrift.of(setting.pieces),)
+
+
+def _mains_interference(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    return (MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),)
+
+
+def _sensor_periodic_error(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    wavelength_m = 2.0 * setting.stroke_m / found.parameters["periods"]
+    return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
+
+
+def _gain_change(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    piece = setting.pieces[int(found.parameters["track"])]
+    instant_s = (piece.first + found.parameters["place"] * piece.samples) / piece.rate_Hz
+    after = setting.recordings.index(piece.recording) + 1
+    return (
+        GainChange(
+            recording=piece.recording,
+            instant_s=instant_s,
+            ratio=float(np.clip(1.0 + found.share, 0.5, 2.0)),
+            later=setting.recordings[after:],
+        ),
+    )
+
+
+EXTENDERS: Mapping[str, Callable[[Found, Setting], tuple[Extension, ...]]] = {
+    "creep": _creep,
+    "thermal_drift": _thermal_drift,
+    "rate_dependence": _rate_dependence,
+    "resonance": _resonance,
+    "delay": _delay,
+    "lag": _lag,
+    "cross_coupling": _cross_coupling,
+    "mains_interference": _mains_interference,
+    "sensor_periodic_error": _sensor_periodic_error,
+    "amplifier_saturation": _amplifier_saturation,
+    "slew_limit": _slew_limit,
+    "gain_change": _gain_change,
+}
+WITHOUT: Mapping[str, Structure] = {
+    "initial_state": replace(STATIC, memory=False),
+    "asymmetry": replace(STATIC, zones=False),
+    "non_congruence": replace(STATIC, bends=0),
+}
+
+
+def setting_of(model: AxisModel, recordings: Sequence[Recording], scales: Parameters) -> Setting:
+    """Return the setting of a search on these recordings.
+
+    scales  ``voltage_V``, ``voltage_offset_V`` and ``stroke_m`` of the search's view
+    """
+    return Setting(
+        voltage_V=scales["voltage_V"],
+        voltage_offset_V=scales["voltage_offset_V"],
+        stroke_m=scales["stroke_m"],
+        pieces=tuple(part.where for part in parts_of(model, recordings)),
+        recordings=tuple(recording.name for recording in recordings),
+    )
+
+
+def refitted(
+    recordings: Sequence[Recording],
+    found: Sequence[Found],
+    *,
+    model: AxisModel,
+    lab: Lab,
+    scales: Parameters,
+    raw: Sequence[Recording] | None = None,
+    faults: Sequence[str] = (),
+    places: Sequence[Samples] | None = None,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Refitted:
+    """Put what was found into the model and measure what each finding is worth.
+
+    recordings  in which the axis moves, faults repaired, in the order in which they were made
+    found       effects as the search left them; those of the data themselves are ``faults``
+    model       the axis as fitted: where all searches begin
+    lab         its clock is part of the rig
+    scales      ``voltage_V``, ``voltage_offset_V``, ``stroke_m``: what 1 and 0 meant
+    raw         the recordings as they came; None: the same
+    faults      names of faults that were repaired: without them everything is fitted to ``raw``
+    places      samples that may count, track by track; None: all, spread thinly
+    progress    told what is being done
+    """
+    setting = setting_of(model, recordings, scales)
+    declared = _declared(lab)
+    given = {one.effect: EXTENDERS[one.effect](one, setting) for one in found if _adds(one)}
+    structure = _structure_of(model, found)
+    every = [*declared, *(part for parts in given.values() for part in parts)]
+    progress("refitting the simulation")
+    baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
+    final = _best((model, baseline.model), recordings, every, structure, places)
+    fitted = _fitted(given, every, final)
+    starts = (final.model, baseline.model)
+    without = {}
+    for one in found:
+        progress(f"refitting without {one.effect.replace('_', ' ')}")
+        mine = fitted.get(one.effect, ())
+        rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
+        bare = WITHOUT.get(one.effect, structure)
+        without[one.effect] = _best(starts, recordings, rest, bare, places)
+    if faults:
+        broken = _best(starts, raw or recordings, final.model.extensions, structure, None)
+        without |= dict.fromkeys(faults, broken)
+    return Refitted(
+        baseline=baseline,
+        final=final,
+        without=without,
+        extensions=fitted,
+        spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
+        model=_shipped(model, recordings, final, structure, places),
+    )
+
+
+def _best(
+    starts: Sequence[AxisModel],
+    recordings: Sequence[Recording],
+    extensions: Sequence[Extension],
+    structure: Structure,
+    places: Sequence[Samples] | None,
+) -> Extended:
+    """Return the closest of the fits from several starts: thresholds have many good places."""
+    fits = (
+        fit_extended(start, recordings, extensions, structure=structure, places=places)
+        for start in starts
+    )
+    return min(fits, key=lambda fit: fit.rms_m)
+
+
+def _declared(lab: Lab) -> tuple[Extension, ...]:
+    clock_Hz = lab.acquisition.sampling_rate_Hz
+    return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
+
+
+def _adds(one: Found) -> bool:
+    return one.effect in EXTENDERS
+
+
+def _structure_of(model: AxisModel, found: Sequence[Found]) -> Structure:
+    """Return the static structure, with an envelope where minor loops asked for one."""
+    bent = any(one.effect == "non_congruence" for one in found)
+    return replace(STATIC, bends=BENDS) if bent and not model.hysteresis.envelope.zero else STATIC
+
+
+def _fitted(
+    given: Mapping[str, tuple[Extension, ...]], every: Sequence[Extension], final: Extended
+) -> dict[str, tuple[Extension, ...]]:
+    """Return for each effect its extensions with fitted numbers."""
+    from piezoid.identification.extensions import in_order
+
+    became = list(zip(in_order(every), final.model.extensions, strict=True))
+    return {
+        name: tuple(after for part in parts for before, after in became if before is part)
+        for name, parts in given.items()
+    }
+
+
+def _spread_of(parts: Sequence[Extension], final: Extended) -> tuple[Array, ...]:
+    pairs = list(zip(final.model.extensions, final.spread, strict=True))
+    return tuple(spread for part in parts for other, spread in pairs if other is part)
+
+
+def _shipped(
+    model: AxisModel,
+    recordings: Sequence[Recording],
+    final: Extended,
+    structure: Structure,
+    places: Sequence[Samples] | None,
+) -> AxisModel:
+    """Return the final model with its one lag where the runtime looks for it."""
+    late = [e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)]
+    if not late:
+        own = replace(final.model, lag=model.lag)
+        kept = replace(structure, lag=True)
+        return fit_extended(
+            own, recordings, final.model.extensions, structure=kept, places=places
+        ).model
+    one = late[0]
+    if isinstance(one, Delay) and one.delay_samples > 0.0:
+        return final.model
+    lag = (
+        Lag(kind="delay", time_s=one.delay_s)
+        if isinstance(one, Delay)
+        else Lag(kind="first_order", time_s=one.lag_s)
+    )
+    rest = tuple(e for e in final.model.extensions if e is not one)
+    return replace(final.model, lag=lag, extensions=rest)

@@ -1,0 +1,62 @@
+"""The least of a convex quadratic form within bounds, whole sets of bounds changed at once."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.numerics.arrays import Array
+
+ROUNDS = 500
+PATIENCE = 3  # rounds of whole sets without progress; then one at a time, which always ends
+FEASIBLE = 1e-12
+
+Chosen = NDArray[np.bool_]
+
+
+def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Array:
+    """Minimise x' G x / 2 - b' x with l <= x <= u by block principal pivoting.
+
+    G, b  (numbers, numbers), (numbers,)  G positive definite
+    l, u  (numbers,)  l <= u; equal bounds fix a number
+
+    Source: Portugal, Judice & Vicente, Mathematics of Computation 63 (1994). What goes wrong: a G
+    that is not definite to rounding; whoever damps it avoids that.
+    """
+    at_lower, at_upper = upper <= lower, np.zeros(len(right), dtype=bool)
+    fewest, patience = len(right) + 1, PATIENCE
+    x = np.clip(np.zeros_like(right), lower, upper)
+    for _ in range(ROUNDS):
+        x = _solved(gram, right, np.where(at_lower, lower, upper), ~(at_lower | at_upper))
+        slope = gram @ x - right
+        below, above = _outside(x, lower, upper, at_lower | at_upper)
+        inwards = (at_lower & (slope < -FEASIBLE) & (upper > lower)) | (
+            at_upper & (slope > FEASIBLE)
+        )
+        wrong = below | above | inwards
+        count = int(np.count_nonzero(wrong))
+        if count == 0:
+            break
+        if count < fewest:
+            fewest, patience = count, PATIENCE
+        elif patience > 0:
+            patience -= 1
+        else:
+            last = int(np.flatnonzero(wrong)[-1])
+            wrong = np.arange(len(x)) == last
+        at_lower = (at_lower & ~(inwards & wrong)) | (below & wrong)
+        at_upper = (at_upper & ~(inwards & wrong)) | (above & wrong)
+    return np.clip(x, lower, upper)
+
+
+def _outside(x: Array, lower: Array, upper: Array, held: Chosen) -> tuple[Chosen, Chosen]:
+    slack = FEASIBLE * (1.0 + np.abs(x))
+    return ~held & (x < lower - slack), ~held & (x > upper + slack)
+
+
+def _solved(gram: Array, right: Array, bound: Array, free: Chosen) -> Array:
+    from scipy.linalg import cho_factor, cho_solve
+
+    x = np.where(free, 0.0, bound)
+    if free.any():
+        against = right[free] - gram[np.ix_(free, ~free)] @ x[~free]
+        x[free] = cho_solve(cho_factor(gram[np.ix_(free, free)]), against)
+    return np.asarray(x)

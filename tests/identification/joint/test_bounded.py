@@ -1,0 +1,24 @@
+"""Bounded quadratic forms: against a solver of other make, and the conditions of an optimum."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from piezoid.identification.joint.bounded import bounded_minimum
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_minimum_is_the_one_that_another_solver_finds(seed: int) -> None:
+    chance = np.random.default_rng(seed)
+    rows = chance.standard_normal((60, 25)) @ np.diag(np.geomspace(1.0, 1e-2, 25))
+    rows += 0.8 * rows[:, :1]  # alike, as columns of plays are
+    target = chance.standard_normal(60)
+    lower, upper = -chance.uniform(0.0, 0.3, 25), chance.uniform(0.0, 0.3, 25)
+    lower[3] = upper[3] = 0.1
+    lower[7], upper[9] = -np.inf, np.inf
+    found = bounded_minimum(rows.T @ rows, rows.T @ target, lower, upper)
+    wide = np.maximum(upper, lower + 1e-12)
+    other = lsq_linear(rows, target, (lower, wide), method="bvls", tol=1e-14).x
+    cost = [np.sum((rows @ x - target) ** 2) for x in (found, other)]
+    assert cost[0] <= cost[1] * (1 + 1e-9)
+    assert ((lower <= found) & (found <= upper)).all()
