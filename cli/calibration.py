@@ -88,6 +88,7 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
         diagnosis=diagnosis,
         verification=controller.verification,
         files=content,
+        lab=declared,
     )
     return Calibration(
         model=model,

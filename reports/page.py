@@ -7,6 +7,7 @@ from typing import ClassVar
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
@@ -29,6 +30,7 @@ class Page:
     undesigned    why they were not, or empty
     diagnosis     of one axis, where it was made
     verification  of what ships, where it was run
+    lab           what the laboratory declared
     files         sealed files of the folder by name, for the chain of digests
     """
 
@@ -42,6 +44,7 @@ class Page:
     diagnosis: Diagnosis | None = None
     verification: Verification | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
+    lab: Lab | None = None
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:

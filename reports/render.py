@@ -14,6 +14,7 @@ from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.store import write_model
+from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
@@ -38,6 +39,7 @@ def render(
     diagnosis: Diagnosis | None = None,
     verification: Verification | None = None,
     files: Mapping[str, bytes] = MappingProxyType({}),
+    lab: Lab | None = None,
 ) -> str:
     """Return report.html.
 
@@ -49,6 +51,7 @@ def render(
     diagnosis   of one of its axes
     verification  of what ships
     files       of the folder the page belongs to, for their digests
+    lab         what the laboratory declared
     """
     page = Page(
         model=model,
@@ -61,6 +64,7 @@ def render(
         diagnosis=diagnosis,
         verification=verification,
         files=files,
+        lab=lab,
     )
     return _written(page, SECTIONS if model.axes else OF_STAGE)
 

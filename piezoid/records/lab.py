@@ -8,6 +8,8 @@
     [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
                      barrier_range_eV, ceiling_A, retract_V, retract_s, lost_s
     [verification]   limits by name, in place of the defaults
+    [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
+                     expansion_m_per_K
     [axis.z.sensor]  the same tables for one axis, each replacing the one above it
     [[recording]]    file, axis, columns, units, sampling_rate_Hz, start_s, stop_s
 
@@ -93,6 +95,23 @@ class Tunnelling(_Table, frozen=True, kw_only=True):
     lost_s: float = 1e-3
 
 
+class Certificates(_Table, frozen=True, kw_only=True):
+    """``[uncertainty]``: what certificates and data sheets say, and no recording shows.
+
+    sensor_gain_relative   standard uncertainty (k = 1) of the sensor's gain, as a share of one
+    sensor_linearity_m     the sensor's error lies within plus and minus this
+    tilt_rad               the sensor's axis lies within this angle of the motion
+    temperature_range_K    the room stays within half of this of its middle
+    expansion_m_per_K      what the sensor sees of that
+    """
+
+    sensor_gain_relative: float | None = None
+    sensor_linearity_m: float | None = None
+    tilt_rad: float | None = None
+    temperature_range_K: float | None = None
+    expansion_m_per_K: float | None = None
+
+
 class RecordingEntry(_Table, frozen=True, kw_only=True):
     """``[[recording]]``: how one file is to be read.
 
@@ -132,6 +151,7 @@ class _Contents(_Table, frozen=True, kw_only=True):
     acquisition: Acquisition = Acquisition()
     tunnelling: Tunnelling = Tunnelling()
     verification: dict[str, float] = {}
+    uncertainty: Certificates = Certificates()
     recording: tuple[RecordingEntry, ...] = ()
     axis: dict[str, AxisRig] = {}
 
@@ -146,6 +166,7 @@ class Lab:
     digest       of the file's bytes, empty without a file
     amplifier, actuator, sensor, acquisition, tunnelling   its tables
     verification  limits by name; what they mean is known where they are judged
+    certificates  what certificates say of the sensor and the room
     recordings   its ``[[recording]]`` entries
     axes         what differs on single axes
     """
@@ -160,6 +181,7 @@ class Lab:
     acquisition: Acquisition = field(default_factory=Acquisition)
     tunnelling: Tunnelling = field(default_factory=Tunnelling)
     verification: dict[str, float] = field(default_factory=dict)
+    certificates: Certificates = field(default_factory=Certificates)
     recordings: tuple[RecordingEntry, ...] = ()
     axes: dict[str, AxisRig] = field(default_factory=dict)
 
@@ -211,6 +233,7 @@ def read_lab(path: Path) -> Lab:
         acquisition=contents.acquisition,
         tunnelling=contents.tunnelling,
         verification=contents.verification,
+        certificates=contents.uncertainty,
         recordings=contents.recording,
         axes=contents.axis,
     )
@@ -225,6 +248,7 @@ def _check(path: Path, lab: Lab) -> None:
         ("[sensor]", lab.sensor),
         ("[acquisition]", lab.acquisition),
         ("[tunnelling]", lab.tunnelling),
+        ("[uncertainty]", lab.certificates),
     ]
     for name, rig in lab.axes.items():
         held = (("amplifier", rig.amplifier), ("actuator", rig.actuator), ("sensor", rig.sensor))

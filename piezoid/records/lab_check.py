@@ -18,6 +18,13 @@ _POSITIVE = (
     "lost_s",
     "feedback_ohm",
 )
+_NOT_NEGATIVE = (
+    "sensor_gain_relative",
+    "sensor_linearity_m",
+    "tilt_rad",
+    "temperature_range_K",
+    "expansion_m_per_K",
+)
 _NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A")
 _SHARES = ("extension_uncertainty",)
 _LARGEST_BITS = 64
@@ -31,6 +38,8 @@ def check_number(path: Path, place: str, key: str, value: object) -> None:
         raise refusal(path, f"{place} {key} is {value}", "a finite number")
     if key in _POSITIVE and not value > 0:
         raise refusal(path, f"{place} {key} is {value}", "a number above zero")
+    if key in _NOT_NEGATIVE and not value >= 0:
+        raise refusal(path, f"{place} {key} is {value}", "zero or more")
     if key in _NOT_ZERO and value == 0:
         raise refusal(path, f"{place} {key} is zero", "a number that is not zero")
     if key in _SHARES and not 0 <= value < 1:

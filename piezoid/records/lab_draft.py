@@ -47,6 +47,13 @@ HEAD = """\
 # dac_bits = 16
 # adc_bits = 16
 # input_range_V = [-10, 10]
+
+[uncertainty]                    # of the certificates; without them the budget is a lower bound
+# sensor_gain_relative = 0.001   # standard uncertainty, as a share of one
+# sensor_linearity_m = 5e-9      # the sensor's error lies within plus and minus this
+# tilt_rad = 0.01                # between the sensor's axis and the motion
+# temperature_range_K = 2        # of the room
+# expansion_m_per_K = 50e-9      # what the sensor sees of it
 """
 
 

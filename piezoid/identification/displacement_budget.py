@@ -1,0 +1,177 @@
+"""The uncertainty budget of a displacement that an axis model predicts.
+
+    u_c^2 = residual^2 + parameters^2 + zero^2 + lag^2                       (type A)
+            + gain^2 + linearity^2 + tilt^2 + temperature^2 + converter^2    (type B)
+
+Type A comes from the recordings; the residual enters whole, as for a single position: an average
+of N positions would divide it by the root of the number of independent ones, never by root N. Type
+B is what the laboratory declares in ``[uncertainty]`` of lab.toml; what it does not declare is
+named, and the budget is then a lower bound: no nanometre is better than the sensor's certificate.
+The sensor's noise is inside the residual and is not counted twice.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.uncertainty_budget import (
+    HEAVY,
+    NORMAL,
+    Budget,
+    Contribution,
+    budget_of,
+    half_width,
+    tail_of,
+)
+from piezoid.records.lab import Lab
+
+REMAINDER = 0.999  # quantile of the held-out residual that the certificate holds
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DisplacementBudget:
+    """The budget of one axis, in metres.
+
+    at_m      distance from the middle of the range it is made for: the end, where it is worst
+    unknown   what no recording shows and nobody declared, as ``[uncertainty]`` calls it
+    """
+
+    axis: str
+    budget: Budget
+    at_m: float
+    unknown: tuple[str, ...]
+
+
+def displacement_budget(
+    axis: AxisModel, lab: Lab | None = None, *, positions: int = 1000, seed: int = 1
+) -> DisplacementBudget:
+    """Return how well a displacement is known that the model predicts for a drive in its range.
+
+    positions  independent ones, of which the largest error is asked
+    """
+    declared = Lab() if lab is None else lab
+    at_m = 0.5 * axis.quality.range_m
+    contributions = (*_from_data(axis), *_from_certificates(axis.axis, declared, at_m))
+    held = declared.certificates
+    names = ("sensor_gain_relative", "sensor_linearity_m", "tilt_rad", "temperature_range_K")
+    unknown = [name for name in names if getattr(held, name) is None]
+    if held.temperature_range_K is not None and held.expansion_m_per_K is None:
+        unknown.append("expansion_m_per_K")
+    return DisplacementBudget(
+        axis=axis.axis,
+        budget=budget_of(contributions, positions=positions, seed=seed),
+        at_m=at_m,
+        unknown=tuple(unknown),
+    )
+
+
+def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
+    freedom = max(axis.uncertainty.blocks - 1, 1)
+    return (
+        _residual(axis, freedom),
+        Contribution(
+            name="parameters of the model",
+            kind="A",
+            standard=_standard(float(np.max(axis.uncertainty.loading_half_m)), freedom),
+            freedom=freedom,
+        ),
+        *_zero_between(axis),
+        _zero_within(axis),
+        *_lag(axis, freedom),
+    )
+
+
+def _residual(axis: AxisModel, freedom: int) -> Contribution:
+    """Return the held-out residual, with the tail that its 99.9 % quantile shows."""
+    rms_m = axis.quality.held_out_rms_m
+    tail = tail_of(axis.certificate.remainder_m / rms_m, REMAINDER) if rms_m > 0.0 else math.inf
+    return Contribution(
+        name="residual on held-out data, sensor noise included",
+        kind="A",
+        standard=rms_m,
+        freedom=freedom,
+        shape=NORMAL if math.isinf(tail) else HEAVY,
+        tail=tail,
+        is_shared=False,
+    )
+
+
+def _zero_between(axis: AxisModel) -> tuple[Contribution, ...]:
+    """Return how the zero differs from run to run; nothing where there was a single one."""
+    zeros = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
+    if len(zeros) < 2:
+        return ()
+    return (
+        Contribution(
+            name="zero from run to run",
+            kind="A",
+            standard=float(np.std(zeros, ddof=1)),
+            freedom=len(zeros) - 1,
+        ),
+    )
+
+
+def _zero_within(axis: AxisModel) -> Contribution:
+    moved_m = max((float(np.ptp(start.zero_m)) for start in axis.starts), default=0.0)
+    standard_m = moved_m / 2.0 / math.sqrt(3.0)
+    return Contribution(
+        name="zero during a run, from end to end of what was followed",
+        kind="A",
+        standard=standard_m,
+        shape="rectangular",
+    )
+
+
+def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:
+    """Return what the lag's uncertainty makes at the fastest drive of the data: slope u(tau)."""
+    known = axis.uncertainty
+    if "lag_s" not in known.names or axis.lag.kind == "none":
+        return ()
+    place = known.names.index("lag_s")
+    standard_s = math.sqrt(max(float(known.covariance[place, place]), 0.0))
+    reach_V = float(known.reach_V[-1])
+    gain_m_per_V = float(known.loading_m[-1]) / reach_V if reach_V > 0.0 else 0.0
+    speed_m_per_s = axis.certificate.slew_V_per_s * gain_m_per_V
+    return (
+        Contribution(
+            name="lag, at the fastest drive of the data",
+            kind="A",
+            standard=speed_m_per_s * standard_s,
+            freedom=freedom,
+        ),
+    )
+
+
+def _from_certificates(axis: str, lab: Lab, at_m: float) -> tuple[Contribution, ...]:
+    held = lab.certificates
+    found: list[Contribution] = []
+    if held.sensor_gain_relative is not None:
+        standard_m = held.sensor_gain_relative * at_m
+        found.append(Contribution(name="gain of the sensor", kind="B", standard=standard_m))
+    if held.sensor_linearity_m is not None:
+        found.append(half_width("linearity of the sensor", held.sensor_linearity_m))
+    if held.tilt_rad is not None:
+        found.append(half_width("tilt, by its cosine", at_m * (1.0 - math.cos(held.tilt_rad))))
+    if held.temperature_range_K is not None and held.expansion_m_per_K is not None:
+        half_m = 0.5 * held.temperature_range_K * held.expansion_m_per_K
+        found.append(half_width("temperature of the room", half_m))
+    step_m = _converter_step_m(axis, lab)
+    if step_m is not None:
+        found.append(half_width("step of the converter", 0.5 * step_m, is_shared=False))
+    return tuple(found)
+
+
+def _converter_step_m(axis: str, lab: Lab) -> float | None:
+    held, gain_V_per_m = lab.acquisition, lab.sensor_of(axis).gain_V_per_m
+    if held.input_range_V is None or held.adc_bits is None or gain_V_per_m is None:
+        return None
+    low_V, high_V = held.input_range_V
+    return abs((high_V - low_V) / 2.0**held.adc_bits / gain_V_per_m)
+
+
+def _standard(half_m: float, freedom: int) -> float:
+    """Return the standard uncertainty behind half a 95 % interval."""
+    return half_m / float(student.ppf(0.975, freedom))

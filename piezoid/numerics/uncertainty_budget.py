@@ -1,0 +1,214 @@
+"""An uncertainty budget: contributions, their sum, and how large an error can come of them.
+
+    u_c^2 = sum u_i^2,   nu_eff = u_c^4 / sum (u_i^4 / nu_i),   U = t(0.975, nu_eff) u_c
+
+by the Guide [JCGM 100:2008], annex G (Welch-Satterthwaite), for contributions that are independent
+and already in the unit of the result. Where shapes are far from normal, and for the largest of
+many errors, the distribution is propagated by draws instead [JCGM 101:2008].
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
+
+from piezoid.numerics.arrays import Array, frozen
+
+CONFIDENCE = 0.95
+DRAWS = 200_000
+GRID = np.linspace(0.0, 1.0, 201)
+NORMAL, RECTANGULAR, HEAVY = "normal", "rectangular", "heavy"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contribution:
+    """One reason why the result is not known better.
+
+    name       for people
+    kind       ``A``: from the spread of data; ``B``: from a certificate or a data sheet
+    standard   one standard deviation, in the unit of the result
+    freedom    degrees of freedom it is known with; infinite for most of type B
+    shape      ``normal``, ``rectangular``, or ``heavy``: Student's t of ``tail`` degrees of
+               freedom, scaled to ``standard``
+    tail       > 2, for ``heavy`` only
+    is_shared  the same at every position of a scan, as a wrong gain is; False: new at each
+    """
+
+    name: str
+    kind: str
+    standard: float
+    freedom: float = math.inf
+    shape: str = NORMAL
+    tail: float = math.inf
+    is_shared: bool = True
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("A", "B"):
+            raise ValueError(f"{self.name}: kind is {self.kind!r}, expected A or B")
+        if self.shape not in (NORMAL, RECTANGULAR, HEAVY):
+            raise ValueError(f"{self.name}: shape is {self.shape!r}")
+        if not (math.isfinite(self.standard) and self.standard >= 0.0):
+            raise ValueError(f"{self.name}: standard uncertainty is {self.standard}")
+        if not (self.freedom >= 1.0 and self.tail > 2.0):
+            raise ValueError(f"{self.name}: freedom {self.freedom}, tail {self.tail}")
+
+
+def half_width(name: str, half: float, *, is_shared: bool = True) -> Contribution:
+    """Return what is known to lie within plus and minus ``half``: standard half / sqrt 3."""
+    return Contribution(
+        name=name,
+        kind="B",
+        standard=half / math.sqrt(3.0),
+        shape=RECTANGULAR,
+        is_shared=is_shared,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Budget:
+    """The sum of all contributions, all in the unit of the result.
+
+    combined         u_c
+    freedom          nu_eff
+    coverage_factor  k, from Student's t at nu_eff
+    expanded         U = k u_c, 95 %
+    propagated       half width of the 95 % interval of a single error, from draws
+    positions        of which the largest error is asked
+    largest          (2,)  2.5 % and 97.5 % quantile of the largest error of so many positions
+    probability      (points,)
+    single_error     (points,)  quantiles of the size of a single error
+    largest_error    (points,)  quantiles of the largest one
+    draws            behind the last four
+    """
+
+    contributions: tuple[Contribution, ...]
+    combined: float
+    freedom: float
+    coverage_factor: float
+    expanded: float
+    propagated: float
+    positions: int
+    largest: tuple[float, float]
+    probability: Array
+    single_error: Array
+    largest_error: Array
+    draws: int
+
+    def __post_init__(self) -> None:
+        for name in ("probability", "single_error", "largest_error"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+
+    def share(self, contribution: Contribution) -> float:
+        """Return which share of the variance a contribution makes."""
+        return (contribution.standard / self.combined) ** 2 if self.combined > 0.0 else 0.0
+
+
+def budget_of(
+    contributions: Sequence[Contribution],
+    *,
+    positions: int = 1000,
+    draws: int = DRAWS,
+    seed: int = 1,
+) -> Budget:
+    """Return the budget of independent contributions.
+
+    positions  independent ones, of which the largest error is asked; at least 2
+    draws      of the propagation; 1e5 give two digits of a 95 % interval
+    """
+    combined = math.sqrt(sum(one.standard**2 for one in contributions))
+    freedom = effective_freedom(contributions)
+    factor = float(student.ppf(0.5 + CONFIDENCE / 2, freedom))
+    rng = np.random.default_rng(seed)
+    shared = sum(
+        (_drawn(one, draws, rng) for one in contributions if one.is_shared), np.zeros(draws)
+    )
+    single, largest = _errors(shared, contributions, positions, rng)
+    tails = (0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2)
+    return Budget(
+        contributions=tuple(contributions),
+        combined=combined,
+        freedom=freedom,
+        coverage_factor=factor,
+        expanded=factor * combined,
+        propagated=float(np.quantile(single, CONFIDENCE)),
+        positions=positions,
+        largest=(float(np.quantile(largest, tails[0])), float(np.quantile(largest, tails[1]))),
+        probability=GRID,
+        single_error=np.quantile(single, GRID),
+        largest_error=np.quantile(largest, GRID),
+        draws=draws,
+    )
+
+
+def effective_freedom(contributions: Sequence[Contribution]) -> float:
+    """Return nu_eff of Welch and Satterthwaite; infinite where nothing is estimated."""
+    combined = sum(one.standard**2 for one in contributions)
+    loss = sum(one.standard**4 / one.freedom for one in contributions)
+    return combined**2 / loss if loss > 0.0 else math.inf
+
+
+def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
+    """Return the t distribution whose quantile lies so many standard deviations out.
+
+        t(1/2 + p/2, nu) sqrt((nu - 2) / nu) = ratio
+
+    quantile_ratio  quantile of the size of the errors, over their rms
+    returned        nu, at least 2.2; infinite where the tail is no heavier than normal
+    """
+    upper = 0.5 + probability / 2
+    if quantile_ratio <= norm.ppf(upper):
+        return math.inf
+    nu = np.geomspace(2.2, 1e3, 400)
+    reached = student.ppf(upper, nu) * np.sqrt((nu - 2) / nu)
+    falling = int(np.argmax(reached))  # below it the variance goes to the last few draws
+    place = np.searchsorted(-reached[falling:], -quantile_ratio)
+    return float(nu[min(falling + int(place), len(nu) - 1)])
+
+
+def _errors(
+    shared: Array, contributions: Sequence[Contribution], positions: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Return the size of a single error and of the largest of many, (draws,) each.
+
+    Of n independent values in order of probability, the greatest lies at U^(1/n), and the least of
+    the others at greatest (1 - V^(1/(n-1))), U and V uniform: no scan is drawn position by
+    position. Several contributions that are new at each position are added as one of their
+    variance and of the heaviest tail among them.
+    """
+    own = [one for one in contributions if not one.is_shared]
+    if not own:
+        return np.abs(shared), np.abs(shared)
+    single = np.abs(shared + sum(_drawn(one, len(shared), rng) for one in own))
+    standard = math.sqrt(sum(one.standard**2 for one in own))
+    tail = min(_tail(one) for one in own)
+    top = rng.uniform(size=len(shared)) ** (1.0 / positions)
+    low = top * -np.expm1(np.log(rng.uniform(size=len(shared))) / (positions - 1))
+    ends = (shared + standard * _unit_quantile(p, tail) for p in (top, low))
+    return single, np.maximum(*(np.abs(end) for end in ends))
+
+
+def _tail(one: Contribution) -> float:
+    return one.tail if one.shape == HEAVY else math.inf
+
+
+def _unit_quantile(probability: Array, tail: float) -> Array:
+    """Return quantiles of unit variance, normal or of Student's t."""
+    inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
+    if math.isinf(tail):
+        return np.asarray(norm.ppf(inside))
+    return np.asarray(student.ppf(inside, tail) * math.sqrt((tail - 2.0) / tail))
+
+
+def _drawn(one: Contribution, draws: int, rng: np.random.Generator) -> Array:
+    """Draw a contribution; one that is estimated with few degrees of freedom as Student's t."""
+    if one.shape == RECTANGULAR:
+        return one.standard * math.sqrt(3.0) * rng.uniform(-1.0, 1.0, draws)
+    if one.shape == HEAVY and math.isfinite(one.tail):
+        scale = one.standard * math.sqrt((one.tail - 2.0) / one.tail)
+        return np.asarray(scale * rng.standard_t(one.tail, draws))
+    if math.isfinite(one.freedom):
+        return np.asarray(one.standard * rng.standard_t(one.freedom, draws))
+    return np.asarray(one.standard * rng.standard_normal(draws))

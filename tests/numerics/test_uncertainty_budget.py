@@ -1,0 +1,107 @@
+"""An uncertainty budget against closed forms and against the Guide's own worked example."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from piezoid.numerics.uncertainty_budget import (
+    HEAVY,
+    Contribution,
+    budget_of,
+    effective_freedom,
+    half_width,
+    tail_of,
+)
+
+
+def normal(standard: float, freedom: float = math.inf, *, is_shared: bool = True) -> Contribution:
+    return Contribution(
+        name="n", kind="A", standard=standard, freedom=freedom, is_shared=is_shared
+    )
+
+
+def test_the_end_gauge_of_the_guide_has_the_guides_numbers() -> None:
+    # JCGM 100:2008, H.1: contributions in nm and their degrees of freedom; k there is for 99 %.
+    gauge = [normal(25.0, 18), normal(9.7, 25.6), normal(2.9, 50), normal(16.6, 2)]
+    found = budget_of(gauge, draws=1000)
+    assert found.combined == pytest.approx(31.7, abs=0.1)
+    assert found.freedom == pytest.approx(16.7, abs=0.1)
+
+
+def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
+    assert effective_freedom([normal(3.0, 7)]) == pytest.approx(7.0)
+    assert effective_freedom([normal(3.0), normal(4.0)]) == math.inf
+    assert effective_freedom([]) == math.inf
+    found = budget_of([normal(3.0), normal(4.0)], draws=1000)
+    assert found.expanded == pytest.approx(norm.ppf(0.975) * 5.0)
+    assert [found.share(one) for one in found.contributions] == pytest.approx([0.36, 0.64])
+
+
+@pytest.mark.parametrize(
+    ("contributions", "half"),
+    [
+        ([half_width("r", 1.0)], 0.95),
+        ([half_width("r", 1.0), half_width("s", 1.0)], 2 * (1 - math.sqrt(0.05))),  # a triangle
+        ([normal(1.0)], norm.ppf(0.975)),
+        ([normal(1.0, 4.0)], 2.7764),  # Student's t at 4
+        ([normal(0.6), normal(0.8, is_shared=False)], norm.ppf(0.975)),
+    ],
+)
+def test_draws_give_the_interval_that_can_be_written_down(
+    contributions: list[Contribution], half: float
+) -> None:
+    assert budget_of(contributions).propagated == pytest.approx(half, rel=0.01)
+
+
+@pytest.mark.parametrize("positions", [2, 100, 10_000])
+def test_the_largest_of_many_normal_errors_is_their_closed_form(positions: int) -> None:
+    found = budget_of([normal(2.0, is_shared=False)], positions=positions)
+    for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
+        exact = 2.0 * norm.ppf((1 + probability ** (1 / positions)) / 2)
+        assert reached == pytest.approx(exact, rel=0.02)
+
+
+def test_the_largest_error_is_what_drawing_every_position_gives() -> None:
+    rng = np.random.default_rng(1)
+    own = rng.standard_normal((20_000, 50))
+    every = np.abs(1.5 * rng.standard_normal(20_000)[:, None] + own).max(axis=1)
+    found = budget_of([normal(1.5), normal(1.0, is_shared=False)], positions=50)
+    assert found.largest == pytest.approx(np.quantile(every, (0.025, 0.975)), rel=0.02)
+
+
+def test_what_is_shared_by_all_positions_has_no_larger_largest() -> None:
+    found = budget_of([normal(1.0)], positions=1000)
+    assert found.largest_error == pytest.approx(found.single_error)
+
+
+@pytest.mark.parametrize("tail", [2.5, 4.0, 12.0])
+def test_a_heavy_tail_is_found_from_its_quantile_and_drawn_again(tail: float) -> None:
+    sample = np.random.default_rng(2).standard_t(tail, 400_000) * math.sqrt((tail - 2) / tail)
+    ratio = float(np.quantile(np.abs(sample), 0.999))
+    found = tail_of(ratio)
+    assert found == pytest.approx(tail, rel=0.15)
+    one = Contribution(name="h", kind="A", standard=1.0, shape=HEAVY, tail=found, is_shared=False)
+    heavy, light = budget_of([one]), budget_of([normal(1.0, is_shared=False)])
+    assert heavy.largest[1] > light.largest[1]
+
+
+def test_a_light_tail_is_normal_and_an_impossible_one_is_bounded() -> None:
+    assert tail_of(3.0) == math.inf
+    assert 2.0 < tail_of(50.0) < 4.0
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    first, second = (budget_of([normal(1.0), half_width("r", 2.0)], draws=1000) for _ in range(2))
+    assert first.largest == second.largest
+    assert np.array_equal(first.single_error, second.single_error)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"kind": "C"}, {"standard": -1.0}, {"standard": math.nan}, {"shape": "odd"}, {"tail": 2.0}],
+)
+def test_a_contribution_that_cannot_be_is_refused(wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match="n: "):
+        Contribution(**{"name": "n", "kind": "A", "standard": 1.0, **wrong})  # type: ignore[arg-type]
