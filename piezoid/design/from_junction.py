@@ -168,7 +168,7 @@ def _refuse_instantaneous(plant: JunctionPlant, axis: str) -> None:
 
 def _chain(plant: JunctionPlant, place: int) -> Chain:
     said = (
-        f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {plant.sensor_pole_Hz:.4g} Hz, "
+        f"{plant.gain_nepers_per_V:.4g} nepers/V, sensor {1e-3 * plant.sensor_pole_Hz:.3g} kHz, "
         f"delay {1e6 * plant.delay_s:.3g} us"
     )
     return Chain(

@@ -11,6 +11,7 @@ from piezoid.runtime.controller import Status
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
 
+SHAPE = "shape error of what ships"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
 _AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
@@ -65,7 +66,7 @@ class Verdict:
 def shape(scenario: str, found: Tracking, radius_m: float, limit_percent: float) -> Verdict:
     """Judge the error that remains after the best common delay."""
     return Verdict(
-        name="shape error of what ships",
+        name=SHAPE,
         scenario=scenario,
         value=100.0 * found.aligned_rms_m / (2.0 * radius_m),
         limit=limit_percent,

@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.verification.tracking import Tracking, shape_error
 from piezoid.verification.trajectories import Path
 
 POINTS = 300
-TRACED_Hz = (1.0, 10.0, 100.0)  # spirals of these frequencies are kept
+TRACED_Hz = (10.0, 100.0)  # spirals of these frequencies are kept
 TRACED_BESIDE = "none"  # the method that is kept beside what ships
 _DECIMALS = 12  # a picometre
 
@@ -22,8 +23,8 @@ class SpiralTrace:
     method, frequency_Hz   as in the comparison
     axes                   that moved; with one only, y is where a second one should have been
     x_m, y_m               (points,)
-    shape_error_m          (points,)  largest distance from the path since the point before, after
-                           the best common delay
+    shape_error_m          (points,)  distance from the path after the best common delay, rms from
+                           this point to the next
     """
 
     method: str
@@ -55,7 +56,7 @@ def trace_of(
     wanted = np.stack([reference[axis] for axis in axes])
     moved = np.stack([position[axis] for axis in axes])
     error = shape_error(wanted, moved, sampling_rate_Hz, found.delay_s)
-    starts = np.unique(np.linspace(0, len(error), POINTS, endpoint=False).astype(int))
+    starts = np.unique(np.linspace(0, len(error), POINTS, endpoint=False).astype(np.intp))
     second = moved[1] if len(axes) > 1 else radius_m * path.y
     return SpiralTrace(
         method=method,
@@ -63,8 +64,13 @@ def trace_of(
         axes=axes,
         x_m=_rounded(moved[0][starts]),
         y_m=_rounded(second[starts]),
-        shape_error_m=_rounded(np.maximum.reduceat(error, starts)),
+        shape_error_m=_rounded(_rms_from(starts, error)),
     )
+
+
+def _rms_from(starts: NDArray[np.intp], values: Array) -> Array:
+    counts = np.diff(np.append(starts, len(values)))
+    return np.asarray(np.sqrt(np.add.reduceat(values**2, starts) / counts))
 
 
 def _rounded(values: Array) -> tuple[float, ...]:

@@ -17,7 +17,9 @@ from piezoid_reports.sections import (
     residual_over_time,
     tunnelling,
     tunnelling_loop,
+    uncertainty,
     verdict,
+    verification,
 )
 
 Render = Callable[[Page], Section | None]
@@ -31,10 +33,12 @@ SECTIONS: tuple[Render, ...] = (
     parameters.render,
     orders.render,
     certificate.render,
+    uncertainty.render,
     dynamics.render,
     tunnelling.render,
     tunnelling_loop.render,
     design.render,
+    verification.render,
     limits.render,
     provenance.render,
 )
@@ -44,6 +48,8 @@ OF_STAGE: tuple[Render, ...] = (
     verdict.render,
     tunnelling.render,
     tunnelling_loop.render,
+    design.render,
+    verification.render,
     provenance.render,
 )
 

@@ -9,6 +9,7 @@ from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.loop_figures import nyquist, pole_map
 from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
 
@@ -42,6 +43,8 @@ def render(page: Page) -> Section | None:
     for axis in () if page.design is None else page.design.axes:
         parts += _axis(axis)
         parts += _assumed(page, axis)
+    for remark in () if page.design is None else page.design.remarks:
+        parts.append(Prose(text=f"Not designed: {remark}", tone="middling"))
     if page.undesigned:
         parts.append(Prose(text=f"Not designed: {page.undesigned}", tone="middling"))
     return Section(
@@ -59,6 +62,8 @@ def _axis(axis: AxisDesign) -> list[Part]:
     return [
         Heading(text=f"Axis {axis.axis}: {METHODS[loop.method]}, at {rate}"),
         *(_figure(axis, loop, function) for function in FUNCTIONS),
+        nyquist(axis, loop),
+        pole_map(axis, loop),
         _margins(axis, loop),
         _rejections(axis, loop),
         _loops(axis),
@@ -189,6 +194,8 @@ def _loops(axis: AxisDesign) -> Table:
 
 def _proven(loop: LoopDesign) -> tuple[Part, ...]:
     proven = loop.certificate
+    if loop.method == "rst":
+        return ()  # regulates a current, behind no hysteresis that a model knows
     if proven is None:
         return (
             Prose(

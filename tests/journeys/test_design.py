@@ -12,6 +12,8 @@ from piezoid.errors import DesignError, ParameterFileError, TemplateError
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
 from piezoid_cli.design import design
+from piezoid_reports.loop_figures import nyquist, pole_map
+from piezoid_reports.quantities import significant
 from piezoid_reports.render import render
 from tests.reports.known_stage import axis_model, recording, stage_model
 
@@ -46,7 +48,16 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     found = design_from_json((stage / "design.json").read_bytes())
     assert [loop.method for loop in found.axis("x").loops] == ["mpi_dob", "dob"]
     assert (stage / "report.html").read_text() == "the fit's own report"
+    loop = found.axis("x").recommended
+    curve, poles = nyquist(found.axis("x"), loop), pole_map(found.axis("x"), loop)
+    nearest = float(curve.numbers.split(" comes is ")[1].split(";")[0])
+    # Two grids of their own, 0.005 of rounding.
+    assert nearest == pytest.approx(loop.worst_modulus_margin, rel=1e-2)
+    largest = max(margin.spectral_radius for margin in loop.margins)
+    assert f"the largest magnitude is {significant(largest, 4)}" in poles.numbers
     page = (stage / "design.html").read_text()
+    assert curve.title in page
+    assert poles.title in page
     for words in ('id="design"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
         assert words in page
 

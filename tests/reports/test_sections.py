@@ -6,7 +6,14 @@ from pathlib import Path
 import piezoid_reports.sections
 from piezoid_reports.page import Page
 from piezoid_reports.render import render
-from piezoid_reports.sections import SECTIONS, design, dynamics, tunnelling, tunnelling_loop
+from piezoid_reports.sections import (
+    SECTIONS,
+    design,
+    dynamics,
+    tunnelling,
+    tunnelling_loop,
+    verification,
+)
 from piezoid_reports.traces import all_traces
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -70,6 +77,7 @@ ABOUT_MORE_THAN_AXES = {
     dynamics.render,
     tunnelling.render,
     tunnelling_loop.render,
+    verification.render,
     design.render,
 }
 

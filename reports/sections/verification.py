@@ -1,0 +1,195 @@
+"""The compiled controller run against the stage: methods by frequency, paths, verdicts."""
+
+import numpy as np
+
+from piezoid.verification.criteria import Verdict
+from piezoid.verification.proof import Proof
+from piezoid.verification.verification import Verification
+from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.page import Figure, Heading, Page, Part, Prose, Section, Table
+from piezoid_reports.quantities import significant, told
+from piezoid_reports.spirals import METHODS, spiral
+
+STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
+_EVERY = "all"
+
+
+def render(page: Page) -> Section | None:
+    """Return the chapter, where what ships was run."""
+    found = page.verification
+    if found is None:
+        return None
+    return Section(
+        anchor="verification",
+        title="Verification",
+        lead="The compiled controller that ships, with the parameters that ship, run against the "
+        "identified stage: converters, noise, and stages the recordings allow as well.",
+        parts=tuple(_parts(found)),
+    )
+
+
+def _parts(found: Verification) -> list[Part]:
+    return [
+        _summary(found),
+        *_compared(found),
+        *(spiral(trace, found) for trace in found.traces),
+        *_currents(found),
+        Heading(text="Verdicts"),
+        _verdicts(found),
+        *_proofs(found.proofs),
+    ]
+
+
+def _summary(found: Verification) -> Prose:
+    failed = [verdict for verdict in found.verdicts if not verdict.passed]
+    differing = [proof.build for proof in found.proofs if not proof.passed]
+    ships = ", ".join(f"axis {axis}: {METHODS[m]}" for axis, m in found.methods.items())
+    text = (
+        f"{len(found.verdicts) - len(failed)} of {len(found.verdicts)} verdicts passed. {ships}."
+    )
+    if failed:
+        text += " Failed: " + "; ".join(f"{v.name} ({v.scenario})" for v in failed) + "."
+    if differing:
+        text += " Builds that gave other bits: " + "; ".join(differing) + "."
+    return Prose(text=text, tone="good" if found.passed else "bad")
+
+
+def _compared(found: Verification) -> list[Part]:
+    if not found.comparison:
+        return []
+    return [Heading(text="Methods by frequency"), _shape_figure(found), _table(found)]
+
+
+def _shape_figure(found: Verification) -> Figure:
+    """Draw the shape error of every method over the frequency, in logarithms."""
+    methods = list(dict.fromkeys(row.method for row in found.comparison))
+    curves = {m: [row for row in found.comparison if row.method == m] for m in methods}
+    points = {
+        m: (
+            np.log10([row.frequency_Hz for row in rows]),
+            np.log10([max(row.aligned_rms_m, 1e-12) * 1e9 for row in rows]),
+        )
+        for m, rows in curves.items()
+    }
+    x = axis_over("log10 of the turns a second over 1 Hz", [p[0] for p in points.values()], "")
+    y = axis_over("log10 of the shape error over 1 nm", [p[1] for p in points.values()], "")
+    canvas = Canvas(x=x, y=y)
+    layers = [canvas.line(STROKES[m], METHODS[m], *points[m])[0] for m in methods]
+    shipped = curves[methods[0]]
+    return Figure(
+        title="Shape error on spirals, method by method",
+        numbers=f"{METHODS[methods[0]]}: {told(shipped[0].aligned_rms_m, 'm')} at "
+        f"{told(shipped[0].frequency_Hz, 'Hz')}, {told(shipped[-1].aligned_rms_m, 'm')} at "
+        f"{told(shipped[-1].frequency_Hz, 'Hz')}, rms after the best common delay; radius "
+        f"{told(found.radius_m, 'm')}.",
+        look="Good: what ships lies lowest at every frequency that will be used. Bad: it crosses "
+        "another method: above that frequency the other one is better. Without feedback a model "
+        "looks perfect here only because it is run against itself; see the verdict on the stages "
+        "that the recordings allow as well.",
+        x=x,
+        y=y,
+        layers=tuple(layers),
+    )
+
+
+def _table(found: Verification) -> Table:
+    further = {(row.method, row.frequency_Hz): row for row in found.spirals}
+    rows = []
+    for row in found.comparison:
+        spiral = further[row.method, row.frequency_Hz]
+        pitch = spiral.pitch_error
+        rows.append(
+            (
+                told(row.frequency_Hz, "Hz"),
+                row.method,
+                told(row.rms_m, "m"),
+                told(row.rms_percent, "%"),
+                told(row.max_m, "m"),
+                told(row.aligned_rms_m, "m"),
+                told(row.delay_s, "s"),
+                told(spiral.radial_rms_m, "m"),
+                "" if pitch is None else told(100.0 * pitch, "%"),
+            )
+        )
+    return Table(
+        caption=f"Spirals of radius {told(found.radius_m, 'm')}, by turns a second and method: "
+        "distance from the path, rms, in percent of the diameter, and largest; what the best "
+        "common delay leaves, and that delay (negative: early); error of the radius; scatter of "
+        "the distance between turns.",
+        columns=(
+            *("turns a second", "method", "rms", "of diameter", "largest"),
+            *("shape rms", "delay", "radial rms", "pitch"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def _currents(found: Verification) -> list[Part]:
+    if not found.currents:
+        return []
+    rows = tuple(
+        (
+            row.scenario,
+            significant(row.ln_current_std),
+            told(row.height_rms_m, "m"),
+            significant(row.largest_ratio),
+            str(row.retracted_samples),
+        )
+        for row in found.currents
+    )
+    return [
+        Heading(text="The tip over a rough surface"),
+        Table(
+            caption="The tunnelling loop while the other axes take the tip along their path, over "
+            "a surface of 0.1 nm rms: scatter of the logarithm of the current, the same as a "
+            "height, and the largest current over its set point.",
+            columns=("path", "std of ln i", "height rms", "largest current", "samples retracted"),
+            rows=rows,
+        ),
+    ]
+
+
+def _verdicts(found: Verification) -> Table:
+    ordered = sorted(found.verdicts, key=lambda verdict: verdict.passed)
+    return Table(
+        caption="Every verdict with its limit, failed ones first. Limits are defaults unless "
+        "limits.toml or [verification] in lab.toml says otherwise.",
+        columns=("what", "in", "found", "limit", "unit", "verdict"),
+        rows=tuple(_verdict_row(verdict) for verdict in ordered),
+    )
+
+
+def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
+    return (
+        verdict.name,
+        "every run" if verdict.scenario == _EVERY else verdict.scenario,
+        significant(verdict.value),
+        significant(verdict.limit),
+        "" if verdict.unit == "1" else verdict.unit,
+        "passed" if verdict.passed else "failed",
+    )
+
+
+def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
+    if not proofs:
+        return []
+    rows = tuple(
+        (
+            proof.build,
+            str(proof.samples) if proof.is_built else "not built here",
+            str(proof.differing) if proof.is_built else "",
+            ", ".join(
+                f"{axis}: {count:.0f}"
+                for axis, count in (proof.instructions_per_sample or {}).items()
+            ),
+        )
+        for proof in proofs
+    )
+    return [
+        Heading(text="The same bits from other builds"),
+        Table(
+            caption="The bundle compiled again and stepped through the same inputs.",
+            columns=("build", "samples", "differing", "instructions a sample"),
+            rows=rows,
+        ),
+    ]

@@ -1,0 +1,100 @@
+"""The chapter on what was run: every number with its limit, pictures that show the error."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.verification.proof import Proof
+from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.trace import POINTS, SpiralTrace
+from piezoid.verification.verification import Verification, verification_from_json
+from piezoid.verification.verify import verify
+from piezoid_reports.page import Section
+from piezoid_reports.render import render
+from piezoid_reports.sections import verification
+from piezoid_reports.spirals import SHADES, spiral
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.verification.rig import PLANTS, stage
+
+AT_10_Hz = [s for s in SCENARIOS if s.name == "spiral, 10 Hz"]
+
+
+@pytest.fixture(scope="module")
+def found() -> Verification:
+    built = Proof(build="cc", is_built=True, samples=12, differing=0)
+    return verify(stage(), PLANTS, scenarios=AT_10_Hz, proofs=[built])
+
+
+def chapter(found: Verification) -> tuple[Section, Anatomy]:
+    page = render(stage_model(axis_model()), [recording()], verification=found)
+    made = verification.render(_Given(found))  # type: ignore[arg-type]
+    assert made is not None
+    assert len(page) < 3_000_000
+    return made, Anatomy(page)
+
+
+class _Given:
+    """What the chapter reads of a page."""
+
+    def __init__(self, found: Verification) -> None:
+        self.verification = found
+
+
+def texts(found: Verification) -> list[str]:
+    return [e.text.replace("\u202f", " ") for e in chapter(found)[1].elements if e.tag == "tr"]
+
+
+def test_without_a_verification_there_is_no_chapter() -> None:
+    assert 'id="verification"' not in render(stage_model(axis_model()), [recording()])
+
+
+def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(
+    found: Verification,
+) -> None:
+    rows = texts(found)
+    for method in ("mpi_dob", "dob", "mpi", "none"):
+        assert any(row.startswith("10.0 Hz" + method) for row in rows)
+    for verdict in found.verdicts:
+        assert any(verdict.name in row and row.endswith("passed") for row in rows)
+    assert any(row.startswith("cc12") for row in rows)
+
+
+def test_what_failed_is_said_first(found: Verification) -> None:
+    worse = replace(found.verdicts[-1], value=2.0 * found.verdicts[-1].limit + 1.0)
+    failed = replace(found, verdicts=(*found.verdicts[:-1], worse))
+    rows = texts(failed)
+    named = [k for k, row in enumerate(rows) if row.endswith(("passed", "failed"))]
+    assert rows[named[0]].endswith("failed")
+    summary, *_ = [part for part in chapter(failed)[0].parts if part.kind == "prose"]
+    assert summary.tone == "bad"
+    assert worse.name in summary.text
+
+
+def test_spirals_are_kept_place_by_place_and_come_back(found: Verification) -> None:
+    assert {trace.method for trace in found.traces} == {"mpi_dob", "none"}
+    assert all(len(trace.x_m) == POINTS for trace in found.traces)
+    assert verification_from_json(found.to_json()).traces == found.traces
+    shipped = {row.method: row.aligned_rms_m for row in found.comparison}
+    for trace in found.traces:
+        rms_m = float(np.sqrt(np.mean(np.square(trace.shape_error_m))))
+        # The comparison leaves out both ends, where a delay cannot be told.
+        assert rms_m == pytest.approx(shipped[trace.method], rel=0.1)
+
+
+def test_a_place_gets_the_colour_of_its_share_of_the_limit(found: Verification) -> None:
+    limit_m = 0.01 * 2.0 * found.radius_m
+    levels = 0.9 * limit_m * np.array([min(share, 10.0) for share in SHADES.values()])
+    made = SpiralTrace(
+        method="none",
+        frequency_Hz=10.0,
+        axes=("x", "y"),
+        x_m=(0.0, 1e-6, 2e-6, 3e-6),
+        y_m=(0.0, 0.0, 0.0, 0.0),
+        shape_error_m=tuple(levels.tolist()),
+    )
+    figure = spiral(made, found)
+    assert [layer.role for layer in figure.layers] == [f"error-{shade}" for shade in SHADES]
+    alone = replace(made, shape_error_m=(0.0, 0.0, 0.0, 0.0))
+    assert [layer.role for layer in spiral(alone, found).layers] == ["error-measured"]
