@@ -84,24 +84,24 @@ def told_apart(
     drives     all of one model, to be evaluated together
     reference  along which the suspects have the size that was found
     """
-    scales = [_scale(suspect, reference) for suspect in suspects]
-    weight = _row_weights(drives)
+    scales = [scale_of(suspect, reference) for suspect in suspects]
+    weight = row_weights(drives)
     lag = not any(suspect.tangent.lags for suspect in suspects)
-    basis = _basis(weight[:, None] * null_columns(drives, lag=lag))
+    basis = basis_of(weight[:, None] * null_columns(drives, lag=lag))
     blocks = [
-        _freed(weight[:, None] * _block(suspect.tangent, scale, drives), basis)
+        freed(weight[:, None] * block_of(suspect.tangent, scale, drives), basis)
         for suspect, scale in zip(suspects, scales, strict=True)
     ]
     found = []
     for k, (suspect, scale) in enumerate(zip(suspects, scales, strict=True)):
         strength = suspect.rms_m / max(_moves(suspect.tangent, scale, reference), 1e-30)
         whole = weight * strength * _sum(suspect.tangent, scale, drives)
-        beside = [basis, *(_basis(b) for j, b in enumerate(blocks) if j != k)]
+        beside = [basis, *(basis_of(b) for j, b in enumerate(blocks) if j != k)]
         found.append(_relative_error(whole, np.hstack(beside), weight, drives, errors))
     return Told(separability=_separability(blocks), errors=tuple(found))
 
 
-def _scale(suspect: Suspect, reference: Sequence[Driven]) -> float:
+def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
     """Return the time at which a lag is as large as was found; other scales stay as they are."""
     tangent = suspect.tangent
     if not tangent.lags or tangent.scale >= 1.0:
@@ -110,12 +110,13 @@ def _scale(suspect: Suspect, reference: Sequence[Driven]) -> float:
     return suspect.rms_m / max(speed_m_per_s, 1e-30)
 
 
-def _row_weights(drives: Sequence[Driven]) -> Array:
-    """Every drive counts the same, whatever its length."""
+def row_weights(drives: Sequence[Driven]) -> Array:
+    """Return a weight for every row, so that drives count the same whatever their length."""
     return np.concatenate([np.full(len(one.rows), len(one.rows) ** -0.5) for one in drives])
 
 
-def _block(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
+def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
+    """Return an effect's columns at the rows of all drives, (rows, columns)."""
     parts = [tangent.columns(one, scale)[one.rows] for one in drives]
     if tangent.own:
         return side_by_side(parts)
@@ -137,7 +138,7 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _basis(columns: Array) -> Array:
+def basis_of(columns: Array) -> Array:
     """Return an orthonormal basis of columns, those that rounding made left out."""
     size = np.linalg.norm(columns, axis=0)
     kept = columns[:, size > 0.0] / size[size > 0.0]
@@ -147,7 +148,7 @@ def _basis(columns: Array) -> Array:
     return np.asarray(left[:, strength > NOTHING * strength[0]])
 
 
-def _freed(columns: Array, basis: Array) -> Array:
+def freed(columns: Array, basis: Array) -> Array:
     """Return columns without what the basis explains, exactly zero where nothing is left."""
     left = columns - basis @ (basis.T @ columns)
     left = left - basis @ (basis.T @ left)
@@ -158,7 +159,7 @@ def _freed(columns: Array, basis: Array) -> Array:
 def _separability(blocks: Sequence[Array]) -> float:
     """Return the least over all pairs."""
     pairs = [(a, b) for k, a in enumerate(blocks) for b in blocks[k + 1 :]]
-    return min((_apart(_basis(a), _basis(b)) for a, b in pairs), default=1.0)
+    return min((_apart(basis_of(a), basis_of(b)) for a, b in pairs), default=1.0)
 
 
 def _apart(one: Array, other: Array) -> float:
@@ -171,7 +172,7 @@ def _apart(one: Array, other: Array) -> float:
 def _relative_error(
     whole: Array, beside: Array, weight: Array, drives: Sequence[Driven], errors: Errors
 ) -> float:
-    left = _freed(whole[:, None], _basis(beside))
+    left = freed(whole[:, None], basis_of(beside))
     if not left.shape[1]:
         return float("inf")
     column = left[:, 0]

@@ -6,6 +6,7 @@ from piezoid_reports.page import Page, Section
 from piezoid_reports.sections import (
     certificate,
     design,
+    diagnosis,
     dynamics,
     limits,
     loading_curve,
@@ -29,6 +30,7 @@ SECTIONS: tuple[Render, ...] = (
     loops.render,
     residual_over_time.render,
     residual_over_drive.render,
+    diagnosis.render,
     loading_curve.render,
     parameters.render,
     orders.render,
@@ -55,3 +57,6 @@ OF_STAGE: tuple[Render, ...] = (
 
 # A design of its own, made after the fit: what the recordings show stands in the report.
 OF_DESIGN: tuple[Render, ...] = (design.render, provenance.render)
+
+# A diagnosis of new recordings of a stage that was fitted before.
+OF_DIAGNOSIS: tuple[Render, ...] = (diagnosis.render, provenance.render)

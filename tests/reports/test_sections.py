@@ -9,6 +9,7 @@ from piezoid_reports.render import render
 from piezoid_reports.sections import (
     SECTIONS,
     design,
+    diagnosis,
     dynamics,
     tunnelling,
     tunnelling_loop,
@@ -79,6 +80,7 @@ ABOUT_MORE_THAN_AXES = {
     tunnelling_loop.render,
     verification.render,
     design.render,
+    diagnosis.render,
 }
 
 

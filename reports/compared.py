@@ -1,0 +1,225 @@
+"""The residual without and with one effect, and its look-alike put into a healthy simulation.
+
+Where the model carries the effect as an extension, ``before`` is the measurement minus the model
+without it. Where it does not, the effect's tangent columns are fitted to the residual beside the
+model's own Jacobian, all findings together, and ``before`` is what is left plus its own part.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.driven import Driven, null_columns, rows_of
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.playing import driven_recording
+from piezoid.diagnosis.separation import Suspect, basis_of, block_of, scale_of
+from piezoid.diagnosis.tangents import Tangent, tangent_of
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.simulation import simulate_recording
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.effect_coordinates import coordinate_of
+from piezoid_reports.traces import Trace, rms
+
+ROWS = 3000  # of each recording
+LEAST_SHARE = 1e-6  # of a recording's stroke, below which nothing is put in
+RECORDINGS = 6  # of those fitted worst
+LAGS = ("delay", "lag")
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "creep": ("creep_ladder", "creep_operator"),
+    "thermal_drift": ("thermal_drift",),
+    "rate_dependence": ("rate_dependence",),
+    "resonance": ("linear_mode",),
+    "delay": ("delay",),
+    "lag": ("first_order_lag",),
+    "cross_coupling": ("cross_axis",),
+    "mains_interference": ("mains_lines",),
+    "sensor_periodic_error": ("periodic_error",),
+    "amplifier_saturation": ("amplifier_limits",),
+    "slew_limit": ("slew_limit",),
+    "gain_change": ("gain_change",),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """One recording, at rows that every part of it has.
+
+    rows       (rows,)  which samples
+    before_m   (rows,)  residual without the effect in the model
+    after_m    (rows,)  with it
+    injected_m (rows,)  residual of a healthy simulation with the effect put in, and noise
+    """
+
+    trace: Trace
+    rows: NDArray[np.int_]
+    before_m: Array
+    after_m: Array
+    injected_m: Array
+
+
+def compared(
+    axis: AxisModel, traces: Sequence[Trace], diagnosis: Diagnosis
+) -> dict[str, tuple[Compared, ...]]:
+    """Return for every finding what its picture is made of, recordings fitted worst first."""
+    used = traces[:RECORDINGS]
+    if not used:
+        return {}
+    missing = [f for f in diagnosis.findings if not _carried(axis, f.effect)]
+    fitted = _linearised(axis, used, missing, diagnosis.stroke_m)
+    return {
+        finding.effect: _turned(
+            [_one(axis, finding, trace, fitted[k]) for k, trace in enumerate(used)]
+        )
+        for finding in diagnosis.findings
+    }
+
+
+def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> Compared:
+    if coordinate_of(finding.effect).kind == "spectrum":
+        rows = np.flatnonzero(np.isfinite(trace.modelled_m))
+        whole_m = fitted.whole_m.get(finding.effect)
+        linear_m = np.zeros(len(rows)) if whole_m is None else whole_m[rows]
+        part_m = linear_m + _carried_part(axis, finding.effect, trace)[rows]
+        after_m = trace.residual_m[rows] - linear_m
+    else:
+        rows, after_m = fitted.rows, fitted.after_m
+        own_m = fitted.part_m.get(finding.effect)
+        part_m = _carried_part(axis, finding.effect, trace)[rows] if own_m is None else own_m
+    return Compared(
+        trace=trace,
+        rows=rows,
+        before_m=after_m + part_m,
+        after_m=after_m,
+        injected_m=_injected(finding.effect, axis, trace, rms(part_m))[rows],
+    )
+
+
+def _turned(found: Sequence[Compared]) -> tuple[Compared, ...]:
+    """Mirror the look-alikes where that makes them like what was found."""
+    alike = sum(
+        float(np.nansum((one.before_m - one.after_m) * (one.injected_m - one.injected_m.mean())))
+        for one in found
+    )
+    way = -1.0 if alike < 0.0 else 1.0
+    return tuple(replace(one, injected_m=way * one.injected_m) for one in found)
+
+
+def _rows(trace: Trace) -> NDArray[np.int_]:
+    there = np.flatnonzero(np.isfinite(trace.modelled_m))
+    return np.asarray(there[rows_of(len(there), ROWS)])
+
+
+def _carried(axis: AxisModel, effect: str) -> bool:
+    if effect in LAGS and axis.lag.time_s > 0.0:
+        return True
+    kinds = KINDS.get(effect, ())
+    return any(e.kind in kinds for e in axis.extensions)
+
+
+def _carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
+    """Return what the model's extension adds, about its mean."""
+    if not _carried(axis, effect):
+        return np.zeros(len(trace.time_s))
+    others = tuple(e for e in axis.extensions if e.kind not in KINDS[effect])
+    lag = Lag(kind="none", time_s=0.0) if effect in LAGS else axis.lag
+    without_m = simulate_recording(replace(axis, extensions=others, lag=lag), trace.recording)
+    part_m = trace.modelled_m - without_m
+    return np.asarray(part_m - np.nanmean(part_m))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fitted:
+    """What the tangents explain of one recording.
+
+    rows     samples that were compared
+    after_m  (rows,)  what is left with every tangent fitted
+    part_m   (rows,)  by effect, free of what the model could take up itself
+    whole_m  (samples,)  by effect, as it is
+    """
+
+    rows: NDArray[np.int_]
+    after_m: Array
+    part_m: Mapping[str, Array] = field(default_factory=dict)
+    whole_m: Mapping[str, Array] = field(default_factory=dict)
+
+
+def _linearised(
+    axis: AxisModel, traces: Sequence[Trace], missing: Sequence[Finding], stroke_m: float
+) -> list[Fitted]:
+    """Fit the tangents of all effects the model does not carry to what it leaves."""
+    rows = [_rows(trace) for trace in traces]
+    left_m = [trace.residual_m[here] for trace, here in zip(traces, rows, strict=True)]
+    pairs = [(f, tangent) for f in missing if (tangent := tangent_of(f.effect)) is not None]
+    if not pairs:
+        return [Fitted(rows=here, after_m=m) for here, m in zip(rows, left_m, strict=True)]
+    drives = [
+        replace(driven_recording(axis, trace.recording), rows=here)
+        for trace, here in zip(traces, rows, strict=True)
+    ]
+    null = basis_of(null_columns(drives, lag=not any(tangent.lags for _, tangent in pairs)))
+    scales = [scale_of(Suspect(tangent=t, rms_m=f.share * stroke_m), drives) for f, t in pairs]
+    blocks = [block_of(t, scale, drives) for (_, t), scale in zip(pairs, scales, strict=True)]
+    free = [block - null @ (null.T @ block) for block in blocks]
+    left = np.concatenate(left_m)
+    left = left - null @ (null.T @ left)
+    shares = _shares(free, left)
+    totals = [block @ share for block, share in zip(free, shares, strict=True)]
+    cuts = np.cumsum([len(here) for here in rows])[:-1]
+    after = np.split(left - np.sum(totals, axis=0), cuts)
+    split = [np.split(total, cuts) for total in totals]
+    return [
+        Fitted(
+            rows=rows[k],
+            after_m=after[k],
+            part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
+            whole_m={
+                f.effect: _whole(drive, t, scales[j], shares[j], k)
+                for j, (f, t) in enumerate(pairs)
+            },
+        )
+        for k, drive in enumerate(drives)
+    ]
+
+
+def _shares(blocks: Sequence[Array], left: Array) -> list[Array]:
+    columns = np.hstack(blocks)
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-30)
+    strength = np.linalg.lstsq(columns / size, left, rcond=1e-9)[0] / size
+    return np.split(strength, np.cumsum([block.shape[1] for block in blocks])[:-1])
+
+
+def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) -> Array:
+    columns = tangent.columns(drive, scale)
+    width = columns.shape[1]
+    own = share[k * width : (k + 1) * width] if tangent.own else share[:width]
+    return np.asarray(columns @ own)
+
+
+def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
+    """Return the residual that a healthy stage would leave with this effect, of this size."""
+    effect = next(one for one in EFFECTS if one.name == name)
+    healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, trace.measured_m)
+    healthy = _reading(trace.recording, axis.axis, healthy_m)
+    share = size_m / max(float(np.ptp(healthy_m)), 1e-30)
+    faulty_m = healthy_m
+    if share > LEAST_SHARE:
+        faulty_m = effect.inject(healthy, share).displacement_m(axis.axis)
+    count = min(len(faulty_m), len(healthy_m))
+    change_m = np.zeros(len(healthy_m))
+    change_m[:count] = faulty_m[:count] - healthy_m[:count]
+    noise = np.random.default_rng(len(healthy_m)).standard_normal(len(healthy_m))
+    return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
+
+
+def _reading(recording: Recording, axis: str, displacement_m: Array) -> Recording:
+    channels = tuple(
+        Channel(quantity=c.quantity, axis=c.axis, values=displacement_m, label=c.label)
+        if c.quantity is Quantity.DISPLACEMENT and c.axis == axis
+        else c
+        for c in recording.channels
+    )
+    return replace(recording, channels=channels, axis=axis)

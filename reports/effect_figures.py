@@ -1,0 +1,187 @@
+"""The picture of one finding: residual without and with it, and its look-alike, where it shows."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import Finding
+from piezoid.numerics.arrays import Array
+from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.compared import Compared
+from piezoid_reports.effect_coordinates import Coordinate, coordinate_of
+from piezoid_reports.effect_words import words
+from piezoid_reports.page import Figure
+from piezoid_reports.quantities import percent, told
+from piezoid_reports.traces import rms
+
+CLASSES = 48
+LEAST_ROWS = 12  # of a class
+BANDS = 160  # of a spectrum, evenly over the decades
+HEIGHT = 280
+ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
+ALIKE = (
+    "The dashed curve is the effect put into a healthy simulation of this stage, at the size that "
+    "was found, with the sensor's noise: where it runs with the blue one, this is the cause."
+)
+
+
+def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None:
+    """Return what is seen of a finding, or None where no recording shows it."""
+    where = coordinate_of(finding.effect)
+    if not pictures:
+        return None
+    if where.kind == "spectrum":
+        return _spectrum(finding, where, _clearest(pictures))
+    if where.kind == "time":
+        return _over_time(finding, where, _clearest(pictures))
+    return _in_classes(finding, where, pictures)
+
+
+def _clearest(pictures: tuple[Compared, ...]) -> Compared:
+    """Return the recording in which the effect is largest."""
+    return max(pictures, key=lambda one: rms(one.before_m) - rms(one.after_m))
+
+
+def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
+    place, sign = (values[one.rows] for values in where.along(one.trace))
+    x = axis_over(where.label, [place], where.unit)
+    curves = [sign * values for values in (one.before_m, one.after_m, one.injected_m)]
+    y = axis_over("residual", curves, "m", even=True)
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    before, after, injected = curves
+    slow = _running(injected)
+    return _titled(
+        finding,
+        where,
+        canvas,
+        one.trace.recording.name,
+        (
+            canvas.range_over_time("before", "without it", place, before),
+            canvas.range_over_time("model", "with it", place, after),
+            canvas.line("limit", "look-alike", place, slow)[0],
+        ),
+        (rms(before), rms(after)),
+    )
+
+
+def _running(values: Array) -> Array:
+    """Return a running mean, so that a slow curve is seen through the noise."""
+    width = max(len(values) // 150, 1)
+    padded = np.pad(values, (width // 2, width - 1 - width // 2), mode="edge")
+    return np.convolve(padded, np.full(width, 1.0 / width), mode="valid")
+
+
+def _in_classes(
+    finding: Finding, where: Coordinate, pictures: tuple[Compared, ...]
+) -> Figure | None:
+    places, signs = zip(*(where.along(one.trace) for one in pictures), strict=True)
+    place = np.concatenate([p[one.rows] for p, one in zip(places, pictures, strict=True)])
+    sign = np.concatenate([s[one.rows] for s, one in zip(signs, pictures, strict=True)])
+    before, after, injected = (
+        sign * np.concatenate([getattr(one, name) for one in pictures])
+        for name in ("before_m", "after_m", "injected_m")
+    )
+    classes = [_classes(place, values) for values in (before, after, injected)]
+    if any(len(one) < 2 for one in classes):
+        return None
+    x = axis_over(where.label, [place], where.unit)
+    y = axis_over(
+        "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
+    )
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    layers: list[Layer] = []
+    for role, name, one in (
+        ("rising", "without it", classes[0]),
+        ("falling", "with it", classes[1]),
+    ):
+        middle, low, median, high = one.T
+        layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
+        layers.append(canvas.line(role, f"{name}: median", middle, median)[0])
+    layers.append(
+        canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2])[0]
+    )
+    title = (
+        f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
+    )
+    there = np.isfinite(place)
+    return _titled(
+        finding, where, canvas, title, tuple(layers), (rms(before[there]), rms(after[there]))
+    )
+
+
+def _classes(place: Array, values: Array) -> Array:
+    """Return middle and quartiles of classes: some of equal count, some of equal width."""
+    there = np.isfinite(place) & np.isfinite(values)
+    place, values = place[there], values[there]
+    if len(place) < 4 * LEAST_ROWS:
+        return np.zeros((0, 4))
+    share = np.linspace(0.0, 1.0, CLASSES // 2 + 1)
+    even = place.min() + share * np.ptp(place)
+    edges = np.unique(np.concatenate([np.quantile(place, share), even]))
+    rows = []
+    for low, high in pairwise(edges):
+        inside = (place >= low) & ((place < high) | (high == edges[-1]))
+        if inside.sum() >= LEAST_ROWS:
+            quartiles = np.quantile(values[inside], [0.25, 0.5, 0.75])
+            rows.append([float(np.median(place[inside])), *quartiles.tolist()])
+    return np.array(rows).reshape(-1, 4)
+
+
+def _spectrum(finding: Finding, where: Coordinate, one: Compared) -> Figure | None:
+    rate_Hz = one.trace.recording.sampling_rate_Hz
+    curves = [_density(values, rate_Hz) for values in (one.before_m, one.after_m, one.injected_m)]
+    if len(curves[0]) < 2:
+        return None
+    x = axis_over(where.label, [curves[0][:, 0]], where.unit)
+    y = axis_over("log10 of the amplitude density over 1 nm/√Hz", [c[:, 1] for c in curves], "")
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    drawn = (
+        ("before", "without it", curves[0]),
+        ("model", "with it", curves[1]),
+        ("limit", "look-alike", curves[2]),
+    )
+    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1])[0] for role, name, c in drawn)
+    name = one.trace.recording.name
+    return _titled(finding, where, canvas, name, layers, (rms(one.before_m), rms(one.after_m)))
+
+
+def _density(values: Array, rate_Hz: float) -> Array:
+    """Return decades of frequency and of amplitude density, the largest in each band."""
+    window = np.hanning(len(values))
+    spectrum = np.fft.rfft((values - values.mean()) * window)
+    density = np.abs(spectrum) * np.sqrt(2.0 / (rate_Hz * np.sum(window**2)))
+    decades = np.log10(np.fft.rfftfreq(len(values), 1.0 / rate_Hz)[1:])
+    edges = np.linspace(decades[0], decades[-1], BANDS + 1)
+    band = np.clip(np.searchsorted(edges, decades, side="right") - 1, 0, BANDS - 1)
+    level = np.log10(np.maximum(density[1:], 1e-15) / 1e-9)
+    rows = [
+        [float(np.mean(decades[band == k])), float(level[band == k].max())]
+        for k in np.unique(band)
+    ]
+    return np.array(rows).reshape(-1, 2)
+
+
+def _titled(
+    finding: Finding,
+    where: Coordinate,
+    canvas: Canvas,
+    recording: str,
+    layers: tuple[Layer, ...],
+    errors_m: tuple[float, float],
+) -> Figure:
+    before_m, after_m = errors_m
+    return Figure(
+        title=(
+            f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
+        ),
+        numbers=(
+            f"In this picture {told(before_m, 'm')} rms without the effect and "
+            f"{told(after_m, 'm')} with it; the effect is {percent(finding.share)} of the stroke."
+        ),
+        look=f"{where.reading} {ALIKE}",
+        x=canvas.x,
+        y=canvas.y,
+        layers=layers,
+        flicker=(layers[0].role, layers[1].role) if where.kind != "classes" else (),
+        height=canvas.height,
+    )

@@ -1,0 +1,172 @@
+"""The chapter on causes: each is seen where it shows, beside a look-alike, with what it means."""
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.identification.model import Lag
+from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.compared import compared
+from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of
+from piezoid_reports.effect_words import CONTROL
+from piezoid_reports.render import render_diagnosis
+from piezoid_reports.sections.diagnosis import last_sentence
+from piezoid_reports.traces import rms, traces_of
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+
+STROKE_m = 2.4e-5
+NAMES = tuple(effect.name for effect in EFFECTS)
+
+
+def _finding(effect: str, share: float = 3e-3, rivals: tuple[str, ...] = ()) -> Finding:
+    return Finding(
+        effect=effect,
+        held_out_gain=0.4,
+        held_out_rms_before_m=5e-8,
+        held_out_rms_after_m=3e-8,
+        p_value=1e-5,
+        share=share,
+        size=Size(value=0.5, unit="<b>percent</b>", ci95=(0.4, 0.6)),
+        not_separable_from=rivals,
+        explanation="What was <i>found</i>.",
+        next_experiment="Record another.",
+        parameters={},
+    )
+
+
+def _diagnosis(*findings: Finding) -> Diagnosis:
+    named = {finding.effect for finding in findings}
+    return Diagnosis(
+        axis="x",
+        stroke_m=STROKE_m,
+        baseline=HeldOut(rms_m=5e-8, rms_percent=0.2),
+        final=HeldOut(rms_m=3e-8, rms_percent=0.12),
+        envelope_rms_m=2e-8,
+        noise_floor_rms_m=5e-9,
+        explained_fraction=0.64,
+        findings=findings,
+        not_detected=tuple(
+            NotDetected(
+                effect=name,
+                upper_bound_m=None if name == "creep" else 1e-9 * (1 + k),
+                detection_limit_m=None if name == "creep" else 2e-9 * (1 + k),
+                reason="It was not there.",
+                next_experiment="Record another.",
+            )
+            for k, name in enumerate(NAMES)
+            if name not in named
+        ),
+    )
+
+
+def _with(added_m: np.ndarray) -> Recording:
+    made = recording()
+    channels = [
+        Channel(quantity=c.quantity, axis=c.axis, values=c.values + added_m, label=c.label)
+        if c.quantity is Quantity.DISPLACEMENT
+        else c
+        for c in made.channels
+    ]
+    other_V = 5.0 + 4.0 * np.sin(np.arange(made.samples) / 40.0)
+    channels.append(Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="v"))
+    return Recording(
+        name=made.name,
+        digest=made.digest,
+        axis=made.axis,
+        sampling_rate_Hz=made.sampling_rate_Hz,
+        channels=tuple(channels),
+        breaks=made.breaks,
+    )
+
+
+def test_every_effect_has_a_coordinate_and_a_word_for_who_controls() -> None:
+    held = [name for one in COORDINATES for name in one.effects]
+    assert sorted(held) == sorted(NAMES)
+    assert sorted(CONTROL) == sorted(NAMES)
+
+
+@pytest.mark.parametrize("effect", NAMES)
+def test_every_effect_can_be_told_with_its_size_gain_and_meaning(effect: str) -> None:
+    wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
+    found = _diagnosis(_finding(effect))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [_with(wave_m)], found))
+    text = " ".join(e.text for e in page.all("li"))
+    assert CONTROL[effect] in text
+    assert "<b>percent</b>" in text
+    assert not page.all("b") or all("percent" not in e.text for e in page.all("b"))
+
+
+def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
+    made = recording()
+    time_s = np.arange(made.samples) / made.sampling_rate_Hz
+    hummed = _with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
+    axis = axis_model()
+    found = _diagnosis(_finding("mains_interference"))
+    (one,) = compared(axis, traces_of(axis, [hummed]), found)["mains_interference"]
+    assert rms(one.before_m) > 3e-8
+    assert rms(one.after_m) < 0.3 * rms(one.before_m)
+
+
+def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
+    from dataclasses import replace
+
+    axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
+    found = _diagnosis(_finding("lag"))
+    (one,) = compared(axis, traces_of(axis, [_with(np.zeros(1))]), found)["lag"]
+    part_m = one.before_m - one.after_m
+    assert rms(part_m) > 1e-8
+    alike = np.corrcoef(part_m, one.injected_m)[0, 1]
+    assert alike > 0.8
+
+
+def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() -> None:
+    said = last_sentence(_diagnosis(_finding("delay"))).replace("\u202f", " ")
+    assert said.startswith("Of the explainable error, 64.0 % is explained")
+    limits_m = [a.detection_limit_m for a in _diagnosis(_finding("delay")).not_detected]
+    largest_m = max(limit for limit in limits_m if limit is not None)
+    assert f"nothing else that was tested is visible above {1e9 * largest_m:.1f} nm" in said
+    assert "1 more could not be tested" in said
+
+
+def test_what_cannot_be_told_apart_is_listed_with_the_experiment() -> None:
+    found = _diagnosis(_finding("delay", rivals=("lag",)))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
+    said = [e.text for e in page.all("li")]
+    assert any(t.startswith("Delay, or lag. Record another.") for t in said)
+
+
+def test_without_recordings_the_chapter_still_says_what_was_found() -> None:
+    found = _diagnosis(_finding("creep"))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [], found))
+    assert not page.all("figure")
+    assert any("creep" in e.text for e in page.all("th"))
+
+
+def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
+    held_V = np.concatenate([np.linspace(0, 5, 100), np.full(400, 5.0)])
+    made = Recording(
+        name="hold.csv",
+        digest="sha256:" + "0" * 64,
+        axis="x",
+        sampling_rate_Hz=100.0,
+        channels=(
+            Channel(quantity=Quantity.VOLTAGE, axis="x", values=held_V, label="u"),
+            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=held_V * 1e-6, label="y"),
+        ),
+    )
+    from piezoid_reports.traces import Trace
+
+    trace = Trace(
+        recording=made,
+        time_s=np.arange(500) / 100.0,
+        voltage_V=held_V,
+        measured_m=held_V * 1e-6,
+        modelled_m=held_V * 1e-6,
+        line_m=held_V * 1e-6,
+    )
+    place, way = coordinate_of("creep").along(trace)
+    assert np.isnan(place[:100]).all()
+    assert place[199] == pytest.approx(0.0, abs=0.01)
+    assert (way[100:] == 1.0).all()
