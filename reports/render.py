@@ -20,7 +20,7 @@ from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
 from piezoid_reports.page import Page, Section
 from piezoid_reports.plain_text import printable
-from piezoid_reports.sections import OF_DESIGN, OF_STAGE, SECTIONS, Render
+from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, OF_STAGE, SECTIONS, Render
 from piezoid_reports.traces import all_traces
 
 ALARM = (
@@ -73,6 +73,20 @@ def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
     page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
     return _written(page, OF_DESIGN)
+
+
+def render_diagnosis(
+    model: ActuatorModel, recordings: Sequence[Recording], diagnosis: Diagnosis
+) -> str:
+    """Return diagnosis.html: causes in recordings, against a model that was fitted to them."""
+    page = Page(
+        model=model,
+        recordings=tuple(recordings),
+        traces=all_traces(model, recordings),
+        model_digest=_digest(model),
+        diagnosis=diagnosis,
+    )
+    return _written(page, OF_DIAGNOSIS)
 
 
 def _digest(model: ActuatorModel) -> str:
