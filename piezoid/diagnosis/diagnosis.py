@@ -1,6 +1,6 @@
 """Diagnosis: what was found, what was not, and how small a thing these recordings could show."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,36 +111,60 @@ class Diagnosis:
         }
 
 
-def write_diagnosis(diagnosis: Diagnosis) -> bytes:
-    """Return the sealed bytes of diagnosis.json."""
-    return seal(SCHEMA, diagnosis.to_json())
+def write_diagnosis(
+    diagnosis: Diagnosis,
+    *,
+    others: Sequence[Diagnosis] = (),
+    since: Mapping[str, Any] | None = None,
+) -> bytes:
+    """Return the sealed bytes of diagnosis.json.
+
+    others  diagnoses of further axes, under ``axes``
+    since   what changed since a model was fitted, under ``since_model``
+    """
+    content = diagnosis.to_json()
+    if others:
+        content["axes"] = {other.axis: other.to_json() for other in others}
+    if since is not None:
+        content["since_model"] = dict(since)
+    return seal(SCHEMA, content)
 
 
 def read_diagnosis(content: bytes, place: str = "diagnosis.json") -> Diagnosis:
-    """Read diagnosis.json back.
+    """Read diagnosis.json back: the axis at its top.
 
     Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
     missing.
     """
+    return read_diagnoses(content, place)[0]
+
+
+def read_diagnoses(content: bytes, place: str = "diagnosis.json") -> tuple[Diagnosis, ...]:
+    """Read the diagnoses of all axes back, the one at the top first; raises the same."""
     record = unseal(content, SCHEMA, place)
     try:
-        return Diagnosis(
-            axis=record["axis"],
-            stroke_m=record["stroke_m"],
-            baseline=_held_out_from(record["baseline"]),
-            final=_held_out_from(record["final"]),
-            envelope_rms_m=record["envelope_rms_m"],
-            noise_floor_rms_m=record["noise_floor_rms_m"],
-            explained_fraction=record["explained_fraction"],
-            findings=tuple(_finding_from(entry) for entry in record["findings"]),
-            not_detected=tuple(_absent_from(entry) for entry in record["not_detected"]),
-        )
+        entries = [record, *record.get("axes", {}).values()]
+        return tuple(_diagnosis_from(entry) for entry in entries)
     except (KeyError, TypeError, ValueError) as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {SCHEMA}, of its own kind",
             remedy="Diagnose the recordings again with this version.",
         ) from error
+
+
+def _diagnosis_from(record: Mapping[str, Any]) -> Diagnosis:
+    return Diagnosis(
+        axis=record["axis"],
+        stroke_m=record["stroke_m"],
+        baseline=_held_out_from(record["baseline"]),
+        final=_held_out_from(record["final"]),
+        envelope_rms_m=record["envelope_rms_m"],
+        noise_floor_rms_m=record["noise_floor_rms_m"],
+        explained_fraction=record["explained_fraction"],
+        findings=tuple(_finding_from(entry) for entry in record["findings"]),
+        not_detected=tuple(_absent_from(entry) for entry in record["not_detected"]),
+    )
 
 
 def _held_out(held: HeldOut) -> dict[str, float]:

@@ -75,7 +75,7 @@ class State:
         lower = np.concatenate([lower, *(f.lower for f in frees)])
         upper = np.concatenate([upper, *(f.upper for f in frees)])
         for place in self.held:
-            lower[place] = upper[place] = self.theta[place]
+            lower[place] = upper[place] = self.vector[place]
         return lower, upper
 
     def at(self, vector: Array) -> "State":
@@ -98,12 +98,15 @@ class State:
 class Structure:
     """What of the hysteresis itself a joint fit may use.
 
+    operator  weights, thresholds, lag and what extends the model already are fitted; False: only
+              memory, zero and new extensions
     lag     the model's own lag, fitted
     memory  a memory of its own for every piece; False: what a drive cycled over its range leaves
     zones   dead zones that bend; False: a symmetric operator
     bends   kinks of the envelope on each side of its middle; None: as many as the model has
     """
 
+    operator: bool = True
     lag: bool = True
     memory: bool = True
     zones: bool = True
@@ -138,14 +141,14 @@ def state_of(
             theta[memory] = np.clip(slopes, -1.0, 1.0)
         if not structure.memory:
             theta[memory] = _cycled(operator, float(part.piece.drive[0]))
-    return State(
+    state = State(
         coordinates=coordinates,
         theta=theta,
         extensions=in_order(extensions),
         scales=scales,
         rig=model.rig,
-        held=_held(coordinates, structure),
     )
+    return replace(state, held=_held(state, model, structure))
 
 
 def _structured(operator: Scaled, structure: Structure) -> Scaled:
@@ -156,8 +159,12 @@ def _structured(operator: Scaled, structure: Structure) -> Scaled:
     return bent(operator, structure.bends)
 
 
-def _held(coordinates: Coordinates, structure: Structure) -> tuple[slice, ...]:
-    held = []
+def _held(state: State, model: AxisModel, structure: Structure) -> tuple[slice, ...]:
+    coordinates, held = state.coordinates, []
+    if not structure.operator:
+        known = [any(e is old for old in model.extensions) for e in state.extensions]
+        held += [place for place, old in zip(state.slices, known, strict=True) if old]
+        held.append(slice(0, coordinates.shared))
     if not structure.zones:
         held += [coordinates.slices[f"{side}_{what}"] for side in SIDES for what in ZONES]
     if not structure.memory:

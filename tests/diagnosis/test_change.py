@@ -1,0 +1,51 @@
+"""Since a model was fitted: nothing, another sensitivity, or more than that."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from piezoid.diagnosis.change import change_since
+from piezoid.identification.extensions import FirstOrderLag, GainChange, ThermalDrift
+from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
+
+
+def test_a_model_that_still_holds_is_said_to_hold() -> None:
+    found = change_since(known_model(), recordings_of())
+    assert "still holds" in found.sentence
+    assert found.as_it_was_m < 1.3 * NOISE_m
+    value, low, high = found.gain_ratio
+    assert low <= 1.0 <= high
+    assert value == pytest.approx(1.0, abs=1e-3)
+
+
+def test_another_sensitivity_is_measured_and_explains_the_error() -> None:
+    more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.03, later=("fast.csv",))
+    found = change_since(known_model(), recordings_of(more))
+    assert found.gain_ratio[0] == pytest.approx(1.03, abs=2e-3)
+    assert "+3." in found.sentence or "+2.9" in found.sentence
+    assert found.as_it_was_m > 5 * NOISE_m
+    assert found.other_gain_m < 1.3 * NOISE_m
+
+
+def test_more_than_a_sensitivity_is_not_given_to_it() -> None:
+    found = change_since(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
+    assert "more than the sensitivity changed" in found.sentence
+    assert found.refitted_m < 0.9 * found.other_gain_m
+
+
+def test_what_belonged_to_the_recordings_of_then_is_left_behind() -> None:
+    drift = ThermalDrift.of([])
+    old = replace(known_model(), extensions=(drift,))
+    assert (
+        change_since(old, recordings_of()).to_json()
+        == change_since(known_model(), recordings_of()).to_json()
+    )
+
+
+def test_the_record_is_json_with_the_sentence_in_it() -> None:
+    content = change_since(known_model(), recordings_of(), digest="sha256:1").to_json()
+    again = json.loads(json.dumps(content, allow_nan=False))
+    assert again == content
+    assert again["model_digest"] == "sha256:1"
+    assert len(again["explanation"]) > 20
