@@ -115,19 +115,14 @@ def _diagnosed(
 def _controller(
     model: "ActuatorModel", content: bytes, lab: "Lab | None", told: Told
 ) -> _Controller:
-    """Return the recommended controllers and what became of them, or why there are none.
-
-    `piezoid design` adds the affine form beside them, for comparison; that takes longer.
-    """
+    """Return the controllers and what became of them, or why there are none."""
     from piezoid.design.stage import design_stage
     from piezoid.export.stage import export_stage
     from piezoid.verification.stage import verify_stage
 
     try:
         digest = loads(content)["digest"]
-        design = design_stage(
-            model, model_digest=digest, lab=lab, forms=("inverse",), progress=told
-        )
+        design = design_stage(model, model_digest=digest, lab=lab, progress=told)
     except (DesignError, LabFileError) as refusal:
         return _Controller(reason=str(refusal))
     try:
