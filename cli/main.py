@@ -18,12 +18,13 @@ from piezoid_cli.fit import fit
 from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.plan import plan
+from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
 from piezoid_cli.verify import verify
 
 INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
-VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, simulate, batch)
+VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, report, simulate, batch)
 
 app = typer.Typer(
     name="piezoid",

@@ -28,6 +28,11 @@ ALARM = (
     "Numbers of an axis it does not apply to are shown so that one can see why, not to be used.",
 )
 
+UNDRAWN = (
+    "This page was drawn without the recordings.",
+    "Loops, residuals and the score need them; name the files of the fit to have them drawn.",
+)
+
 
 def render(
     model: ActuatorModel,
@@ -72,7 +77,7 @@ def render(
 def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
     page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
-    return _written(page, OF_DESIGN)
+    return html(f"Stage {model.stage}", _sections(page, OF_DESIGN))
 
 
 def render_diagnosis(
@@ -95,8 +100,18 @@ def _digest(model: ActuatorModel) -> str:
 
 
 def _written(page: Page, chapters: Sequence[Render]) -> str:
-    sections = [section for make in chapters if (section := make(page)) is not None]
-    return html(f"Stage {page.model.stage}", sections, alarm=None if page.model.applies else ALARM)
+    sections = _sections(page, chapters)
+    return html(f"Stage {page.model.stage}", sections, alarm=_alarm(page))
+
+
+def _sections(page: Page, chapters: Sequence[Render]) -> list[Section]:
+    return [section for make in chapters if (section := make(page)) is not None]
+
+
+def _alarm(page: Page) -> tuple[str, str] | None:
+    if not page.model.applies:
+        return ALARM
+    return UNDRAWN if page.model.axes and not page.recordings else None
 
 
 def html(title: str, sections: Sequence[Section], *, alarm: tuple[str, str] | None = None) -> str:

@@ -1,6 +1,6 @@
 """The uncertainty budget of a displacement that an axis model predicts.
 
-    u_c^2 = residual^2 + parameters^2 + zero^2 + lag^2                       (type A)
+    u_c^2 = residual^2 + parameters^2 + zero^2 + lag^2                   (type A)
             + gain^2 + linearity^2 + tilt^2 + temperature^2 + converter^2    (type B)
 
 Type A comes from the recordings; the residual enters whole, as for a single position: an average
@@ -37,12 +37,15 @@ class DisplacementBudget:
 
     at_m      distance from the middle of the range it is made for: the end, where it is worst
     unknown   what no recording shows and nobody declared, as ``[uncertainty]`` calls it
+    zero_between_m   standard deviation of the zero from run to run, which is not counted: a
+                     displacement begins where the axis is set to zero. None for a single run
     """
 
     axis: str
     budget: Budget
     at_m: float
     unknown: tuple[str, ...]
+    zero_between_m: float | None
 
 
 def displacement_budget(
@@ -65,6 +68,7 @@ def displacement_budget(
         budget=budget_of(contributions, positions=positions, seed=seed),
         at_m=at_m,
         unknown=tuple(unknown),
+        zero_between_m=_zero_between_m(axis),
     )
 
 
@@ -78,7 +82,6 @@ def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
             standard=_standard(float(np.max(axis.uncertainty.loading_half_m)), freedom),
             freedom=freedom,
         ),
-        *_zero_between(axis),
         _zero_within(axis),
         *_lag(axis, freedom),
     )
@@ -99,19 +102,10 @@ def _residual(axis: AxisModel, freedom: int) -> Contribution:
     )
 
 
-def _zero_between(axis: AxisModel) -> tuple[Contribution, ...]:
-    """Return how the zero differs from run to run; nothing where there was a single one."""
+def _zero_between_m(axis: AxisModel) -> float | None:
+    """Return the standard deviation of the zero from run to run; None for a single one."""
     zeros = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
-    if len(zeros) < 2:
-        return ()
-    return (
-        Contribution(
-            name="zero from run to run",
-            kind="A",
-            standard=float(np.std(zeros, ddof=1)),
-            freedom=len(zeros) - 1,
-        ),
-    )
+    return float(np.std(zeros, ddof=1)) if len(zeros) > 1 else None
 
 
 def _zero_within(axis: AxisModel) -> Contribution:

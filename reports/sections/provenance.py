@@ -1,5 +1,7 @@
 """Where every number comes from: digests of what went in and of what came out."""
 
+from json import loads
+
 from piezoid.identification.model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -66,10 +68,50 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 
 
 def _chain(page: Page) -> Table:
-    lab = page.model.lab or "none given"
+    """Return data -> model -> design -> parameter file and runtime source -> verification."""
+    model = page.model_digest
+    rows = [
+        ("lab.toml", page.model.lab or "none given", "the laboratory"),
+        ("model.json", model, "the recordings in the model, lab.toml"),
+    ]
+    if "diagnosis.json" in page.files:
+        rows.append(("diagnosis.json", _sealed(page, "diagnosis.json"), "the same recordings"))
+    if page.design is not None and "design.json" in page.files:
+        made_from = _of("model.json", page.design.model_digest, model)
+        rows.append(("design.json", _sealed(page, "design.json"), made_from))
+    if "params.json" in page.files:
+        sources = loads(page.files["params.json"])["sources"]
+        made_from = _of("model.json", sources.get("model", ""), model)
+        if "design.json" in page.files:
+            design = _sealed(page, "design.json")
+            made_from += f", {_of('design.json', sources.get('design', ''), design)}"
+        rows.append(("params.json", _sealed(page, "params.json"), made_from))
+    rows += _verified(page)
     return Table(
-        caption="What the laboratory declared, and what was written.",
-        columns=("record", "digest"),
-        rows=(("lab.toml", lab), ("model.json", page.model_digest)),
+        caption="The chain: what was declared and written, and what each was made from. Each file "
+        "carries its own digest; a file that was changed by one bit is refused.",
+        columns=("record", "digest", "made from"),
+        rows=tuple(rows),
         digests=(1,),
     )
+
+
+def _verified(page: Page) -> list[tuple[str, str, str]]:
+    found = page.verification
+    if found is None:
+        return []
+    runtime = ("runtime source, as shipped", found.runtime_digest, "piezoid_runtime.h and .c")
+    if "verification.json" not in page.files or "params.json" not in page.files:
+        return [runtime]
+    ran = _of("params.json", found.parameters_digest, _sealed(page, "params.json"))
+    digest = _sealed(page, "verification.json")
+    return [runtime, ("verification.json", digest, f"{ran}, this runtime source, model.json")]
+
+
+def _of(name: str, said: str, held: str) -> str:
+    return name if said == held else f"another {name}: {said[:19]}..."
+
+
+def _sealed(page: Page, name: str) -> str:
+    digest: str = loads(page.files[name])["digest"]
+    return digest

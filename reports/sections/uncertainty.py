@@ -72,10 +72,18 @@ def _table(found: DisplacementBudget) -> Table:
     return Table(
         caption=f"Axis {found.axis}: contributions, largest first, at "
         f"{told(found.at_m, 'm')} from the middle of the range. The residual counts whole, as "
-        "for a single position. An axis that is set to zero before use need not count the zero "
-        "from run to run.",
+        f"for a single position.{_zero(found)}",
         columns=("source", "type", "shape", "standard uncertainty", "degrees of freedom", "share"),
         rows=tuple(rows),
+    )
+
+
+def _zero(found: DisplacementBudget) -> str:
+    if found.zero_between_m is None:
+        return ""
+    return (
+        " The zero differed from run to run by a standard deviation of "
+        f"{told(found.zero_between_m, 'm')}; that is not counted, set the axis to zero before use."
     )
 
 

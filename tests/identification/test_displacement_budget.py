@@ -64,12 +64,13 @@ def replace_all(**values: float) -> Certificates:
     return Certificates(**values)
 
 
-def test_one_run_says_nothing_of_the_zero_from_run_to_run() -> None:
+def test_the_zero_from_run_to_run_is_told_and_not_counted() -> None:
     axis = axis_model()
     alone = replace(axis, starts=axis.starts[:1])
-    names = [one.name for one in displacement_budget(alone).budget.contributions]
-    assert "zero from run to run" not in names
-    assert "zero from run to run" in by_name()
+    assert displacement_budget(alone).zero_between_m is None
+    found = displacement_budget(axis)
+    assert found.zero_between_m == pytest.approx(math.sqrt(0.5) * 1e-6)
+    assert found.budget.combined < found.zero_between_m
 
 
 def test_the_lag_counts_at_the_fastest_drive_of_the_data() -> None:

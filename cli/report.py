@@ -1,0 +1,114 @@
+"""`piezoid report`: the page of a stage, drawn again from the sealed files of its folder."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from piezoid.identification.model import ActuatorModel
+    from piezoid.records.collection import Collection
+
+SEALED = ("model.json", "diagnosis.json", "design.json", "params.json", "verification.json")
+
+UNDESIGNED = "there is no design.json in the folder; `piezoid design` makes one, or says why not."
+
+
+def report(
+    stage: Annotated[Path, typer.Argument(help="Folder with model.json and what followed it.")],
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="The recordings of the fit, to draw its figures.")
+    ] = None,
+    lab: Annotated[
+        Path | None, typer.Option(help="lab.toml; default: the one in the folder.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+) -> None:
+    """Draw report.html again from the sealed files, for example after `piezoid verify`.
+
+    The folder does not hold the recordings: name them to have loops and residuals drawn. A file
+    that is not, byte for byte, one of those of the fit is refused.
+
+    [bold]Examples[/bold]
+
+    piezoid report stage42/
+
+    piezoid report stage42/ sweep.csv check.csv
+    """
+    from piezoid.identification.store import read_model
+    from piezoid_cli.output_folder import add_to_folder
+    from piezoid_cli.progress import shown
+
+    with shown(quiet=quiet) as told:
+        told("reading the folder")
+        held = {name: (stage / name).read_bytes() for name in SEALED if (stage / name).exists()}
+        content = (stage / "model.json").read_bytes()
+        model = read_model(content, str(stage / "model.json"))
+        recorded = _recorded(model, files or (), stage, lab)
+        told("drawing")
+        page = _page(model, recorded, held, stage, lab)
+        add_to_folder(stage, {"report.html": page.encode()})
+    if not quiet:
+        if model.sources and not files:
+            typer.echo("without its recordings: no loops, no residuals, no score")
+        typer.echo(f"report: {stage / 'report.html'}")
+
+
+def _recorded(
+    model: "ActuatorModel", files: Sequence[Path], stage: Path, lab: Path | None
+) -> "Collection":
+    """Read the recordings of the fit, and refuse any other file."""
+    from piezoid.errors import RecordingError
+    from piezoid.records.collection import collect
+    from piezoid_cli.stage_files import lab_of
+
+    held = collect(files, lab_of(stage, lab))
+    for read in (*held.recordings, *held.sweeps):
+        if model.sources.get(read.name) != read.digest:
+            known = ", ".join(model.sources) or "none"
+            raise RecordingError(
+                f"{read.name} is not one of the recordings of this model ({known})",
+                needed="the very files that were fitted, byte for byte",
+                remedy="Name those, or fit again with this one.",
+            )
+    return held
+
+
+def _page(
+    model: "ActuatorModel",
+    recorded: "Collection",
+    held: dict[str, bytes],
+    stage: Path,
+    lab: Path | None,
+) -> str:
+    from piezoid.design.design import design_from_json
+    from piezoid.diagnosis.diagnosis import read_diagnosis
+    from piezoid.verification.verification import verification_from_json
+    from piezoid_cli.stage_files import lab_of, same_model
+    from piezoid_reports.render import render
+
+    def place(name: str) -> str:
+        return str(stage / name)
+
+    design = diagnosis = verification = None
+    if "design.json" in held:
+        design = design_from_json(held["design.json"], place("design.json"))
+        same_model(held["model.json"], design.model_digest, "design.json", "piezoid design")
+    if "diagnosis.json" in held:
+        diagnosis = read_diagnosis(held["diagnosis.json"], place("diagnosis.json"))
+    if "verification.json" in held:
+        verification = verification_from_json(
+            held["verification.json"], place("verification.json")
+        )
+    return render(
+        model,
+        recorded.recordings,
+        recorded.sweeps,
+        design,
+        "" if design else UNDESIGNED,
+        diagnosis=diagnosis,
+        verification=verification,
+        files=held,
+        lab=lab_of(stage, lab),
+    )

@@ -1,0 +1,83 @@
+"""`piezoid report`: the page again from sealed files, with the recordings of the fit or none."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from piezoid.identification.store import write_model
+from piezoid.provenance import digest_of_file
+from piezoid_cli.main import app
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner().invoke(app, ["report", *map(str, arguments)])
+    return result.exit_code, f"{result.output}{result.exception or ''}"
+
+
+@pytest.fixture
+def sweep(tmp_path: Path) -> Path:
+    """The recording of the known stage as a file; its break is a gap in time."""
+    held = recording()
+    time_s = np.arange(held.samples) / held.sampling_rate_Hz
+    time_s[held.breaks[0] :] += 100.0
+    rows = zip(time_s, held.voltage_V(), 1e6 * held.displacement_m(), strict=True)
+    lines = [f"{t:.4f},{u:.17g},{y:.17g}" for t, u, y in rows]
+    place = tmp_path / "sweep.csv"
+    place.write_text("\n".join(("time [s],voltage [V],position [um]", *lines)) + "\n")
+    return place
+
+
+@pytest.fixture
+def stage(tmp_path: Path, sweep: Path) -> Path:
+    model = stage_model(axis_model())
+    held = {**model.sources, sweep.name: digest_of_file(sweep)}
+    object.__setattr__(model, "sources", held)
+    (tmp_path / "stage").mkdir()
+    (tmp_path / "stage" / "model.json").write_bytes(write_model(model))
+    (tmp_path / "stage" / "notes.txt").write_text("mine")
+    return tmp_path / "stage"
+
+
+def chapters(stage: Path) -> set[str]:
+    page = Anatomy((stage / "report.html").read_text(encoding="utf-8"))
+    return {section.attributes["id"] for section in page.all("section")}
+
+
+def test_without_recordings_the_page_says_what_it_lacks(stage: Path) -> None:
+    status, said = run(stage)
+    assert status == 0, said
+    assert "without its recordings" in said
+    assert {"verdict", "parameters", "uncertainty", "provenance"} <= chapters(stage)
+    assert "loops" not in chapters(stage)
+    assert "drawn without the recordings" in (stage / "report.html").read_text()
+    assert (stage / "notes.txt").read_text() == "mine"
+
+
+def test_with_the_recordings_of_the_fit_the_loops_are_drawn(stage: Path, sweep: Path) -> None:
+    status, said = run(stage, sweep)
+    assert status == 0, said
+    assert {"loops", "residual-over-time"} <= chapters(stage)
+    assert "drawn without the recordings" not in (stage / "report.html").read_text()
+
+
+def test_any_other_file_is_refused_and_the_old_page_stays(stage: Path, sweep: Path) -> None:
+    (stage / "report.html").write_text("old")
+    sweep.write_text(sweep.read_text().replace("0.0000", "0.0001", 1))
+    status, said = run(stage, sweep)
+    assert status != 0
+    assert "not one of the recordings" in said
+    assert (stage / "report.html").read_text() == "old"
+
+
+def test_a_changed_bit_is_refused_and_the_old_page_stays(stage: Path) -> None:
+    (stage / "report.html").write_text("old")
+    content = (stage / "model.json").read_bytes()
+    (stage / "model.json").write_bytes(content.replace(b"bench", b"bench2", 1))
+    status, said = run(stage)
+    assert status != 0
+    assert "digest" in said
+    assert (stage / "report.html").read_text() == "old"
