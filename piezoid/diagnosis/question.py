@@ -45,7 +45,7 @@ def question_of(diagnosis: Diagnosis, effect: str | None) -> Question:
     if effect in WITHOUT:
         raise ExcitationError(
             f"a plan for {effect} was asked for",
-            needed="an effect that a drive can expose",
+            needed="only what a drive can expose is planned for",
             remedy=f"No drive helps: {WITHOUT[effect]}.",
         )
     asked = [q for q in questions if q.effects[0] == effect]
