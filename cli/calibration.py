@@ -24,19 +24,26 @@ Told = Callable[[str], None]
 class Calibration:
     """One stage, from its recordings to the verdict on what ships.
 
-    diagnosis     of the first axis; None without an axis
+    diagnoses     of every axis that could be diagnosed, the first one in front
+    undiagnosed   why the others could not, a sentence each
     design        None where none could be made; ``undesigned`` then says why
     verification  of what ships; None without a design
     files         name and bytes of everything that belongs into the folder
     """
 
     model: "ActuatorModel"
-    diagnosis: "Diagnosis | None"
+    diagnoses: "tuple[Diagnosis, ...]"
+    undiagnosed: tuple[str, ...]
     design: "Design | None"
     undesigned: str
     parameters: "ParameterFile | None"
     verification: "Verification | None"
     files: Mapping[str, bytes]
+
+    @property
+    def diagnosis(self) -> "Diagnosis | None":
+        """The diagnosis of the first axis that has one."""
+        return self.diagnoses[0] if self.diagnoses else None
 
     @property
     def passed(self) -> bool:
@@ -69,11 +76,11 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
     held = collect(files, declared)
     model = fit(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
     content = {"model.json": write_model(model)}
-    diagnosis = _diagnosed(held.recordings, declared, model, told)
-    if diagnosis is not None:
+    diagnoses, undiagnosed = _diagnosed(held.recordings, declared, model, told)
+    if diagnoses:
         from piezoid.diagnosis.diagnosis import write_diagnosis
 
-        content["diagnosis.json"] = write_diagnosis(diagnosis)
+        content["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
     if lab is not None:
         content["lab.toml"] = lab.read_bytes()  # what design, export and verify ask for again
     controller = _controller(model, content["model.json"], declared, told)
@@ -85,14 +92,15 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
         held.sweeps,
         controller.design,
         controller.reason,
-        diagnosis=diagnosis,
+        diagnosis=diagnoses[0] if diagnoses else None,
         verification=controller.verification,
         files=content,
         lab=declared,
     )
     return Calibration(
         model=model,
-        diagnosis=diagnosis,
+        diagnoses=diagnoses,
+        undiagnosed=undiagnosed,
         design=controller.design,
         undesigned=controller.reason,
         parameters=controller.parameters,
@@ -103,13 +111,23 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
 
 def _diagnosed(
     recordings: "Sequence[Recording]", lab: "Lab | None", model: "ActuatorModel", told: Told
-) -> "Diagnosis | None":
-    """Return the diagnosis of the first axis; `piezoid diagnose --axis` makes those of others."""
-    from piezoid.diagnosis.diagnose import diagnose
+) -> "tuple[tuple[Diagnosis, ...], tuple[str, ...]]":
+    """Return the diagnoses of all axes, and why there is none where one failed.
 
-    if not model.axes:
-        return None
-    return diagnose(recordings, axis=next(iter(model.axes)), lab=lab, progress=told)
+    Whatever a diagnosis stumbles over, model and report are there without it.
+    """
+    from piezoid.diagnosis.diagnose import diagnose
+    from piezoid.errors import PiezoidError
+
+    found, missing = [], []
+    for axis in model.axes:
+        try:
+            found.append(diagnose(recordings, axis=axis, lab=lab, progress=told))
+        except PiezoidError as refusal:
+            missing.append(f"axis {axis} is not diagnosed: {refusal}")
+        except Exception as error:  # a fault of ours must not cost the lab its model
+            missing.append(f"axis {axis} is not diagnosed: {type(error).__name__}: {error}")
+    return tuple(found), tuple(missing)
 
 
 def _controller(

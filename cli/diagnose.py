@@ -6,13 +6,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
     from rich.table import Table
 
+    from piezoid.diagnosis.change import Change
     from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.identification.model import ActuatorModel
+    from piezoid.records.recording import Recording
+
+    _Model = tuple[ActuatorModel, str]  # and the digest of its file
 
 
 def diagnose(
-    files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, in order.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="Recordings of one stage, in order; an older model.json in front."),
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
     axis: Annotated[str | None, typer.Option(help="Which axis; default: the first.")] = None,
@@ -24,11 +34,15 @@ def diagnose(
 ) -> None:
     """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json.
 
+    With the model.json of an earlier fit in front, say as well what changed since then.
+
     [bold]Examples[/bold]
 
     piezoid diagnose sweep.csv staircase.csv --lab lab.toml --out diag42/
 
     piezoid diagnose *.csv --lab lab.toml --axis y --out diag42y/ --json | jq .findings[].effect
+
+    piezoid diagnose stage42/model.json today.csv --lab lab.toml --out today42/
     """
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
@@ -42,13 +56,47 @@ def diagnose(
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
-        found = find(collect(files, declared).recordings, axis=axis, lab=declared, progress=told)
-        content = write_diagnosis(found)
+        model, rest = _model_in_front(files)
+        recordings = collect(rest, declared).recordings
+        found = find(recordings, axis=axis or _first(model), lab=declared, progress=told)
+        change = None if model is None else _changed(model, recordings, found.axis, told)
+        since = None if change is None else change.to_json()
+        content = write_diagnosis(found, since=since)
         write_folder(out, {"diagnosis.json": content})
     if json:
         typer.echo(content, nl=False)
     elif not quiet:
         _show(found, out)
+        if change is not None:
+            typer.echo(change.sentence)
+
+
+def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
+    """Return the model named before the recordings, if there is one, and the recordings."""
+    from json import loads
+
+    from piezoid.identification.store import read_model
+
+    if files[0].suffix.lower() != ".json":
+        return None, files
+    if len(files) == 1:
+        raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
+    content = files[0].read_bytes()
+    return (read_model(content, str(files[0])), str(loads(content)["digest"])), files[1:]
+
+
+def _first(model: "_Model | None") -> str | None:
+    return None if model is None else next(iter(model[0].axes), None)
+
+
+def _changed(
+    model: "_Model", recordings: "Sequence[Recording]", axis: str, told: "Callable[[str], None]"
+) -> "Change":
+    from piezoid.diagnosis.change import change_since
+    from piezoid.identification.fit import moving
+
+    known, digest = model
+    return change_since(known[axis], moving(recordings, axis), digest=digest, progress=told)
 
 
 def _show(found: "Diagnosis", out: Path) -> None:

@@ -77,6 +77,7 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
         },
         "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
         "causes": [finding.effect for finding in causes],
+        "undiagnosed": list(found.undiagnosed),
         "undesigned": found.undesigned,
         "verdicts_passed": sum(verdict.passed for verdict in verdicts),
         "verdicts": len(verdicts),
@@ -91,7 +92,8 @@ def _show(found: "Calibration", out: Path) -> None:
     from piezoid_cli.design import show as show_design
 
     _show_model(found.model)
-    typer.echo(_diagnosis_sentence(found))
+    for sentence in _diagnosis_sentences(found):
+        typer.echo(sentence)
     if found.design is not None:
         show_design(found.design)
     if found.undesigned:
@@ -103,15 +105,14 @@ def _show(found: "Calibration", out: Path) -> None:
     typer.echo(f"report: {out / 'report.html'}")
 
 
-def _diagnosis_sentence(found: "Calibration") -> str:
-    if found.diagnosis is None:
-        return "diagnosis: no axis with a drive and a displacement"
-    causes = ", ".join(found.diagnosis.names) or "nothing"
-    sentence = f"diagnosis of axis {found.diagnosis.axis}: {causes} named"
-    others = [axis for axis in found.model.axes if axis != found.diagnosis.axis]
-    if others:
-        sentence += f"; not diagnosed here: {', '.join(others)} (piezoid diagnose --axis)"
-    return sentence
+def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
+    if not found.model.axes:
+        return ("diagnosis: no axis with a drive and a displacement",)
+    named = [
+        f"diagnosis of axis {one.axis}: {', '.join(one.names) or 'nothing'} named"
+        for one in found.diagnoses
+    ]
+    return (*named, *found.undiagnosed)
 
 
 def _show_model(model: "ActuatorModel") -> None:
