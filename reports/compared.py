@@ -15,8 +15,9 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.driven import Driven, null_columns, rows_of
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.playing import driven_recording
-from piezoid.diagnosis.separation import Suspect, basis_of, block_of, scale_of
-from piezoid.diagnosis.tangents import Tangent, tangent_of
+from piezoid.diagnosis.question import suspect_of
+from piezoid.diagnosis.separation import basis_of, block_of, scale_of
+from piezoid.diagnosis.tangents import Tangent
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
@@ -153,16 +154,19 @@ def _linearised(
     """Fit the tangents of all effects the model does not carry to what it leaves."""
     rows = [_rows(trace) for trace in traces]
     left_m = [trace.residual_m[here] for trace, here in zip(traces, rows, strict=True)]
-    pairs = [(f, tangent) for f in missing if (tangent := tangent_of(f.effect)) is not None]
+    found = [(f, suspect_of(f, stroke_m)) for f in missing]
+    pairs = [(f, suspect) for f, suspect in found if suspect is not None]
     if not pairs:
         return [Fitted(rows=here, after_m=m) for here, m in zip(rows, left_m, strict=True)]
     drives = [
         replace(driven_recording(axis, trace.recording), rows=here)
         for trace, here in zip(traces, rows, strict=True)
     ]
-    null = basis_of(null_columns(drives, lag=not any(tangent.lags for _, tangent in pairs)))
-    scales = [scale_of(Suspect(tangent=t, rms_m=f.share * stroke_m), drives) for f, t in pairs]
-    blocks = [block_of(t, scale, drives) for (_, t), scale in zip(pairs, scales, strict=True)]
+    null = basis_of(null_columns(drives, lag=not any(one.tangent.lags for _, one in pairs)))
+    scales = [scale_of(one, drives) for _, one in pairs]
+    blocks = [
+        block_of(one.tangent, scale, drives) for (_, one), scale in zip(pairs, scales, strict=True)
+    ]
     free = [block - null @ (null.T @ block) for block in blocks]
     left = np.concatenate(left_m)
     left = left - null @ (null.T @ left)
@@ -177,8 +181,8 @@ def _linearised(
             after_m=after[k],
             part_m={f.effect: split[j][k] for j, (f, _) in enumerate(pairs)},
             whole_m={
-                f.effect: _whole(drive, t, scales[j], shares[j], k)
-                for j, (f, t) in enumerate(pairs)
+                f.effect: _whole(drive, one.tangent, scales[j], shares[j], k)
+                for j, (f, one) in enumerate(pairs)
             },
         )
         for k, drive in enumerate(drives)

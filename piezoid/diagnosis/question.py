@@ -58,11 +58,23 @@ def question_of(diagnosis: Diagnosis, effect: str | None) -> Question:
     return asked[0]
 
 
+def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
+    """Return what was found as a plan and a picture take it, or None for a fault of the data."""
+    tangent = tangent_of(finding.effect)
+    if tangent is None:
+        return None
+    return Suspect(
+        tangent=tangent,
+        rms_m=max(finding.share, 1e-6) * stroke_m,
+        scale=finding.parameters.get(tangent.found),
+    )
+
+
 def _to_separate(diagnosis: Diagnosis) -> list[Question]:
     found = {finding.effect: finding for finding in diagnosis.findings}
     questions = []
     for finding in diagnosis.findings:
-        own = _suspect(finding.effect, finding.share, diagnosis)
+        own = suspect_of(finding, diagnosis.stroke_m)
         for rival in finding.not_separable_from:
             share = found[rival].share if rival in found else finding.share
             other = _suspect(rival, share, diagnosis)
@@ -74,8 +86,8 @@ def _to_separate(diagnosis: Diagnosis) -> list[Question]:
 def _to_tighten(diagnosis: Diagnosis) -> list[Question]:
     questions = []
     for finding in sorted(diagnosis.findings, key=_width, reverse=True):
-        own = _suspect(finding.effect, finding.share, diagnosis)
-        beside = [_suspect(f.effect, f.share, diagnosis) for f in diagnosis.findings]
+        own = suspect_of(finding, diagnosis.stroke_m)
+        beside = [suspect_of(f, diagnosis.stroke_m) for f in diagnosis.findings]
         others = tuple(s for s in beside if s and s.name != finding.effect)
         if own:
             questions.append(Question(kind="tighten", suspects=(own, *others), finding=finding))

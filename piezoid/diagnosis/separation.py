@@ -36,10 +36,12 @@ class Suspect:
 
     tangent  what it adds
     rms_m    how large it is, rms along the reference drives
+    scale    the tangent's scale where a diagnosis found it; None: not found
     """
 
     tangent: Tangent
     rms_m: float
+    scale: float | None = None
 
     @property
     def name(self) -> str:
@@ -104,6 +106,8 @@ def told_apart(
 def scale_of(suspect: Suspect, reference: Sequence[Driven]) -> float:
     """Return the time at which a lag is as large as was found; other scales stay as they are."""
     tangent = suspect.tangent
+    if suspect.scale is not None:
+        return suspect.scale
     if not tangent.lags or tangent.scale >= 1.0:
         return tangent.scale
     speed_m_per_s = _rms(np.concatenate([one.speed[:, 0] for one in reference]))

@@ -34,6 +34,7 @@ class Tangent:
     own      whether every drive has coefficients of its own
     lags     whether it is a lag itself, so that a fitted lag must not take it away
     scale    in s or Hz: for effects whose shape depends on their size; 0: it does not
+    found    name of a finding's parameter that is this scale, or empty
     """
 
     name: str
@@ -41,6 +42,7 @@ class Tangent:
     own: bool = False
     lags: bool = False
     scale: float = 0.0
+    found: str = ""
 
 
 def _creep(drive: Driven, _: float) -> Array:
@@ -134,7 +136,7 @@ TANGENTS: tuple[Tangent, ...] = (
     Tangent(name="slew_limit", columns=_slew),
     Tangent(name="delay", columns=_delay, lags=True, scale=1e-4),
     Tangent(name="lag", columns=_lag, lags=True, scale=1e-4),
-    Tangent(name="resonance", columns=_resonance, lags=True, scale=500.0),
+    Tangent(name="resonance", columns=_resonance, lags=True, scale=500.0, found="frequency_Hz"),
     Tangent(name="rate_dependence", columns=_rate),
     Tangent(name="creep", columns=_creep),
     Tangent(name="thermal_drift", columns=_drift, own=True),
