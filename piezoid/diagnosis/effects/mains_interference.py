@@ -5,13 +5,16 @@ What you see
 Why it happens
     Stray fields and ground loops couple the grid into sensor and amplifier.
 How it is detected
-    Lines at the grid's frequency, whose phase may wander, explain what static hysteresis cannot,
-    and lines at seven other frequencies nearby do not.
+    Lines near the grid's frequency or twice or three times that, whose phase may wander, explain
+    what static hysteresis cannot, and lines near six other frequencies, sought in the same way, do
+    not. A recording in which the drive itself makes such a line is left out.
 What the extension adds
     A note for the observer; the remedy is shielding.
 Source
     Thomson (1982); grid statistics of ENTSO-E
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +22,7 @@ from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 
 GRIDS_Hz = (50.0, 60.0)
@@ -26,6 +30,10 @@ TWINS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)
 WANDER_s = 8.0  # how long the grid keeps a phase
 MOST_KNOTS = 6
 ROWS_PER_PERIOD = 2.2
+HARMONICS = (1, 2, 3)
+OFF_Hz, OFF_STEP_Hz = 0.3, 0.03  # how far a grid is off its nominal frequency
+NEAR_Hz = 6.0  # around a line, to compare it with
+LINE = 8.0  # times what is around it
 
 
 def _untestable(view: View) -> str:
@@ -35,7 +43,48 @@ def _untestable(view: View) -> str:
     return f"the fastest recording has {fastest_Hz:.4g} Hz; the grid needs more than 110 Hz"
 
 
-def _lines(view: View, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lines:
+    """What the drive itself makes of lines.
+
+    spectra        amplitudes of the waves of every track's static response
+    resolution_Hz  their distance
+    floor          what the sensor's noise is in such a spectrum
+    """
+
+    spectra: tuple[Array, ...]
+    resolution_Hz: tuple[float, ...]
+    floor: tuple[float, ...]
+
+    @classmethod
+    def of(cls, view: View) -> "Lines":
+        """Return the lines of a view."""
+        noise = [white_noise_rms(t.response) / np.sqrt(len(t.response)) for t in view.tracks]
+        return cls(
+            spectra=tuple(_spectrum(static) for static in view.static),
+            resolution_Hz=tuple(t.rate_Hz / len(t.response) for t in view.tracks),
+            floor=tuple(noise),
+        )
+
+    def driven(self, k: int, frequency_Hz: float) -> bool:
+        """Tell whether the static response of a track has a line there."""
+        spectrum, step_Hz = self.spectra[k], self.resolution_Hz[k]
+        away_Hz = np.abs(np.arange(len(spectrum)) * step_Hz - frequency_Hz)
+        here = away_Hz <= max(OFF_Hz, 2.0 * step_Hz)
+        around = (away_Hz > max(1.0, 4.0 * step_Hz)) & (away_Hz < max(NEAR_Hz, 12.0 * step_Hz))
+        if not here.any() or not around.any():
+            return False
+        # what lies below the sensor's noise is no line of anything
+        least = max(float(np.median(spectrum[around])), self.floor[k])
+        return bool(spectrum[here].max() > LINE * least)
+
+
+def _spectrum(signal: Array) -> Array:
+    wave = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(len(signal))))
+    return np.asarray(4.0 * wave / len(signal))
+
+
+def _lines(view: View, lines: Lines, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
     columns = []
     for k, track in enumerate(view.tracks):
         time_s = track.place / track.rate_Hz
@@ -43,7 +92,7 @@ def _lines(view: View, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
         place = time_s / max(track.duration_s, 1e-9) * (knots - 1)
         hats = np.maximum(1.0 - np.abs(place[:, None] - np.arange(knots)), 0.0)
         for n in harmonics:
-            if track.rate_Hz < ROWS_PER_PERIOD * n * grid_Hz:
+            if track.rate_Hz < ROWS_PER_PERIOD * n * grid_Hz or lines.driven(k, n * grid_Hz):
                 continue
             turn = 2 * np.pi * n * grid_Hz * time_s
             for wave in (np.cos(turn), np.sin(turn)):
@@ -51,18 +100,36 @@ def _lines(view: View, grid_Hz: float, harmonics: tuple[int, ...]) -> Array:
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
+def _strongest(view: View, lines: Lines, nominal_Hz: float) -> tuple[float, int]:
+    """Return the frequency and the harmonic at which the residual follows a line best."""
+    tried = nominal_Hz + np.arange(-OFF_Hz, OFF_Hz + 1e-9, OFF_STEP_Hz)
+    edges, best = view.envelope.edges, (0.0, nominal_Hz, 1)
+    for n in HARMONICS:
+        power = np.zeros(len(tried))
+        for k, track in enumerate(view.tracks):
+            if track.rate_Hz < ROWS_PER_PERIOD * n * tried[-1] or lines.driven(k, n * nominal_Hz):
+                continue
+            residual = view.null.residual[edges[k] : edges[k + 1]]
+            turn = np.outer(2 * np.pi * n * tried / track.rate_Hz, track.place)
+            power += (np.cos(turn) @ residual) ** 2 + (np.sin(turn) @ residual) ** 2
+        j = int(np.argmax(power))
+        best = max(best, (float(power[j]), float(tried[j]), n))
+    return best[1], best[2]
+
+
 def _trials(view: View) -> list[Trial]:
-    found = []
-    for frequency_Hz in (*GRIDS_Hz, *TWINS_Hz):
-        columns = _lines(view, frequency_Hz, (1,))
+    found, lines = [], Lines.of(view)
+    for nominal_Hz in (*GRIDS_Hz, *TWINS_Hz):
+        frequency_Hz, harmonic = _strongest(view, lines, nominal_Hz)
+        columns = _lines(view, lines, frequency_Hz, (harmonic,))
         if columns.shape[1]:
             way = {"frequency_Hz": frequency_Hz}
-            found.append(Trial(columns=columns, parameters=way, real=frequency_Hz in GRIDS_Hz))
+            found.append(Trial(columns=columns, parameters=way, real=nominal_Hz in GRIDS_Hz))
     return found
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    return _lines(view, parameters["frequency_Hz"], (1, 2, 3))
+    return _lines(view, Lines.of(view), parameters["frequency_Hz"], HARMONICS)
 
 
 def inject(recording: Recording, share: float) -> Recording:

@@ -1,14 +1,15 @@
 """Outliers: single readings that are wrong.
 
 What you see
-    Isolated spikes, one sample long, of either sign.
+    Isolated spikes, one sample or a few long, of either sign.
 Why it happens
     Sparks, bit errors, switching relays.
 How it is detected
-    A reading far from the median of itself and its four neighbours, where the drive does not jump
-    and the neighbours agree with one another.
+    Few readings far from the median of five or nine around them, beyond where the tail of all
+    such distances can reach, where the neighbours agree with one another and the static response
+    makes no such jump.
 What the extension adds
-    Nothing: such readings are replaced by their neighbours' median and said.
+    Nothing: such readings are replaced by straight lines and said.
 Source
     Hampel (1974)
 """
@@ -16,59 +17,112 @@ Source
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import erfc
 
 from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
 FAR = 8.0  # times the typical distance
 LEAST = 1.5e-3  # of half the stroke
 STEPS = 2.5
-MEDIAN_OF_FIVE = 1.14  # sample less the median of it and four others, in deviations of the noise
+RARE = 0.01  # of the samples: what there is more of is no outlier
+TAIL = 0.99  # of all distances: where their tail begins
+CLEAR = 2.0  # times the tail's beginning
+SURE = 1e-3  # chance of one such sample in a recording whose tail goes on as it began
+KEPT = 0.5  # of its size that a spike must keep when the static response is taken off
 
 
-def spikes(track: Track) -> tuple[Array, Array, float]:
-    """Return which samples are spikes, each one's distance from its neighbours' median, the noise.
+def _far(values: Array, width: int, spread: Array) -> tuple[Array, Array]:
+    """Return the distance of every value from the median around it, and how far its peers are.
 
-    The noise is what such a distance is in a sample that is none, as a standard deviation.
+    spread  (2,)  places among the sorted ones between which those lie that are surely good
+    """
+    reach = width // 2
+    near = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="reflect"), width)
+    ordered = np.sort(near, axis=1)
+    low, high = (int(place) for place in spread)
+    return np.asarray(values - ordered[:, reach]), np.asarray(ordered[:, high] - ordered[:, low])
+
+
+# width of the neighbourhood, places of what must agree: one wrong sample of five, three of nine
+NEIGHBOURHOODS = ((5, np.array([1, 3])), (9, np.array([3, 5])))
+
+
+def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float]:
+    """Return which samples are spikes, and the chance of the least of them were it none.
+
+    step  of the drive's converter, where it is coarse: near a turning point such a drive may go to
+          the next step for one sample
+
+    The tail of all distances is taken to fall off exponentially, as it does from its beginning to
+    the samples that are no spikes.
     """
     y = track.response
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(y, 2, mode="reflect"), 5)
-    middle = np.median(near, axis=1)
-    distance = np.asarray(y - middle)
-    around = np.delete(near, 2, axis=1)
-    agree = np.ptp(around, axis=1)
-    typical = 1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0)
-    typical = max(typical, 1e-12)
-    high = float(np.quantile(np.abs(distance), 0.99))
+    wrong, chance = np.zeros(len(y), dtype=bool), 0.0
+    typical = max(1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0), 1e-12)
     # on a coarse converter a reading may be one step beside its neighbours
-    coarse = STEPS * step_size(np.round(y, 9))
-    far = np.maximum(max(FAR * typical, coarse), 3.0 * agree)
-    wrong = np.abs(distance) > np.maximum(far, max(LEAST, 2.0 * high))
-    return wrong, distance, MEDIAN_OF_FIVE * typical
+    least = max(FAR * typical, STEPS * max(step, step_size(np.round(y, 9))), LEAST)
+    for width, spread in NEIGHBOURHOODS:
+        if len(y) < 4 * width:
+            continue
+        distance, agree = _far(y, width, spread)
+        apart, _ = _far(y - static, width, spread)
+        size = np.abs(distance)
+        begins = float(np.quantile(size, TAIL))
+        here = size > np.maximum(3.0 * agree, max(least, CLEAR * begins))
+        here &= distance * apart > KEPT * distance**2
+        tail = size[(size > begins) & ~here]
+        if not here.any() or not len(tail):
+            continue
+        falls = max(float(np.mean(tail - begins)), 0.1 * typical)
+        exceeds = (float(size[here].min()) - begins) / falls
+        found = len(y) * (1.0 - TAIL) * float(np.exp(-min(exceeds, 700.0)))
+        if found < SURE and here.mean() < RARE:
+            wrong, chance = wrong | here, max(chance, found)
+    return wrong, chance
+
+
+def without_spikes(track: Track, static: Array) -> Track:
+    """Return the track with straight lines in place of spikes; itself if it has none."""
+    wrong, _ = spikes(track, static)
+    return _bridged(track, wrong) if wrong.any() else track
+
+
+def _bridged(track: Track, wrong: Array) -> Track:
+    place = np.arange(len(wrong))
+    good = ~wrong.astype(bool)
+    return replace(track, response=np.interp(place, place[good], track.response[good]))
 
 
 def _fault(view: View) -> Fault | None:
-    tracks, sizes, deviations, samples = [], [], [], 0
-    for track in view.tracks:
-        wrong, distance, noise = spikes(track)
-        samples += len(distance)
-        deviations += (np.abs(distance[wrong]) / noise).tolist()
-        y = np.where(wrong, track.response - distance, track.response)
-        tracks.append(replace(track, response=y) if wrong.any() else track)
-        sizes += np.abs(distance[wrong]).tolist()
-    if not sizes:
+    tracks, largest, chances = [], [], []
+    step = drive_step(view)
+    for track, static in zip(view.tracks, view.static, strict=True):
+        wrong, chance = spikes(track, static, step)
+        if not wrong.any():
+            tracks.append(track)
+            continue
+        bridged = _bridged(track, wrong)
+        size = np.abs(track.response - bridged.response)
+        largest.append((float(size.max()), white_noise_rms(bridged.response)))
+        chances.append(chance)
+        tracks.append(bridged)
+    if not largest:
         return None
-    # how often normal noise would put the nearest of them so far out among so many samples
-    p_value = min(1.0, samples * float(erfc(min(deviations) / np.sqrt(2.0))))
-    size_m = view.stroke_m * max(sizes)
-    spread_m = view.stroke_m * float(np.std(sizes)) / np.sqrt(len(sizes)) + 0.02 * size_m
-    return Fault(tracks=tuple(tracks), value=1e9 * size_m, spread=1e9 * spread_m, p_value=p_value)
+    height, noise = max(largest)
+    # its own noise, and half of that of the two it lies between
+    return Fault(
+        tracks=tuple(tracks),
+        value=1e9 * view.stroke_m * height,
+        spread=1e9 * view.stroke_m * float(np.hypot(noise * np.sqrt(1.5), 0.01 * height)),
+        p_value=max(chances),
+    )
 
 
 def inject(recording: Recording, share: float) -> Recording:

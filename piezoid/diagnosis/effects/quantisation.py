@@ -1,16 +1,25 @@
-"""Quantisation: the converter's steps are coarse.
+"""Quantisation: a converter's steps are coarse.
 
 What you see
-    The reading takes few values, all multiples of one step, and rests on them.
+    The reading takes few values, all multiples of one step, and rests on them; or it climbs in
+    equal stairs while the drive in the file is smooth.
 Why it happens
     A converter has too few bits, or its range is far wider than the signal.
 How it is detected
-    All readings lie on one lattice whose step is a visible part of the stroke.
+    All readings lie on one lattice whose step is a visible part of stroke and noise. Of a drive:
+    the residual is a saw of the drive,
+
+        e = -D w,   w = (u - v) / D - round((u - v) / D),
+
+    whose first wave has the height D / pi its own period asks for, in phase with all the others.
 What the extension adds
-    Nothing: the remedy is a finer converter or a narrower range.
+    The drive as its converter gave it. For a reading nothing: the remedy is a finer converter or a
+    narrower range.
 Source
     Widrow & Kollar (2008)
 """
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,32 +27,52 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
 COARSE = 1.2e-3  # of half the stroke: rms of a twelfth of its square is 0.02 % of the stroke
-EXACT = 0.25  # of all steps: how many rows repeat the one before
+VISIBLE = 1.5  # times the noise
+ALIKE = 0.02  # how far the steps of two recordings may differ
+MOST_SAMPLES = 0.7  # of all that must lie on the lattice
+FEWEST_STEPS, MOST_STEPS = 20.0, 300.0  # of a drive in half its range
+CELLS = 16_384  # of the range, which waves are told apart by
+RANGE = 4.0  # in half ranges of the drive: more than any track has
+FINER = 4  # frequencies for every one that the range can tell
+CLEAR = 30.0  # times the median power
+NEAR = 0.4  # how far from one the saw's height may be
 
 
 def _fault(view: View) -> Fault | None:
-    steps = [step_size(np.round(track.response, 9)) for track in view.tracks]
-    coarse = [
-        step
-        for step, track in zip(steps, view.tracks, strict=True)
-        if step > COARSE and float(np.mean(np.diff(track.response) == 0)) > 0.0
-    ]
-    if len(coarse) < len(steps):
+    return _of_reading(view) or _of_drive(view)
+
+
+def _of_reading(view: View) -> Fault | None:
+    steps = np.array([_step(track.response) for track in view.tracks])
+    samples = np.array([len(track.response) for track in view.tracks])
+    if not np.any(steps > 0.0):
         return None
-    step_m = view.stroke_m * float(np.median(coarse))
+    step = float(np.median(steps[steps > 0.0]))
+    shared = np.abs(steps - step) < ALIKE * step
+    if samples[shared].sum() < MOST_SAMPLES * samples.sum():
+        return None
     chance = sum(
-        _evidence(track.response, step) for track, step in zip(view.tracks, steps, strict=True)
+        _evidence(t.response, step) for t, s in zip(view.tracks, shared, strict=True) if s
     )
+    step_m = view.stroke_m * step
     return Fault(
         tracks=view.tracks,
         value=1e9 * step_m,
         spread=1e7 * step_m,
         p_value=float(np.exp(-min(chance, 700.0))),
     )
+
+
+def _step(response: Array) -> float:
+    """Return the step of a reading's lattice, 0 where it is too fine to be seen."""
+    step = step_size(np.round(response, 9))
+    rests = float(np.mean(np.diff(response) == 0)) > 0.0
+    return step if rests and step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
 
 
 def _evidence(response: Array, step: float) -> float:
@@ -54,6 +83,72 @@ def _evidence(response: Array, step: float) -> float:
     changed = response[1:][np.diff(response) != 0]
     together = abs(np.mean(np.exp(2j * np.pi * changed / step))) if len(changed) else 0.0
     return float(len(changed) * together**2)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Saw:
+    """Steps of a drive's converter: their size, where one of them is, and the chance of such."""
+
+    step: float
+    origin: float
+    p_value: float
+
+    def of(self, drive: Array) -> Array:
+        """Return by how many steps the converter is off."""
+        place = (drive - self.origin) / self.step
+        return np.asarray(np.round(place) - place)
+
+
+def drive_step(view: View) -> float:
+    """Return what a step of a coarse drive moves, of half the stroke; 0 where it is fine."""
+    fault = _of_drive(view)
+    return 0.0 if fault is None else 1e-9 * fault.value / view.stroke_m
+
+
+def _of_drive(view: View) -> Fault | None:
+    drive, residual = view.rows([t.drive for t in view.tracks]), view.null.residual
+    saw = _strongest(drive, residual)
+    if saw is None:
+        return None
+    wave = view.null.without(saw.of(drive))
+    square = float(wave @ wave)
+    height = float(wave @ residual) / square
+    blocks = np.array_split(np.arange(len(wave)), 20)
+    heights = [wave[b] @ residual[b] / max(float(wave[b] @ wave[b]), 1e-300) for b in blocks]
+    if abs(height / saw.step - 1.0) > NEAR or height / np.sqrt(12.0) < COARSE / np.sqrt(12.0):
+        return None
+    tracks = tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks)
+    spread = float(np.std(heights, ddof=1) / np.sqrt(len(heights)))
+    return Fault(
+        tracks=tracks,
+        value=1e9 * view.stroke_m * height,
+        spread=1e9 * view.stroke_m * max(spread, 0.01 * height),
+        p_value=saw.p_value,
+    )
+
+
+def _strongest(drive: Array, residual: Array) -> Saw | None:
+    """Return the saw whose first wave is clearest, if its height is what its period asks for."""
+    cell = np.clip(((drive + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
+    wave = np.fft.rfft(np.bincount(cell, residual, CELLS), FINER * CELLS)
+    frequency = np.arange(len(wave)) / (FINER * RANGE)
+    within = (frequency > FEWEST_STEPS) & (frequency < MOST_STEPS)
+    power = np.abs(wave[within]) ** 2
+    j, typical = int(np.argmax(power)), float(np.median(power)) + 1e-300
+    found = float(frequency[within][j])
+    height = 2.0 * float(np.sqrt(power[j])) / len(residual)
+    if power[j] < CLEAR * typical or abs(np.pi * height * found - 1.0) > NEAR:
+        return None
+    # cells have their middle half a cell on; the transform counts from the range's lower end
+    middle = RANGE / 2 - RANGE / CELLS / 2
+    turn = float(np.angle(wave[within][j])) + 2.0 * np.pi * found * middle
+    # powers beside the peak are exponential: the median is ln 2 of their mean
+    chance = np.sum(within) * np.exp(-float(power[j]) * np.log(2.0) / typical)
+    return Saw(
+        step=1.0 / found,
+        origin=(np.pi / 2 - turn) / (2.0 * np.pi * found),
+        p_value=float(min(1.0, chance)),
+    )
 
 
 def inject(recording: Recording, share: float) -> Recording:

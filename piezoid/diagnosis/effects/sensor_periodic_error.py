@@ -6,7 +6,9 @@ Why it happens
     Two beams of an interferometer mix, or an encoder's two phases are of unequal size.
 How it is detected
     Waves of one spatial frequency explain what static hysteresis cannot, far better than those of
-    all other spatial frequencies that were tried, with the same phase all over the range.
+    all other spatial frequencies that were tried. Every recording may have its own phase, for an
+    interferometer counts from where it was switched on. What a coarse converter makes, at its own
+    step and half of it, is left out.
 What the extension adds
     A first and a second order of the cyclic error behind the stage, to be corrected there.
 Source
@@ -14,40 +16,80 @@ Source
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
+from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
-FEWEST, MOST = 6.0, 130.0  # periods in the stroke
-STEP = 0.4
-BATCH = 40
+FEWEST, MOST = 6.0, 420.0  # periods in the stroke
+STEP = 0.1
+CELLS = 16_384  # of the range, which waves are told apart by
+RANGE = 4.0  # in half strokes: more than any track has
 SHARP = 0.6  # periods around the peak that belong to it
+PASSED = 3.0  # periods that a track must pass to show one
+MEAN = 9  # readings of which the mean is where the sensor stood
+
+
+def _where(view: View, k: int) -> Array:
+    """Return where the sensor of a track stood at its rows, as read and freed of most noise."""
+    track = view.tracks[k]
+    apart = track.response - view.static[k]
+    padded = np.cumsum(np.pad(apart, (MEAN // 2 + 1, MEAN // 2), mode="edge"))
+    mean = (padded[MEAN:] - padded[:-MEAN]) / MEAN
+    return np.asarray((view.static[k] + mean[: len(apart)])[track.place])
 
 
 def _waves(view: View, periods: float) -> Array:
-    phase = np.pi * periods * view.rows(view.static)
-    return np.column_stack([np.cos(phase), np.sin(phase), np.cos(2 * phase), np.sin(2 * phase)])
+    """Return first and second order, each with a phase of every track that shows them."""
+    columns = []
+    for k in range(len(view.tracks)):
+        place = _where(view, k)
+        if np.ptp(place) * periods / 2.0 < PASSED:
+            continue
+        turn = np.pi * periods * place
+        waves = (np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn))
+        columns += [view.of_track(k, wave) for wave in waves]
+    return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
-def _power(view: View, tried: Array) -> Array:
-    """Return how much of the residual one wave of each spatial frequency follows."""
-    response, residual = view.rows(view.static), view.null.residual
-    power = []
-    for first in range(0, len(tried), BATCH):
-        turn = np.exp(1j * np.pi * np.outer(response, tried[first : first + BATCH]))
-        power.append(np.abs(residual @ turn) ** 2)
-    return np.concatenate(power)
+def _power(view: View) -> tuple[Array, Array]:
+    """Return spatial frequencies, and how much of the residual one wave of each follows."""
+    edges = view.envelope.edges
+    tried = STEP * np.arange(round(MOST / STEP) + 1, dtype=np.float64)
+    power: Array = np.zeros(len(tried))
+    for k in range(len(view.tracks)):
+        place = _where(view, k)
+        cell = np.clip(((place + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
+        residual = view.null.residual[edges[k] : edges[k + 1]]
+        # one cell of the transform is a spatial frequency of 1 / (length of the padded range)
+        padded = round(2.0 / STEP / RANGE * CELLS)
+        wave = np.fft.rfft(np.bincount(cell, residual, CELLS), padded)[: len(tried)]
+        shown = np.ptp(place) * tried / 2.0 > PASSED
+        power += np.where(shown, np.abs(wave) ** 2 / max(len(place), 1), 0.0)
+    return tried, power
+
+
+def _of_converter(view: View, tried: Array) -> NDArray[np.bool_]:
+    """Return which spatial frequencies belong to the lattice of a coarse converter."""
+    steps = np.array([step_size(np.round(track.response, 9)) for track in view.tracks])
+    own = np.zeros(len(tried), dtype=bool)
+    for step in steps[steps > 0.0]:
+        for order in (1.0, 2.0):
+            # the lattice may be seen to one in a hundred only where it is not exact
+            own |= np.abs(tried - order * 2.0 / step) < max(2.0 * SHARP, 0.01 * order * 2.0 / step)
+    return own
 
 
 def _trials(view: View) -> list[Trial]:
-    tried = np.arange(FEWEST, MOST, STEP)
-    power = _power(view, tried)
+    tried, power = _power(view)
+    power = np.where((tried < FEWEST) | _of_converter(view, tried), 0.0, power)
+    if not np.any(power > 0.0):
+        return []
     best = float(tried[int(np.argmax(power))])
-    near = best + np.linspace(-STEP, STEP, 21)
-    best = float(near[int(np.argmax(_power(view, near)))])
     found = [_trial(view, best, real=True)]
     away = np.where(np.abs(tried - best) > SHARP, power, 0.0)
     for _ in range(3):
@@ -68,8 +110,10 @@ def _columns(view: View, parameters: Parameters) -> Array:
 
 
 def _size(view: View, _: Parameters, coefficient: Array) -> float:
-    amplitudes = np.hypot(coefficient[[0, 2]], coefficient[[1, 3]])
-    return 1e9 * view.stroke_m * float(amplitudes.max())
+    """Return the amplitude of the first order, or of the second if that is larger."""
+    each = coefficient.reshape(-1, 4)
+    first, second = (np.hypot(each[:, j], each[:, j + 1]) for j in (0, 2))
+    return 1e9 * view.stroke_m * float(max(np.median(first), np.median(second)))
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -88,5 +132,6 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
+    worth=0.05,
     inject=inject,
 )

@@ -5,8 +5,9 @@ What you see
 Why it happens
     A buffer overran and readings are gone, or the reader stalled and repeated its last value.
 How it is detected
-    The delay between the static response and the reading, window by window, is zero up to an
-    instant and another constant from there to the end.
+    A delay that begins at one instant takes a good part of a recording's error, beside a constant
+    delay, lags, creep and all that grows with speed; and among stretches of equal speed it is one
+    number before the instant and another behind it.
 What the extension adds
     Nothing: the readings are put back in step and the rows in between are left out.
 Source
@@ -18,111 +19,130 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.signals import rate_of, with_displacement
-from piezoid.diagnosis.tracks import Places, Track
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.effects.outliers import without_spikes
+from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.slip_evidence import Judged, judged_of
+from piezoid.diagnosis.slips import INSTANTS, Slip, beside, late, strongest
+from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
-WINDOWS = 16
-FARTHEST = 0.1  # of a track
-LEAST_SHARE = 1.5e-3  # of half the stroke: what the slip must be worth in rms
-CLEAR = 0.55  # of the rms: what is left once the slip is undone
-
-
-def slip_of(response: Array, static: Array) -> tuple[int, int, float]:
-    """Return (instant, samples, share of rms left) of the one slip that explains most.
-
-    samples > 0: what follows the instant comes late
-    """
-    n = len(response)
-    reach = max(int(FARTHEST * n), 3)
-    best = (0, 0, 1.0)
-    error = response - static
-    base = _spread(error)
-    shifts = np.unique(np.round(np.geomspace(1, reach, 40)).astype(int))
-    kept = np.arange(0, n, max(n // 3000, 1))
-    for shift in (*shifts.tolist(), *(-shifts).tolist()):
-        moved = response[kept] - static[np.clip(kept - shift, 0, n - 1)]
-        best = min(best, _best_place(error[kept], moved, kept, shift, base), key=lambda b: b[2])
-    shift = best[1]
-    for near in range(shift - abs(shift) // 6 - 2, shift + abs(shift) // 6 + 3):
-        moved = response[kept] - static[np.clip(kept - near, 0, n - 1)]
-        best = min(best, _best_place(error[kept], moved, kept, near, base), key=lambda b: b[2])
-    return best
-
-
-def _spread(values: Array) -> float:
-    return float(np.std(values)) + 1e-12
-
-
-def _best_place(
-    error: Array, moved: Array, kept: Places, shift: int, base: float
-) -> tuple[int, int, float]:
-    before, after = np.cumsum(error**2), np.cumsum(moved[::-1] ** 2)[::-1]
-    total = (before[:-1] + after[1:])[WINDOWS:-WINDOWS]
-    place = int(np.argmin(total))
-    left = float(np.sqrt(total[place] / len(error))) / base
-    return int(kept[place + WINDOWS]), shift, left
+MOST = 8  # slips
+ROUNDS = 4  # of placing one and fitting the static response again
+LOOK = 0.05  # of a track's squared residual, to look closer
 
 
 def _fault(view: View) -> Fault | None:
-    tracks, found = list(view.tracks), []
-    for k, track in enumerate(view.tracks):
-        if len(track.response) < 4 * WINDOWS:
-            continue
-        zero = float(np.mean(track.response - view.static[k]))
-        instant, samples, left = slip_of(track.response, view.static[k] + zero)
-        worth = abs(samples) / track.rate_Hz * rate_of(view.static[k], track.rate_Hz)[instant:]
-        if (
-            samples == 0
-            or left > min(CLEAR, 0.7 * _whole(track, view.static[k], samples))
-            or float(np.sqrt(np.mean(worth**2))) < LEAST_SHARE
-        ):
-            continue
-        found.append((_chance(track.response - view.static[k], left), samples))
-        tracks[k] = _in_step(track, instant, samples)
+    # spikes are another fault; here they would only hide a small slip
+    quiet = [without_spikes(t, s) for t, s in zip(view.tracks, view.static, strict=True)]
+    calm = (
+        view
+        if all(a is b for a, b in zip(quiet, view.tracks, strict=True))
+        else with_tracks(view, quiet)
+    )
+    found: list[Judged] = []
+    while len(found) < MOST:
+        judged = _next(calm, bool(found))
+        if judged is None:
+            break
+        found.append(judged)
+        calm = _repaired(calm, judged.slip)
     if not found:
         return None
-    samples = max((s for _, s in found), key=abs)
+    tracks = list(view.tracks)
+    for one in found:
+        tracks[one.slip.track] = _in_step(tracks[one.slip.track], one.slip)
+    # what was placed too long or too short while others were in the way is put right later
+    same = [one for one in found if _near(one.slip, found[0].slip, view)]
+    last = same[-1]
     return Fault(
         tracks=tuple(tracks),
-        value=float(samples),
-        spread=1.0 + 0.02 * abs(samples),
-        p_value=min(chance for chance, _ in found),
+        value=sum(one.slip.samples for one in same),
+        spread=float(np.hypot(last.deviation, last.step - last.slip.samples)),
+        p_value=min(one.p_value for one in found),
     )
 
 
-def _chance(error: Array, left: float) -> float:
-    """Return an upper limit of the chance that no slip looks as good as this one.
+def _near(one: Slip, other: Slip, view: View) -> bool:
+    """Tell whether two slips are one, found in two goes."""
+    width = _width(len(view.tracks[other.track].drive))
+    return one.track == other.track and abs(one.instant - other.instant) <= width
 
-        p <= tried / LR,  LR = left^-n,  n = N (1 - rho) / (1 + rho)
 
-    A likelihood ratio exceeds c with a chance of at most 1 / c where the simple model holds
-    (Markov); n counts the rows that are independent, rho is the correlation of neighbours.
+def _width(samples: int) -> int:
+    """Return how far from where it was found the instant of a slip may be."""
+    return int(2.5 * samples / INSTANTS) + 2
+
+
+def _next(view: View, again: bool) -> Judged | None:
+    """Return the clearest slip that is left."""
+    null = beside(view)
+    for slip in strongest(view, null):
+        if slip.gain < LOOK:
+            break
+        judged = judged_of(view, null, _placed(view, slip))
+        if judged is not None and judged.speaks(again=again):
+            return judged
+    return None
+
+
+def _placed(view: View, slip: Slip) -> Slip:
+    """Return the slip at the sample and of the whole length that fit best, all samples compared.
+
+    The static response is fitted again with the slip undone; what tracks have of their own (zero,
+    memory) is carried from rows to all samples.
     """
-    free = error - error.mean()
-    rho = float(np.clip(free[1:] @ free[:-1] / max(free @ free, 1e-300), 0.0, 1.0 - 1e-9))
-    independent = len(free) * (1.0 - rho) / (1.0 + rho)
-    tried = 80.0 * len(free)
-    return float(min(1.0, np.exp(np.log(tried) + independent * np.log(max(left, 1e-12)))))
+    k, samples = slip.track, round(slip.samples) or int(np.sign(slip.samples))
+    slip = replace(slip, samples=samples)
+    width = _width(len(view.tracks[k].drive))
+    for _ in range(ROUNDS):
+        again = _repaired(view, slip)
+        track, static = again.tracks[k], again.static[k]
+        here = again.null.residual[slice(*again.envelope.edges[k : k + 2])]
+        own = track.response[track.place] - here - static[track.place]
+        place = np.arange(len(static))
+        measured = view.tracks[k].response - np.interp(place, track.place, own)
+        better = _best(measured, static, slip, width)
+        if better == slip:
+            break
+        slip = better
+    return slip
 
 
-def _whole(track: Track, static: Array, samples: int) -> float:
-    """Return the share of the rms that is left if all readings are late, not some: a delay."""
-    place = np.clip(np.arange(len(static)) - samples, 0, len(static) - 1)
-    return _spread(track.response - static[place]) / _spread(track.response - static)
+def _best(measured: Array, static: Array, slip: Slip, width: int) -> Slip:
+    """Return the neighbour in place and length that leaves the least squares."""
+    n, samples = len(static), int(slip.samples)
+    place = np.arange(n)
+    reach = max(2, abs(samples) // 6)
+    first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
+    before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
+    best = (np.inf, slip)
+    for length in range(samples - reach, samples + reach + 1):
+        if length == 0:
+            continue
+        missed = measured - static - late(static, place, length)
+        total = before[first:last] + np.cumsum((missed**2)[::-1])[::-1][first:last]
+        j = int(np.argmin(total))
+        if total[j] < best[0]:
+            best = (float(total[j]), replace(slip, instant=first + j, samples=length))
+    return best[1]
 
 
-def _in_step(track: Track, instant: int, samples: int) -> Track:
-    """Put the readings behind an instant back in step; what is missing at the end is held."""
-    place = np.arange(len(track.response))
-    source = np.where(place > instant, np.clip(place + samples, 0, len(place) - 1), place)
-    lost = (track.place > instant - 2 - max(-samples, 0)) & (
-        track.place <= instant + 2 + max(-samples, 0)
-    )
-    lost |= track.place + max(samples, 0) >= len(place)
-    kept = ~lost
+def _repaired(view: View, slip: Slip) -> View:
+    tracks = list(view.tracks)
+    tracks[slip.track] = _in_step(tracks[slip.track], slip)
+    return with_tracks(view, tracks)
+
+
+def _in_step(track: Track, slip: Slip) -> Track:
+    """Put the readings behind an instant back in step; rows that have no reading are left out."""
+    samples, count = int(slip.samples), len(track.response)
+    place = np.arange(count)
+    source = np.where(place >= slip.instant, np.clip(place + samples, 0, count - 1), place)
+    reach = 2 + max(-samples, 0)
+    lost = (track.place > slip.instant - 3) & (track.place < slip.instant + reach)
+    kept = ~lost & (track.place + max(samples, 0) < count)
     return replace(
         track,
         response=track.response[source],

@@ -1,0 +1,184 @@
+"""Slips: instants from which a reading comes a fixed number of samples late or early.
+
+A slip of L samples at sample m of a track adds
+
+    c(t) = x(t - L) - x(t)  for t >= m,   0 before,
+
+x the static response. What it takes of the residual e beside everything else that can be told is
+
+    G(m, L) = (e . c)^2 / |c - P c|^2,    beta = (e . c) / |c - P c|^2,
+
+P the projection on the envelope and on all that looks like a delay: one of its own for every
+track, the square and the root of speed, acceleration, relaxations. Running sums give all m at
+once. A slip that is one has beta near one.
+
+Source: Rao (1948) for the score; Page, Biometrika 41 (1954) for the running sums.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.signals import relaxed
+from piezoid.diagnosis.tracks import Places
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+
+FARTHEST = 0.1  # of a track: the longest slip
+LENGTHS = 16  # tried, early and late
+INSTANTS = 120  # of a track, tried
+EDGE = 0.03  # of a track at either end, in which no slip can be seen
+MOVING = 0.02  # of a track's squared speed that must lie behind a slip
+FEWEST = 100  # rows of a track
+OWN = 3e-3  # of a column's square that must be left beside all others
+RELAXATIONS_s = (3e-4, 3e-3, 3e-2, 0.3, 3.0)
+SMOOTH = 8000  # samples of a track for one of the reach of a slope
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slip:
+    """One slip.
+
+    track    number of the track
+    instant  first sample that is out of step
+    samples  by how many, > 0: what follows comes late; the best estimate, which need not be whole
+    gain     part of the track's own squared residual that it takes
+    """
+
+    track: int
+    instant: int
+    samples: float
+    gain: float
+
+
+def late(static: Array, place: Places, samples: int) -> Array:
+    """Return what a delay by some samples changes at some places."""
+    return np.asarray(static[np.clip(place - samples, 0, len(static) - 1)] - static[place])
+
+
+def beside(view: View) -> Null:
+    """Return the view's null with everything else that looks like a delay."""
+    speed = [
+        _slope(static, max(1, len(static) // SMOOTH)) * track.rate_Hz
+        for static, track in zip(view.static, view.tracks, strict=True)
+    ]
+    twice = [_slope(v, 2) * t.rate_Hz for v, t in zip(speed, view.tracks, strict=True)]
+    thrice = [_slope(v, 2) * t.rate_Hz for v, t in zip(twice, view.tracks, strict=True)]
+    columns = [view.of_track(k, speed[k][track.place]) for k, track in enumerate(view.tracks)]
+    columns += [view.rows(twice), view.rows(thrice)]
+    columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
+    columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
+    return Null(
+        columns=np.column_stack([view.null.columns, *(c for c in columns if np.any(c))]),
+        response=view.response,
+        block=view.block,
+    )
+
+
+def _relaxation(view: View, time_s: float) -> Array:
+    return view.of(lambda k, t: relaxed(view.static[k], time_s, t.rate_Hz) - view.static[k])
+
+
+def _slope(signal: Array, reach: int) -> Array:
+    """Return the mean change for one sample, over as many to either side."""
+    padded = np.pad(signal, reach, mode="edge")
+    return np.asarray((padded[2 * reach :] - padded[: -2 * reach]) / (2 * reach))
+
+
+def strongest(view: View, null: Null) -> list[Slip]:
+    """Return the slip of every track that takes most of its residual, largest gain first."""
+    slips = [_strongest(view, null, k) for k in range(len(view.tracks))]
+    return sorted((s for s in slips if s is not None), key=lambda s: s.gain, reverse=True)
+
+
+def _strongest(view: View, null: Null, k: int) -> Slip | None:
+    place = view.tracks[k].place
+    if len(place) < FEWEST:
+        return None
+    track = Searched.of(view, null, k)
+    first = track.instants()
+    best = None
+    for samples in track.promising(first) if len(first) else ():
+        gain, beta = track.score(samples, first)
+        # a tangent knows the direction, a slip of one sample must be nearly whole
+        gain = np.where(beta > (0.6 if abs(samples) == 1 else 0.2), gain, 0.0)
+        j = int(np.argmax(gain))
+        if gain[j] > (best.gain if best else 0.0):
+            best = Slip(
+                track=k,
+                instant=int(place[first[j]]),
+                samples=samples * float(beta[j]),
+                gain=float(gain[j]),
+            )
+    return best
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Searched:
+    """One track against a null: what a slip at any row would take.
+
+    rows    of the track among all rows
+    static  (samples,)
+    place   (rows,)
+    """
+
+    null: Null
+    rows: slice
+    static: Array
+    place: Places
+
+    @classmethod
+    def of(cls, view: View, null: Null, k: int) -> "Searched":
+        """Return a track of a view."""
+        edges = view.envelope.edges
+        return cls(
+            null=null,
+            rows=slice(int(edges[k]), int(edges[k + 1])),
+            static=view.static[k],
+            place=view.tracks[k].place,
+        )
+
+    @property
+    def residual(self) -> Array:
+        """Return what the null leaves of the track."""
+        return self.null.residual[self.rows]
+
+    def instants(self) -> Places:
+        """Return the rows at which a slip is tried."""
+        n = len(self.place)
+        first = np.unique(np.linspace(EDGE * n, (1.0 - EDGE) * n, INSTANTS).astype(int))
+        energy = late(self.static, self.place, 1) ** 2
+        return np.asarray(first[_behind(energy, first) > MOVING * energy.sum()])
+
+    def score(self, samples: int, first: Places) -> tuple[Array, Array]:
+        """Return gain and beta of slips by some samples from some rows on."""
+        from scipy.linalg import solve_triangular
+
+        c = late(self.static, self.place, samples)
+        pull, square = _behind(self.residual * c, first), _behind(c * c, first)
+        shared = _behind(self.null.columns[self.rows] * c[:, None], first) / self.null.scale
+        half = solve_triangular(self.null.factor, shared.T, lower=True)
+        own = square - np.sum(half * half, axis=0)
+        seen = own > OWN * square + 1e-300
+        beta = np.where(seen, pull / np.where(seen, own, 1.0), 0.0)
+        whole = float(self.residual @ self.residual) + 1e-300
+        return np.asarray(beta * pull / whole), np.asarray(beta)
+
+    def promising(self, first: Places) -> list[int]:
+        """Return the lengths that take most where nothing is shared, which is a lower limit."""
+        reach = max(int(FARTHEST * len(self.static)), 3)
+        lengths = np.unique(np.round(np.geomspace(1, reach, LENGTHS)).astype(int)).tolist()
+        taken = {}
+        for samples in (*lengths, *(-length for length in lengths)):
+            c = late(self.static, self.place, samples)
+            pull, square = _behind(self.residual * c, first), _behind(c * c, first)
+            taken[samples] = float(np.max(np.maximum(pull, 0.0) ** 2 / (square + 1e-300)))
+        most = sorted(taken, key=lambda samples: -taken[samples])[:2]
+        return list(dict.fromkeys([*most, 1, -1]))
+
+
+def _behind(values: Array, first: Places) -> Array:
+    """Return the sums from each of some rows to the end."""
+    parts = np.add.reduceat(values, first, axis=0)
+    return np.asarray(np.cumsum(parts[::-1], axis=0)[::-1])
