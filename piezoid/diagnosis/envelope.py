@@ -31,13 +31,15 @@ PLAYS = 18
 POWERS = 4
 FORGETTING = 4  # groups of plays whose first states each track may correct
 PASTS = 16
+ONCE, TWICE = 9, 5  # places of turns to try
 CHUNK = 65536
 FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
 
-THRESHOLD = np.geomspace(0.01, 0.97, PLAYS)
+THRESHOLD = np.concatenate([np.geomspace(0.01, 0.15, 7)[:-1], np.linspace(0.15, 0.97, PLAYS - 6)])
 SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
 KNEE_COLUMNS = 5
 Knee = tuple[float, float, float]
+Turns = tuple[float, ...]
 
 
 def past(drive: Array, turns: Sequence[float]) -> Array:
@@ -52,15 +54,27 @@ def rubbed(drive: Array, turns: Sequence[float]) -> Array:
     return np.asarray(friction_states(way, np.zeros(len(FRICTION)))[-1])
 
 
-def pasts(drive: Array) -> tuple[tuple[float, ...], ...]:
-    """Return histories to choose from: cycled over the range, and some short alternating ones."""
+def pasts(drive: Array) -> tuple[Turns, ...]:
+    """Return histories to choose from: cycled over the range first, then what people do instead.
+
+    They come from rest or from one end, and turn once or twice more, or at random.
+    """
     low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
+    once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
+    twice = np.linspace(low, high, TWICE + 2)[1:-1].tolist()
     chance = np.random.default_rng(PASTS)
     drawn = [
         (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
         for _ in range(PASTS)
     ]
-    return ((low, high), (high, low), (0.0,), *drawn)
+    return (
+        (low, high),
+        (high, low),
+        (0.0,),
+        *((end, turn) for end in (low, high, 0.0) for turn in once),
+        *((end, a, b) for end in (low, high) for a in twice for b in twice if a != b),
+        *drawn,
+    )
 
 
 def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
@@ -139,7 +153,7 @@ class Envelope:
     """
 
     tracks: tuple[Track, ...]
-    turns: tuple[tuple[float, ...], ...]
+    turns: tuple[Turns, ...]
     knee: Knee | None = None
 
     @cached_property
@@ -168,7 +182,11 @@ class Envelope:
         """Return the columns that are products of a state with the drive."""
         plays = (PLAYS + 1) * POWERS
         friction = plays + 2 * PLAYS + 3 * len(FRICTION)
-        return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED))
+        return (
+            *range(plays, plays + 2 * PLAYS),
+            *range(friction, SHARED),
+            *range(SHARED, self.shared)[-2:],
+        )
 
     @cached_property
     def columns(self) -> Array:

@@ -11,7 +11,8 @@ from piezoid.diagnosis.screening import Screened, null_of, screened
 from piezoid.diagnosis.view import View
 
 OVER_TWIN = 1.6  # times the twin's gain, or
-BEYOND_TWIN = 0.9  # times what the twin leaves, as surely
+BEYOND_TWIN = 0.9  # times what the twin leaves, and that
+SURER = 2.0  # standard errors less in the blocks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +57,7 @@ class Judged:
         if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
             return True
         left = (1.0 - self.held.gain) / (1.0 - self.twin.gain)
-        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > self.effect.sure
+        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > SURER
 
 
 def judged(

@@ -17,9 +17,11 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.knee import with_best_knee
+from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.rivals import rivals_of, takes_the_place
 from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.view import View, with_knee, with_own_pasts, with_pasts, with_tracks
+from piezoid.diagnosis.view import View, with_knee, with_pasts, with_tracks
 
 MOST_CAUSES = 5
 MOST_REPAIRS = 3
@@ -61,8 +63,9 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     clean, faults = _repaired(view, progress)
     clean, accepted, silent = _grown(clean, progress)
     accepted = _pruned(clean, accepted, progress)
+    causes, rivals = _told_apart(clean, accepted, progress)
+    accepted = [cause.accepted for cause in causes]
     final = extended(clean, accepted)
-    causes = [_cause(clean, accepted, one) for one in accepted]
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
@@ -82,9 +85,27 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         final=final,
         faults=faults,
         causes=tuple(causes),
-        rivals={},
+        rivals=rivals,
         screened=silent,
     )
+
+
+def _told_apart(
+    clean: View, accepted: list[Accepted], progress: Progress
+) -> tuple[list[Judged], dict[str, tuple[str, ...]]]:
+    """Judge every accepted effect, or the rival that takes its place, and name who is as good."""
+    accepted, causes, near = list(accepted), [], {}
+    for k, one in enumerate(accepted):
+        progress(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        others = [other for n, other in enumerate(accepted) if n != k]
+        cause = _cause(clean, others, one)
+        rivals = rivals_of(cause, clean, others)
+        if rivals and takes_the_place(rivals[0], cause):
+            accepted[k] = rivals[0].accepted
+            cause, rivals = rivals[0], rivals_of(rivals[0], clean, others)
+        causes.append(cause)
+        near[cause.effect.name] = tuple(rival.effect.name for rival in rivals)
+    return causes, near
 
 
 def _structure(found: Screened, final: View) -> Judged:
@@ -218,9 +239,8 @@ def _pruned(clean: View, accepted: list[Accepted], progress: Progress) -> list[A
     return accepted
 
 
-def _cause(clean: View, accepted: Sequence[Accepted], one: Accepted) -> Judged:
+def _cause(clean: View, others: Sequence[Accepted], one: Accepted) -> Judged:
     """Judge an accepted effect once more, refined beside all others."""
-    others = [other for other in accepted if other is not one]
     better, view = refined(one, clean, others, finer=1)
     seen = screen(one.effect, extended(clean, others))
     assert seen is not None

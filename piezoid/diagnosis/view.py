@@ -10,28 +10,11 @@ from functools import cached_property
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import (
-    FRICTION,
-    SHARED,
-    THRESHOLD,
-    Envelope,
-    Knee,
-    friction_states,
-    knee_columns,
-    past,
-    pasts,
-    rubbed,
-    shape,
-)
+from piezoid.diagnosis.envelope import Envelope, Knee, Turns, pasts
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.play import play_columns
-
-FOR_ALL = 0.97  # of the error of all tracks: what such a past must leave
-CLEARLY = 0.7  # of the misfit of a cycled past: what another past must leave to be believed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,25 +104,7 @@ def cycled(view: View) -> View:
     return with_pasts(view, tuple(pasts(track.drive)[0] for track in view.tracks))
 
 
-def with_own_pasts(view: View) -> View:
-    """Return the view in which every track has the past that fits it best.
-
-    A past other than that of a cycled drive must be clearly better for its track, and better for
-    all tracks together once the envelope is refitted: what else is wrong must not pass for memory.
-    """
-    view = cycled(view)
-    for k in range(len(view.tracks)):
-        best = _best_past(view, k)
-        if best == view.envelope.turns[k]:
-            continue
-        turns = view.envelope.turns
-        other = with_pasts(view, (*turns[:k], best, *turns[k + 1 :]))
-        if other.rms < FOR_ALL * view.rms:
-            view = other
-    return view
-
-
-def with_pasts(view: View, turns: tuple[tuple[float, ...], ...]) -> View:
+def with_pasts(view: View, turns: tuple[Turns, ...]) -> View:
     """Return the view with other pasts of its tracks."""
     return replace(view, envelope=replace(view.envelope, turns=turns))
 
@@ -176,29 +141,3 @@ def _of(envelope: Envelope, stroke_m: float, voltage_V: float) -> View:
         stroke_m=stroke_m,
         voltage_V=voltage_V,
     )
-
-
-def _best_past(view: View, k: int) -> tuple[float, ...]:
-    track = view.tracks[k]
-    span = np.maximum.accumulate(track.drive) - np.minimum.accumulate(track.drive)
-    end = int(np.searchsorted(span, 0.98 * span[-1])) + 2
-    kept = np.unique(np.linspace(0, min(end, len(track.drive)) - 1, 600).astype(int))
-    drive = track.drive[: kept[-1] + 1]
-    options = pasts(track.drive)
-    began = rubbed(drive, options[0])
-    friction = friction_states(drive, began)[kept]
-    knee = view.envelope.knee
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(drive)))])[kept]
-    forgotten = np.exp(-way[:, None] / FRICTION)
-    misses = []
-    for turns in options:
-        states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
-        rubs = friction + (rubbed(drive, turns) - began) * forgotten
-        missed = shape(states[kept], rubs, drive[kept], view.weight[:SHARED])
-        if knee:
-            start = float(bouc_wen_states(np.array([*turns, float(drive[0])]), *knee)[-1])
-            bent = bouc_wen_states(drive, *knee, start)[kept]
-            missed = missed + knee_columns(bent, drive[kept]) @ view.weight[SHARED:]
-        misses.append(float(np.std(missed - track.response[kept])))
-    best = int(np.argmin(misses))
-    return options[best] if misses[best] < CLEARLY * min(misses[:2]) else options[0]

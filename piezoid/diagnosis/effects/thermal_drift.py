@@ -83,5 +83,6 @@ EFFECT = Effect(
     inject=inject,
     shows_at=4e-3,
     least=3e-4,
-    worth=0.06,  # slow errors of structure are smooth as well
+    sure=3.5,
+    worth=0.045,  # slow errors of structure are smooth as well
 )
