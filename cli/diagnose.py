@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from piezoid.diagnosis.change import Change
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.model import ActuatorModel
+    from piezoid.records.lab import Lab
     from piezoid.records.recording import Recording
 
     _Model = tuple[ActuatorModel, str]  # and the digest of its file
@@ -32,7 +33,7 @@ def diagnose(
         bool, typer.Option("--json", help="For scripts: print diagnosis.json itself.")
     ] = False,
 ) -> None:
-    """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json.
+    """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json and .html.
 
     With the model.json of an earlier fit in front, say as well what changed since then.
 
@@ -62,7 +63,8 @@ def diagnose(
         change = None if model is None else _changed(model, recordings, found.axis, told)
         since = None if change is None else change.to_json()
         content = write_diagnosis(found, since=since)
-        write_folder(out, {"diagnosis.json": content})
+        page = _page(found, recordings, declared)
+        write_folder(out, {"diagnosis.json": content, "diagnosis.html": page.encode()})
     if json:
         typer.echo(content, nl=False)
     elif not quiet:
@@ -83,6 +85,18 @@ def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
         raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
     content = files[0].read_bytes()
     return (read_model(content, str(files[0])), str(loads(content)["digest"])), files[1:]
+
+
+def _page(found: "Diagnosis", recordings: "Sequence[Recording]", lab: "Lab | None") -> str:
+    """Return diagnosis.html, without the pictures that need a model fitted to these recordings."""
+    from piezoid.identification.model import ActuatorModel
+    from piezoid_reports.render import render_diagnosis
+
+    stage = (lab.name if lab is not None else "") or recordings[0].name
+    sources = {recording.name: recording.digest for recording in recordings}
+    return render_diagnosis(
+        ActuatorModel(stage=stage, axes={}, sources=sources), recordings, found
+    )
 
 
 def _first(model: "_Model | None") -> str | None:

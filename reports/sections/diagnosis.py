@@ -1,11 +1,17 @@
 """What the simulation gets wrong: each cause seen, faked, sized, and what it means for control."""
 
+from statistics import median
+
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of
 from piezoid_reports.effect_words import CONTROL, words
 from piezoid_reports.page import Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
+
+NO_PICTURES = (
+    "Pictures of the causes need a model fitted to these recordings: piezoid fit draws them."
+)
 
 
 def render(page: Page) -> Section | None:
@@ -30,6 +36,8 @@ def diagnosis_parts(found: Diagnosis, page: Page) -> tuple[Part, ...]:
     parts: list[Part] = [Heading(text=f"Axis {found.axis}"), _summary(found)]
     if found.findings:
         parts.append(_gains(found))
+    if found.findings and not pictures:
+        parts.append(Prose(text=NO_PICTURES))
     for finding in found.findings:
         parts += _chapter(finding, pictures.get(finding.effect, ()))
     parts += _open_questions(found)
@@ -53,13 +61,13 @@ def last_sentence(found: Diagnosis) -> str:
     if not limits:
         return explained
     largest_m, effect = max(limits)
-    least_m, _ = min(limits)
+    middle_m = median(limit_m for limit_m, _ in limits)
     untested = len(found.not_detected) - len(limits)
     beyond = "" if not untested else f" {untested} more could not be tested with these recordings."
     return (
         f"{explained[:-1]}; nothing else that was tested is visible above "
-        f"{told(largest_m, 'm')} rms ({words(effect)} hides best; most would show from "
-        f"{told(least_m, 'm')}).{beyond}"
+        f"{told(largest_m, 'm')} rms ({words(effect)} hides best; half of it would show from "
+        f"{told(middle_m, 'm')}).{beyond}"
     )
 
 

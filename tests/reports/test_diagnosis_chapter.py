@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.identification.model import Lag
+from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
 from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of
@@ -142,6 +142,13 @@ def test_without_recordings_the_chapter_still_says_what_was_found() -> None:
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [], found))
     assert not page.all("figure")
     assert any("creep" in e.text for e in page.all("th"))
+
+
+def test_a_diagnosis_without_a_model_is_told_without_pictures() -> None:
+    bare = ActuatorModel(stage="stage", axes={}, sources={"sweep.csv": "sha256:" + "0" * 64})
+    page = Anatomy(render_diagnosis(bare, [recording()], _diagnosis(_finding("creep"))))
+    assert not page.all("figure")
+    assert any("piezoid fit draws them" in e.text for e in page.all("p"))
 
 
 def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
