@@ -11,6 +11,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.export.runtime_names import (
     Given,
+    creep_values,
     hysteresis_values,
     observer_values,
     reference_values,
@@ -69,6 +70,7 @@ def lateral_axis(
         **_limits(design),
         **_range(model, design),
         **hysteresis_values(model),
+        **creep_values(model, design.recommended.members[0].sampling_rate_Hz),
         **(further or {}),
     }
     _same_direction(model, design)

@@ -12,13 +12,16 @@ from piezoid.design.feedforward import ReferencePath, filter_sections
 from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.observer_loop import with_oscillators_as_states
 from piezoid.errors import ParameterFileError
+from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
+from piezoid.runtime.schema import MAX_RELAXATIONS
 
 Given = dict[str, ArrayLike | str]
 
 # |S(1)| up to this part of the sum of magnitudes is an integrator with rounded coefficients.
 _INTEGRATOR = 1e-9
+_FELT = 1e-6  # a smaller share of creep is none
 
 
 def hysteresis_values(model: AxisModel) -> Given:
@@ -44,6 +47,31 @@ def hysteresis_values(model: AxisModel) -> Given:
             f"{name}_weight": zones.weight,
         }
     return given
+
+
+def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:
+    """Return the model's creep under the runtime's names; nothing where it has none.
+
+    The ladder of the model and that of the runtime are one: y = m + sum of c_i x_i, where x_i goes
+    by 1 - exp(-T / tau_i) of what it is away from m. Of a ladder that is longer than the
+    runtime's, the largest shares stay.
+    """
+    rungs = [
+        (share, time_s)
+        for extension in model.extensions
+        if isinstance(extension, CreepLadder)
+        for time_s, share in zip(extension.time_s, extension.share, strict=True)
+        if share > _FELT
+    ]
+    if not rungs:
+        return {}
+    kept = sorted(sorted(rungs, reverse=True)[:MAX_RELAXATIONS], key=lambda rung: rung[1])
+    share, time_s = np.array(kept).T
+    return {
+        "relaxation_count": len(kept),
+        "relaxation_share": share,
+        "relaxation_rate": -np.expm1(-1.0 / (time_s * sampling_rate_Hz)),
+    }
 
 
 def observer_values(observer: DisturbanceObserver) -> Given:

@@ -55,7 +55,14 @@ class LoopPlant(ctypes.Structure):
         ("respond", RESPOND),
         *(
             (name, ctypes.c_double)
-            for name in ("w", "reading_lsb", "reading_least", "reading_most")
+            for name in (
+                "slew_step",
+                "driven",
+                "w",
+                "reading_lsb",
+                "reading_least",
+                "reading_most",
+            )
         ),
     )
 

@@ -65,10 +65,12 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
         disturbance += gain * rest_V
     elif isinstance(response, Hysteresis):
         begun.kind = _PLAYS
-        _fill_hysteresis(begun, response, kept)
+        _fill_hysteresis(begun, response, kept, plant.measured_gain)
     else:
         begun.kind, begun.respond = _PLUGGED, RESPOND(response.begin(rest_V))
         kept.arrays.append(begun.respond)
+    begun.slew_step = (plant.slew_V_per_s or 0.0) * gain / rate_Hz
+    begun.driven = gain * rest_V
     address = ctypes.addressof(begun)
     begun.w = loop_library().pl_response(address, gain * rest_V, disturbance)
     before.settle(rest_V)
@@ -76,7 +78,9 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     return begun
 
 
-def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept) -> None:
+def _fill_hysteresis(
+    begun: LoopPlant, response: Hysteresis, kept: Kept, gain_at_rest: float
+) -> None:
     operator = response.operator
     begun.plays = len(operator.plays.threshold)
     begun.threshold_V = kept.address(operator.plays.threshold)
@@ -87,7 +91,7 @@ def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept) -> None
     )
     begun.polarity = response.polarity
     begun.voltage_offset_V = operator.voltage_offset_V
-    begun.displacement_offset_m = operator.displacement_offset_m
+    begun.displacement_offset_m = operator.displacement_offset_m / gain_at_rest
 
 
 def _map(zones: DeadZones, kept: Kept) -> Map:
@@ -162,7 +166,7 @@ def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]
     if plant.measured is not None:
         A, B = plant.measured.A, plant.measured.B[:, 0]
         row, direct = plant.measured.C[0], float(plant.measured.D[0, 0])
-        rest = direct - float(row @ np.linalg.solve(A, B))
+        rest = (direct - float(row @ np.linalg.solve(A, B))) / plant.measured_gain
         return A, B, np.stack([row, row]) / rest, (direct / rest, direct / rest)
     A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
     C, D = np.zeros((2, len(A))), [0.0, 0.0]

@@ -72,6 +72,8 @@ class AxisPlant:
     measured          identified from drive to reading, in place of mechanics and sensor: position
                       is then what a sensor without noise shows. Only its shape counts, its gain
                       at rest is the response's; None: as the sections say
+    measured_gain     by how much more it moves at rest than the response: what crept
+    slew_V_per_s      fastest change of the amplifier's output; None: any
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
     reading_step      of the measuring converter, 0 rounds nothing
@@ -88,6 +90,8 @@ class AxisPlant:
     mechanics: tuple[Section, ...] = ()
     sensor: tuple[Section, ...] = ()
     measured: ContinuousSystem | None = None
+    measured_gain: float = 1.0
+    slew_V_per_s: float | None = None
     noise_rms: float = 0.0
     noise_bandwidth_Hz: float | None = None
     reading_step: float = 0.0

@@ -56,6 +56,8 @@ typedef struct {
     double displacement_offset_m;
     double current_A;     /* PL_EXPONENTIAL: at v - disturbance = 0 */
     pl_respond respond;   /* PL_PLUGGED */
+    double slew_step;     /* of the amplifier's output in a substep; 0: any */
+    double driven;        /* that output, as slow as it is */
     double w;             /* last response */
     double reading_lsb;   /* of the measuring converter; 0: no rounding */
     double reading_least; /* and its ends */
@@ -139,6 +141,15 @@ static double plays(pl_plant *plant, double voltage_V) {
     return plant->polarity * mapped(sum, &plant->zones) + plant->displacement_offset_m;
 }
 
+static double slewed(pl_plant *plant, double wanted) {
+    if (!(plant->slew_step > 0.0)) {
+        return wanted;
+    }
+    const double away = wanted - plant->driven;
+    plant->driven += fmax(-plant->slew_step, fmin(plant->slew_step, away));
+    return plant->driven;
+}
+
 double pl_response(pl_plant *plant, double drive, double disturbance) {
     if (plant->kind == PL_EXPONENTIAL) {
         /* e^60 times any current is far beyond every converter, and finite. */
@@ -177,7 +188,7 @@ void pl_loop(pl_plant *plant, const pl_run *run) {
         for (size_t j = 1; j <= plant->substeps; ++j) {
             const double part = (double)j / (double)plant->substeps;
             advance(&plant->before, u, u);
-            const double v = output(&plant->before, 0, u);
+            const double v = slewed(plant, output(&plant->before, 0, u));
             const double w = pl_response(plant, v, run->disturbance[k] + part * slope);
             advance(&plant->after, plant->w, w);
             plant->w = w;
