@@ -97,7 +97,8 @@ def _show(found: "Calibration", out: Path) -> None:
     if found.design is not None:
         show_design(found.design)
     if found.undesigned:
-        Console().print(Text(f"no controller: {found.undesigned}", style="dim"))
+        what = "no controller" if found.design is None else "not exported"
+        Console().print(Text(f"{what}: {found.undesigned}", style="dim"))
     if found.verification is not None:
         passed = sum(verdict.passed for verdict in found.verification.verdicts)
         line = f"verification: {passed} of {len(found.verification.verdicts)} verdicts passed"

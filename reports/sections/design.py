@@ -46,7 +46,8 @@ def render(page: Page) -> Section | None:
     for remark in () if page.design is None else page.design.remarks:
         parts.append(Prose(text=f"Not designed: {remark}", tone="middling"))
     if page.undesigned:
-        parts.append(Prose(text=f"Not designed: {page.undesigned}", tone="middling"))
+        what = "Not designed" if page.design is None else "Designed, but not exported"
+        parts.append(Prose(text=f"{what}: {page.undesigned}", tone="middling"))
     return Section(
         anchor="design",
         title="Controllers",

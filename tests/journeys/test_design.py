@@ -58,6 +58,8 @@ def test_a_fitted_stage_gets_both_forms_and_keeps_its_other_files(stage: Path) -
     page = (stage / "design.html").read_text()
     assert curve.title in page
     assert poles.title in page
+    unshipped = render(MODEL, [recording()], design=found, undesigned="ceiling_A is missing")
+    assert "Designed, but not exported: ceiling_A is missing" in unshipped
     for words in ('id="design"', "modulus margin", "the declared poles (4000 Hz, 8500 Hz)"):
         assert words in page
 
