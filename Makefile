@@ -13,8 +13,8 @@ C_FILES := $(wildcard piezoid/*/*.c piezoid/*/*.h)
 .PHONY: demo test check format benchmark clean
 
 demo: $(READY)
-	$(BIN)/piezoid fit datasets/x_sweep.csv datasets/x_check.csv datasets/x_rates.csv --lab datasets/lab.toml --out $(DEMO_OUT) --force
-	@echo 'Open $(DEMO_OUT)/report.html'
+	$(BIN)/piezoid fit datasets/*.csv datasets/*.dat --lab datasets/lab.toml --out $(DEMO_OUT) --force
+	@echo 'Open $(DEMO_OUT)/report.html, compile $(DEMO_OUT)/bundle/'
 
 test: $(READY)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -q

@@ -9,8 +9,17 @@ LAB = FOLDER / "lab.toml"
 
 
 def recordings() -> tuple[Path, ...]:
-    """Return the bundled recordings, in the order of the manifest."""
+    """Return the bundled recordings over time, in the order of the manifest: X, Y, then Z."""
+    return tuple(FOLDER / entry["file"] for entry in _manifest()["recording"])
+
+
+def stage_files() -> tuple[Path, ...]:
+    """Return every bundled file of the three-axis stage, as `make demo` fits them."""
+    spectroscopies = tuple(FOLDER / entry["file"] for entry in _manifest()["spectroscopy"])
+    return recordings() + spectroscopies
+
+
+def _manifest() -> dict[str, list[dict[str, str]]]:
     import tomllib
 
-    manifest = tomllib.loads(MANIFEST.read_text(encoding="utf-8"))
-    return tuple(FOLDER / entry["file"] for entry in manifest["recording"])
+    return tomllib.loads(MANIFEST.read_text(encoding="utf-8"))

@@ -2,33 +2,40 @@
 
     python -m piezoid_datasets.virtual_lab.bundled FOLDER
 
-One Preisach ceramic on one rig, creep of 0.3 % per decade, unknown turns before each record, and
-nothing else hidden: what a good stage looks like.
+A scanner of three axes: X and Y are Preisach ceramics of their own with creep of 0.3 % per decade
+and unknown turns before each record; Z holds a tunnelling tip over two spots. Nothing else is
+hidden: what a good stage looks like.
 """
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects import creep
+from piezoid_datasets.virtual_lab.junction import JunctionRecord
+from piezoid_datasets.virtual_lab.junction_campaign import draw_junction_campaign
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.stage import Run, Stage, record
 from piezoid_datasets.virtual_lab.table import csv_text
 from piezoid_datasets.virtual_lab.truths.preisach import draw_preisach
 
-SEED = 517
+SEED, SEED_Y, SEED_Z = 517, 518, 7
 RIG = Rig(name="piezoid bundled stage", stroke_m=33e-6, noise_rms_m=10e-9)
+RIG_Y = replace(RIG, stroke_m=30e-6)
+LOOP_s = 1.2
+SPOTS = 2
 CREEP_PER_DECADE = 0.003
 
 
-def stage() -> Stage:
-    """Return the bench of the bundled recordings."""
-    ceramic = draw_preisach(np.random.default_rng(SEED))
+def stage(rig: Rig = RIG, seed: int = SEED) -> Stage:
+    """Return the bench of one lateral axis; that of X without arguments."""
+    ceramic = draw_preisach(np.random.default_rng(seed))
     acts = creep.creep_of(CREEP_PER_DECADE, 0.0).acts
-    return Stage(rig=RIG, ceramic=ceramic, acts=acts, seed=SEED)
+    return Stage(rig=rig, ceramic=ceramic, acts=acts, seed=seed)
 
 
 def runs() -> tuple[Run, ...]:
@@ -58,11 +65,47 @@ def runs() -> tuple[Run, ...]:
     )
 
 
+def runs_y() -> tuple[Run, ...]:
+    """Return the plans of Y: a sweep to fit, and another kind of drive to check."""
+    rng = np.random.default_rng([SEED_Y, 1])
+    sweep = drives.decaying_sweep(500.0, 1.0, 12)
+    check = drives.random_levels(500.0, 0.4, 20, rng)
+    return (
+        _run("y_sweep", 500.0, sweep, history_V=(6.1, 2.2, 5.0, 0.0)),
+        _run("y_check", 500.0, check, history_V=(9.0, 0.0)),
+    )
+
+
 def rebuild() -> dict[str, bytes]:
     """Return the bundled files by name, made anew."""
-    bench = stage()
-    rows = [record(bench, run, order) for order, run in enumerate(runs())]
-    return {f"{r.run.name}.csv": csv_text(r).encode() for r in rows}
+    x, y = stage(), stage(RIG_Y, SEED_Y)
+    files = {
+        f"{run.name}.csv": csv_text(record(x, run, order)).encode()
+        for order, run in enumerate(runs())
+    }
+    files |= {
+        f"{run.name}.csv": csv_text(record(y, run, order), axis="y").encode()
+        for order, run in enumerate(runs_y())
+    }
+    return files | tip_files()
+
+
+def tip_files() -> dict[str, bytes]:
+    """Return the closed loops of Z and its spectroscopy; the loops' clock is the controller's."""
+    campaign = draw_junction_campaign(SEED_Z, seconds=LOOP_s)
+    loops = {
+        f"z_loop_{spot + 1}.csv": _loop_text(held).encode()
+        for spot, held in enumerate(campaign.records[:SPOTS])
+    }
+    return {**loops, "z_spectroscopy.dat": campaign.spectroscopy.text().encode()}
+
+
+def _loop_text(held: JunctionRecord) -> str:
+    """Return drive, current and dither of every tick, without the time of each."""
+    columns = (held.drive_V, 1e9 * held.current_A, held.reference_nepers)
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    lines = [f"{u:.7f},{i:.6f},{r:.6f}" for u, i, r in rows]
+    return "\n".join(("drive_z [V],current_z [nA],dither of ln set point", *lines)) + "\n"
 
 
 def main(folder: Path) -> None:

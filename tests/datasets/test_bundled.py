@@ -6,21 +6,24 @@ import tomllib
 import numpy as np
 import pytest
 
-from piezoid_datasets import FOLDER, MANIFEST, recordings
+from piezoid_datasets import FOLDER, MANIFEST, recordings, stage_files
 from piezoid_datasets.virtual_lab import bundled
 
-LARGEST_BYTES = 500_000
+LARGEST_BYTES, ALL_BYTES = 800_000, 3_000_000
 ENTRIES = tomllib.loads(MANIFEST.read_text(encoding="utf-8"))["recording"]
+LATERAL = [entry for entry in ENTRIES if "displacement" in entry["columns"]]
 
 
 def test_the_seed_makes_the_same_bytes_again() -> None:
     made = bundled.rebuild()
-    assert sorted(made) == sorted(path.name for path in recordings())
-    assert all(path.read_bytes() == made[path.name] for path in recordings())
+    assert sorted(made) == sorted(path.name for path in stage_files())
+    assert all(path.read_bytes() == made[path.name] for path in stage_files())
 
 
 def test_every_bundled_table_stands_in_the_manifest() -> None:
     assert {path.name for path in FOLDER.glob("*.csv")} == {path.name for path in recordings()}
+    assert {path.name for path in FOLDER.glob("*.dat")} == {stage_files()[-1].name}
+    assert sum(path.stat().st_size for path in stage_files()) < ALL_BYTES
 
 
 def test_the_manifest_names_the_seed_and_size_of_creep_that_were_used() -> None:
@@ -29,6 +32,8 @@ def test_the_manifest_names_the_seed_and_size_of_creep_that_were_used() -> None:
     assert manifest["effects"] == {"creep_per_decade": bundled.CREEP_PER_DECADE}
     assert manifest["noise_rms_m"] == bundled.RIG.noise_rms_m
     assert manifest["stroke_m"] == bundled.RIG.stroke_m
+    assert manifest["stroke_y_m"] == bundled.RIG_Y.stroke_m
+    assert (manifest["seed_y"], manifest["seed_z"]) == (bundled.SEED_Y, bundled.SEED_Z)
 
 
 @pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["file"])
@@ -43,7 +48,7 @@ def test_the_manifest_describes_the_file(entry: dict[str, object]) -> None:
     assert len(lines) == entry["rows"]
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: entry["file"])
+@pytest.mark.parametrize("entry", LATERAL, ids=lambda entry: entry["file"])
 def test_the_time_column_ticks_at_the_stated_rate(entry: dict[str, object]) -> None:
     table = np.loadtxt(FOLDER / str(entry["file"]), delimiter=",", skiprows=1)
     rate_Hz = entry["sampling_rate_Hz"]
