@@ -28,7 +28,7 @@ def main() -> None:
     from matplotlib import pyplot as plt
 
     lab = read_lab(piezoid_datasets.LAB)
-    recordings = ingest_all(piezoid_datasets.recordings(), lab)
+    recordings = ingest_all(piezoid_datasets.recordings()[:3], lab)
     rig = rig_of(lab, "x")
     scales = scales_of(recordings, "x")
     sweep, check, rates = pieces_of(recordings, "x", scales, rig)
