@@ -201,7 +201,7 @@ class Identified:
     """What export asks of a model: an operator and its direction."""
 
     def __init__(self, operator: ModifiedPrandtlIshlinskii) -> None:
-        self.hysteresis, self.polarity = operator, 1
+        self.hysteresis, self.polarity, self.extensions = operator, 1, ()
 
 
 def axis_of(name: str, seed: int) -> tuple[AxisParameters, AxisPlant]:
