@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import filter_columns, first_order, lag_of
@@ -13,6 +14,7 @@ from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.showing import shown
 
 SCHEMA = "piezoid.model/1"
 
@@ -190,6 +192,7 @@ class AxisModel:
     voltage_V    (low, high) range of the drive in the data: outside it the model extrapolates
     dynamics     from the hysteresis' output, as a drive, to the displacement, declared poles
                  included; None where no recording excites them
+    joint        what the fit of hysteresis and dynamics together says; None where there is none
     extensions   what a diagnosis added, in the order in which they act
     """
 
@@ -205,6 +208,7 @@ class AxisModel:
     uncertainty: Uncertainty
     certificate: Certificate
     dynamics: LinearDynamics | None = None
+    joint: JointFit | None = None
     extensions: tuple[Extension, ...] = ()
 
     @property
@@ -301,7 +305,23 @@ class ActuatorModel:
             )
         return self.axes[axis]
 
+    def _repr_html_(self) -> str:
+        return shown(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
+
     @property
     def applies(self) -> bool:
         """Whether the model class applies to every axis."""
         return all(axis.verdict.applies for axis in self.axes.values())
+
+
+def _shown(axis: AxisModel) -> tuple[str, str]:
+    """Return one axis as a notebook shows it."""
+    held, quality = axis.hysteresis, axis.quality
+    if not axis.verdict.applies:
+        return f"axis {axis.axis}", f"the model class does not apply: {axis.verdict.reason}"
+    return (
+        f"axis {axis.axis}",
+        f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
+        f"error {1e9 * quality.held_out_rms_m:.1f} nm rms, {quality.held_out_rms_percent:.3f} % "
+        f"of the range; noise {1e9 * quality.noise_rms_m:.1f} nm rms",
+    )

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.errors import ParameterFileError
+from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
@@ -89,6 +90,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         "lag": dataclasses.asdict(axis.lag),
         "rig": dataclasses.asdict(axis.rig),
         "dynamics": None if axis.dynamics is None else axis.dynamics.to_json(),
+        "joint": None if axis.joint is None else axis.joint.to_json(),
         "valid_range": {"voltage_V": list(axis.voltage_V)},
         "verdict": {
             "applies": axis.verdict.applies,
@@ -190,6 +192,7 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         uncertainty=_uncertainty_from_json(record["uncertainty"]),
         certificate=Certificate(**record["certificate"]),
         dynamics=_dynamics_from_json(record["dynamics"]),
+        joint=None if record["joint"] is None else JointFit.from_json(record["joint"]),
         # Files of before there were any have no such entry.
         extensions=tuple(extension_from_json(e) for e in record.get("extensions", ())),
     )

@@ -9,12 +9,13 @@ from piezoid.identification.dynamics.axis_dynamics import (
 )
 from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
+from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Axis, Canvas, axis_over
-from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
+from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import UNKNOWN, significant, told
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
@@ -36,6 +37,7 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = []
     for axis, dynamics in known:
         parts += [axis_heading(axis), *_figures(page, axis, dynamics), _poles(axis, dynamics)]
+        parts += [] if axis.joint is None else [*_joint(axis.joint)]
     return Section(
         anchor="dynamics",
         title="Linear dynamics",
@@ -179,6 +181,23 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
         caption=f"Axis {axis.axis}: poles, 95 % intervals for this structure.",
         columns=("what", "at", "from, to", "damping", "from, to"),
         rows=tuple(rows),
+    )
+
+
+def _joint(joint: JointFit) -> tuple[Part, ...]:
+    pieces = zip(joint.recordings, joint.apart_rms_m, joint.joint_rms_m, strict=True)
+    return (
+        Prose(
+            text="Poles and delay above are those of one fit of hysteresis and dynamics together, "
+            "with plays as small as the drive that excites the modes; their intervals hold what "
+            f"leaving those out changes. {joint.structure.text}",
+            tone="bad" if joint.structure.order == "behind" else "plain",
+        ),
+        Table(
+            caption="What is left of the displacement about its straight line, rms.",
+            columns=("recording", "fitted apart", "fitted together"),
+            rows=tuple((name, told(a, "m"), told(b, "m")) for name, a, b in pieces),
+        ),
     )
 
 

@@ -16,6 +16,8 @@ from piezoid.identification.dynamics.coherence_estimate import estimate_response
 from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.hammerstein import fit_jointly
+from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
 from piezoid.identification.model import AxisModel
@@ -30,6 +32,7 @@ WINDOWS = 5  # a segment is at most this part of the recording: nine half-overla
 FEWEST_LINES = 20
 MOST_LINES = 150
 MOST_COST = 4.0  # over its expected value: a fit that explains less says nothing
+SAME_MODE = 0.1  # by how much of itself a mode may move in the joint fit
 AS_GOOD = 1.25  # a structure whose cost is within this of the least counts as equal
 STRUCTURES = (
     Structure(modes=0, lags=1),
@@ -45,18 +48,20 @@ class DynamicsFound:
     """What the recordings of an axis say of its dynamics.
 
     dynamics  None where no recording excites them, or none could be fitted
+    joint     None where hysteresis and dynamics were not fitted together
     remarks   one sentence for every recording that was used, or was tried in vain
     """
 
     dynamics: LinearDynamics | None
     remarks: tuple[str, ...]
+    joint: JointFit | None = None
 
 
 def with_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
     """Return the axis with the dynamics its recordings show, and what is to be said of them."""
     found = fit_axis_dynamics(axis, recordings)
     verdict = replace(axis.verdict, remarks=(*axis.verdict.remarks, *found.remarks))
-    return replace(axis, dynamics=found.dynamics, verdict=verdict)
+    return replace(axis, dynamics=found.dynamics, joint=found.joint, verdict=verdict)
 
 
 def fit_axis_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> DynamicsFound:
@@ -83,8 +88,27 @@ def fit_axis_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> Dynam
             f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted "
             f"behind the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
         )
-        return DynamicsFound(dynamics=dynamics, remarks=(text,))
+        return _jointly(axis, dynamics, recording, recordings, text)
     return DynamicsFound(dynamics=None, remarks=())
+
+
+def _jointly(
+    axis: AxisModel,
+    dynamics: LinearDynamics,
+    exciting: Recording,
+    recordings: Sequence[Recording],
+    text: str,
+) -> DynamicsFound:
+    """Fit hysteresis and dynamics together; keep them apart where that finds something else."""
+    together = fit_jointly(axis, dynamics, exciting, recordings)
+    if together is None:
+        return DynamicsFound(dynamics=dynamics, remarks=(text,))
+    moved = np.abs(np.log(together.dynamics.mode_frequency_Hz / dynamics.mode_frequency_Hz))
+    if not (moved < SAME_MODE).all() or not np.isfinite(together.dynamics.shape_covariance).all():
+        apart = f"{text}; hysteresis and dynamics fitted together find other modes: kept apart"
+        return DynamicsFound(dynamics=dynamics, remarks=(apart,))
+    said = f"{text}, then jointly with it. {together.record.structure.text}"
+    return DynamicsFound(dynamics=together.dynamics, remarks=(said,), joint=together.record)
 
 
 def is_determined(dynamics: LinearDynamics) -> bool:
