@@ -5,7 +5,8 @@
 Every draw is a stage of the virtual laboratory: a ceramic (Preisach, Bouc-Wen or wall pinning;
 none is a sum of plays), one mode of 250 to 1200 Hz with a damping of 1 to 6 %, a delay of 20 to
 300 us, coloured noise. A lab records a sweep for the hysteresis and a chirp of a tenth of the
-range; the operator is fitted to the sweep, the dynamics behind it are found, and both are fitted jointly.
+range; the operator is fitted to the sweep, the dynamics behind it are found, and both are fitted
+jointly.
 A draw takes about a minute of processor.
 """
 
