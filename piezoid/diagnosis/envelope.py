@@ -35,7 +35,11 @@ ONCE, TWICE = 9, 5  # places of turns to try
 CHUNK = 65536
 FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
 
-THRESHOLD = np.concatenate([np.geomspace(0.01, 0.15, 7)[:-1], np.linspace(0.15, 0.97, PLAYS - 6)])
+FINE = 6  # plays below TURN_AT, by equal ratios; the others by equal steps
+TURN_AT = 0.15
+THRESHOLD = np.concatenate(
+    [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]
+)
 SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
 KNEE_COLUMNS = 5
 Knee = tuple[float, float, float]
@@ -150,11 +154,13 @@ class Envelope:
     tracks  what is followed
     turns   (tracks,)  values at which the drive turned before each track
     knee    beta, gamma and exponent of a Bouc-Wen state beside the others, or none
+    free    whether the first states of every track may be corrected
     """
 
     tracks: tuple[Track, ...]
     turns: tuple[Turns, ...]
     knee: Knee | None = None
+    free: bool = False
 
     @cached_property
     def edges(self) -> Places:
@@ -169,11 +175,13 @@ class Envelope:
     @property
     def own(self) -> int:
         """Return how many columns belong to one track."""
-        return 1 + FORGETTING
+        return 1 + (FORGETTING if self.free else 0)
 
     @property
     def memory_columns(self) -> tuple[int, ...]:
-        """Return the columns that correct the first states of each track."""
+        """Return the columns that correct the first states of each track, where these are free."""
+        if not self.free:
+            return ()
         firsts = [self.shared + self.own * k + 1 for k in range(len(self.tracks))]
         return tuple(first + g for first in firsts for g in range(FORGETTING))
 
@@ -207,6 +215,8 @@ class Envelope:
                 columns[rows, SHARED : self.shared] = knee_columns(state, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
+            if not self.free:
+                continue
             groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
             for g, group in enumerate(groups):
                 columns[rows, first + 1 + g] = tangents.memory[track.place][:, group].mean(axis=1)

@@ -12,7 +12,7 @@ from piezoid.diagnosis.view import View
 
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves, and that
-SURER = 2.0  # standard errors less in the blocks
+SURER = 2.5  # standard errors less in the blocks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

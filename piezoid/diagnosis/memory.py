@@ -2,13 +2,14 @@
 
 The envelope is fitted where that is forgotten: to rows before which the drive has covered its
 whole range since the track began. Pasts are then compared by how such an envelope follows a track
-from its first sample on. What else is wrong must not pass for memory: a past other than that of a drive
-cycled over its range must be clearly better for its track, and better for all tracks together once
-everything is refitted.
+from its first sample on, each by itself and one for all, as one person cycles every time alike.
+What else is wrong must not pass for memory: other pasts must be better for all tracks together
+once everything is refitted.
 
 Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,40 +27,42 @@ from piezoid.diagnosis.envelope import (
     shape,
 )
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.view import View, cycled, with_pasts
+from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: then all is forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
-FOR_ALL = 0.97  # of the error of all tracks: what such a past must leave
-CLEARLY = 0.7  # of the misfit of a cycled past: what another past must leave to be believed
+CLEARLY = 0.9  # of the misfit of a cycled past: what another past must leave to be believed
 POINTS = 500  # of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
 FARTHEST = 1.2
 
 
 def with_own_pasts(view: View) -> View:
-    """Return the view in which every track has the past that fits it best."""
+    """Return the view in which every track has the past that fits it best, corrections free."""
     view = cycled(view)
     weight = _forgetful_weight(view)
-    turns = tuple(_best_past(view, k, weight) for k in range(len(view.tracks)))
-    together = with_pasts(view, turns)
-    view = together if together.rms < FOR_ALL * view.rms else view
-    for k, best in enumerate(turns):
+    sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
+    own = tuple(_best_past(view.envelope.turns[k], [s]) for k, s in enumerate(sketches))
+    shared = (_best_past(view.envelope.turns[0], sketches),) * len(sketches)
+    view = with_free_memory(view)
+    view = min(view, with_pasts(view, own), with_pasts(view, shared), key=_error)
+    for k, best in enumerate(own):
         here = view.envelope.turns
-        if best != here[k]:
-            other = with_pasts(view, (*here[:k], best, *here[k + 1 :]))
-            view = other if other.rms < FOR_ALL * view.rms else view
+        view = min(view, with_pasts(view, (*here[:k], best, *here[k + 1 :])), key=_error)
     return view
+
+
+def _error(view: View) -> float:
+    return view.rms
 
 
 def _forgetful_weight(view: View) -> Array:
     """Return the shared coefficients from rows at which every past is forgotten."""
     kept = np.concatenate([_forgotten(t.drive)[t.place] for t in view.tracks])
-    memory = list(view.envelope.memory_columns)
-    columns = np.hstack([np.delete(view.envelope.columns, memory, axis=1), view.accepted])
+    columns = np.hstack([view.envelope.columns, view.accepted])
     if np.count_nonzero(kept) < FEWEST * columns.shape[1]:
         return view.weight
     null = Null(columns=columns[kept], response=view.response[kept], block=view.block[kept])
@@ -72,18 +75,18 @@ def _forgotten(drive: Array) -> Array:
     return np.asarray(span > COVERED * 2.0)
 
 
-def _best_past(view: View, k: int, weight: Array) -> Turns:
-    """Return the past that misfits a track least, refined turn by turn."""
-    sketch = _sketch(view, k, weight)
-    options = pasts(view.tracks[k].drive)
-    best = min(options, key=sketch.misfit)
-    if sketch.misfit(best) > CLEARLY * min(sketch.misfit(turns) for turns in options[:2]):
-        return options[0]
+def _best_past(first: Turns, sketches: Sequence["_Sketch"]) -> Turns:
+    """Return the past that misfits tracks least, refined turn by turn."""
+
+    def misfit(turns: Turns) -> float:
+        return sum(sketch.misfit(turns) ** 2 for sketch in sketches)
+
+    best = min(pasts(sketches[0].drive), key=misfit)
     for part in PARTS:
         for place in range(len(best)):
             near = [_turned(best, place, sign * part) for sign in (1.0, -1.0)]
-            best = min(best, *near, key=sketch.misfit)
-    return best
+            best = min(best, *near, key=misfit)
+    return best if misfit(best) < CLEARLY**2 * misfit(first) else first
 
 
 def _turned(turns: Turns, place: int, step: float) -> Turns:

@@ -21,16 +21,25 @@ from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.rivals import rivals_of, takes_the_place
 from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.view import View, with_knee, with_pasts, with_tracks
+from piezoid.diagnosis.view import (
+    View,
+    cycled,
+    with_free_memory,
+    with_knee,
+    with_pasts,
+    with_tracks,
+)
 
 MOST_CAUSES = 5
 MOST_REPAIRS = 3
 WORTH = 0.02  # of the rms: what removing a cause must lose
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
+BESIDE_CAUSES = 0.15  # of the error: what structure must take off where causes were found
+QUIET = 1.5  # times the sensor's noise: so little they may leave
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
-OTHER_PASTS = 0.98  # of the error: what other pasts of the tracks must leave
+OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave
 LEFT_OVER = 0.3  # of a rival's share
 NEAR = 1.6  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
@@ -74,8 +83,7 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         if found is None:
             continue
         structure = _structure(found, final)
-        # what another cause leaves over looks like structure: then nothing is said of structure
-        if structure.speaks and not accepted:
+        if structure.speaks and (not accepted or _stands_beside(structure, final)):
             causes.append(structure)
         else:
             silent[effect.name] = found
@@ -108,6 +116,11 @@ def _told_apart(
     return causes, near
 
 
+def _stands_beside(structure: Judged, final: View) -> bool:
+    """Tell whether structure shows beside causes: what they leave over looks like it as well."""
+    return structure.held.gain > BESIDE_CAUSES and final.rms < QUIET * final.noise
+
+
 def _structure(found: Screened, final: View) -> Judged:
     accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
     return Judged(
@@ -123,6 +136,9 @@ def _structure(found: Screened, final: View) -> Judged:
 
 def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:
     faults: dict[str, Fault] = {}
+    own = with_own_pasts(view)
+    # a wrong past looks like readings that are lost
+    view = own if own.rms < OTHER_PASTS * view.rms else view
     for effect in EFFECTS:
         if effect.fault is None:
             continue
@@ -135,7 +151,7 @@ def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    return view, faults
+    return cycled(view), faults
 
 
 Grown = tuple[View, list[Accepted], dict[str, Screened]]
@@ -157,7 +173,7 @@ def _grown(clean: View, progress: Progress) -> Grown:
         if bent.rms < min(KNEE * view.rms, least, own.rms):
             clean = with_knee(clean, bent.envelope.knee)
         elif own.rms < min(OTHER_PASTS * view.rms, least):
-            clean = with_pasts(clean, own.envelope.turns)
+            clean = with_free_memory(with_pasts(clean, own.envelope.turns))
         elif best is None:
             break
         else:

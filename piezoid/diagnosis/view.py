@@ -101,7 +101,13 @@ def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float) -> Vi
 
 def cycled(view: View) -> View:
     """Return the view as it is if every drive was cycled over its range before."""
-    return with_pasts(view, tuple(pasts(track.drive)[0] for track in view.tracks))
+    turns = tuple(pasts(track.drive)[0] for track in view.tracks)
+    return replace(view, envelope=replace(view.envelope, turns=turns, free=False))
+
+
+def with_free_memory(view: View) -> View:
+    """Return the view in which the first states of every track may be corrected."""
+    return replace(view, envelope=replace(view.envelope, free=True))
 
 
 def with_pasts(view: View, turns: tuple[Turns, ...]) -> View:

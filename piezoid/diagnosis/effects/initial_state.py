@@ -18,25 +18,23 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.signals import scaled_to, with_displacement
-from piezoid.diagnosis.view import View, cycled
+from piezoid.diagnosis.view import View, cycled, with_free_memory
 from piezoid.records.recording import Recording
 
 
 def _against(view: View) -> Null:
     """Return the envelope as it would be had every drive been cycled before."""
-    before = cycled(view)
-    columns = np.delete(before.null.columns, list(view.envelope.memory_columns), axis=1)
-    return Null(columns=columns, response=view.response, block=view.block)
+    return cycled(view).null
 
 
 def _trials(view: View) -> list[Trial]:
-    before = cycled(view)
+    before, free = cycled(view), with_free_memory(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
         known = before.envelope.static_rows(k, view.weight, drive)
         columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
-    memory = view.envelope.columns[:, list(view.envelope.memory_columns)]
+    memory = free.envelope.columns[:, list(free.envelope.memory_columns)]
     both = np.column_stack([*columns, memory])
     return [Trial(columns=both[:, np.abs(both).max(axis=0) > 0.0])]
 
@@ -60,5 +58,7 @@ EFFECT = Effect(
     rivals=("creep", "thermal_drift", "gain_change"),
     trials=_trials,
     against=_against,
+    sure=4.0,
+    worth=0.1,
     inject=inject,
 )

@@ -52,5 +52,6 @@ EFFECT = Effect(
     inject=inject,
     shows_at=8e-3,
     least=4e-4,
-    worth=0.18,  # no class of null is as wide as ceramics: a little of this is always there
+    sure=4.5,
+    worth=0.11,  # no class of null is as wide as ceramics: a little of this is always there
 )
