@@ -64,11 +64,13 @@ def _recorded(
     from piezoid_cli.stage_files import lab_of
 
     held = collect(files, lab_of(stage, lab))
-    for read in (*held.recordings, *held.sweeps):
-        if model.sources.get(read.name) != read.digest:
+    read = [(one.name, one.digest) for one in held.recordings]
+    read += [(one.name, one.digest) for one in held.sweeps]
+    for name, digest in read:
+        if model.sources.get(name) != digest:
             known = ", ".join(model.sources) or "none"
             raise RecordingError(
-                f"{read.name} is not one of the recordings of this model ({known})",
+                f"{name} is not one of the recordings of this model ({known})",
                 needed="the very files that were fitted, byte for byte",
                 remedy="Name those, or fit again with this one.",
             )

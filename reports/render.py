@@ -3,12 +3,13 @@
 import base64
 import hashlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib.resources import files as files_of
 from types import MappingProxyType
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -18,7 +19,7 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
-from piezoid_reports.page import Page, Section
+from piezoid_reports.page import Figure, Page, Section
 from piezoid_reports.plain_text import printable
 from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, OF_STAGE, SECTIONS, Render
 from piezoid_reports.traces import all_traces
@@ -32,6 +33,8 @@ UNDRAWN = (
     "This page was drawn without the recordings.",
     "Loops, residuals and the score need them; name the files of the fit to have them drawn.",
 )
+
+ALONE = "nav, header, h2, .skip, .screen, .zoom, .flicker, footer { display: none }"
 
 
 def render(
@@ -134,6 +137,21 @@ def html(title: str, sections: Sequence[Section], *, alarm: tuple[str, str] | No
             policy=policy_for(style, script),
         )
     )
+
+
+def figure_html(figures: Sequence[Figure]) -> str:
+    """Return figures alone, with the page's own look; without its script every curve is shown.
+
+    They stand in a frame of their own, so that neither style disturbs the other.
+    """
+    section = Section(anchor="figures", title="", lead="", parts=tuple(figures))
+    page = html("", [section])
+    # The frame runs no script; the policy would refuse the one rule that is added.
+    page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
+    page = page.replace("</style>", f"{ALONE}</style>")
+    height = sum(figure.height + 190 for figure in figures) + 60
+    style = f"width:100%;height:{height}px;border:0"
+    return f'<iframe sandbox style="{style}" srcdoc="{escape(page)}"></iframe>'
 
 
 def policy_for(style: str, script: str) -> str:

@@ -13,6 +13,7 @@ from piezoid.design.sensitivity import Margins, margins, sensitivities
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.provenance import seal, unseal
+from piezoid.showing import shown
 
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
@@ -166,6 +167,17 @@ class Design:
     axes: tuple[AxisDesign, ...]
     model_digest: str
     remarks: tuple[str, ...] = ()
+
+    def _repr_html_(self) -> str:
+        loops = [
+            (
+                f"axis {axis.axis}, {loop.method}",
+                f"{loop.bandwidth_Hz:.4g} Hz, modulus margin {loop.worst_modulus_margin:.3f}",
+            )
+            for axis in self.axes
+            for loop in axis.loops
+        ]
+        return shown("Design", (*loops, ("model", self.model_digest)))
 
     def to_json(self) -> bytes:
         """Return the sealed file ``design.json``."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
+from piezoid.showing import shown
 
 SCHEMA = "piezoid.diagnosis/1"
 
@@ -95,6 +96,20 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """Return the names of what was found, largest gain first."""
         return tuple(finding.effect for finding in self.findings)
+
+    def _repr_html_(self) -> str:
+        found = [
+            (finding.effect, f"gain {100 * finding.held_out_gain:.1f} %, p {finding.p_value:.2g}")
+            for finding in self.findings
+        ]
+        return shown(
+            f"Diagnosis of axis {self.axis}",
+            (
+                *(found or [("found", "nothing")]),
+                ("error before, after", f"{self.baseline.rms_m:.3g} m, {self.final.rms_m:.3g} m"),
+                ("explained", f"{100 * self.explained_fraction:.0f} %"),
+            ),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of diagnosis.json without schema and digest."""

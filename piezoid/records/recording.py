@@ -8,6 +8,7 @@ import numpy as np
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.showing import shown
 
 
 class Quantity(Enum):
@@ -113,6 +114,21 @@ class Recording:
         """The parts between breaks: inside each, memory carries from sample to sample."""
         edges = (0, *self.breaks, self.samples)
         return tuple(slice(a, b) for a, b in itertools.pairwise(edges))
+
+    def _repr_html_(self) -> str:
+        channels = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
+        return shown(
+            f"Recording {self.name}",
+            (
+                ("channels", channels),
+                ("samples", str(self.samples)),
+                ("rate", f"{self.sampling_rate_Hz:.9g} Hz"),
+                ("duration", f"{self.duration_s:.6g} s"),
+                ("breaks", str(len(self.breaks))),
+                ("problems", "; ".join(problem.text for problem in self.problems) or "none"),
+                ("digest", self.digest),
+            ),
+        )
 
     def find(self, quantity: Quantity, axis: str) -> Channel | None:
         """Return the channel of this quantity and axis, or None."""

@@ -6,6 +6,7 @@ from typing import Any
 
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
+from piezoid.showing import shown
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
 from piezoid.verification.trace import SpiralTrace
@@ -86,6 +87,18 @@ class Verification:
     def passed(self) -> bool:
         """Whether every verdict passed, and every build that was made gave the same bits."""
         return all(v.passed for v in self.verdicts) and all(p.passed for p in self.proofs)
+
+    def _repr_html_(self) -> str:
+        good = sum(verdict.passed for verdict in self.verdicts)
+        return shown(
+            f"Verification of {self.name}: {'passed' if self.passed else 'failed'}",
+            (
+                ("verdicts passed", f"{good} of {len(self.verdicts)}"),
+                *((f"axis {axis}", method) for axis, method in self.methods.items()),
+                ("parameters", self.parameters_digest),
+                ("runtime", self.runtime_digest),
+            ),
+        )
 
     def to_json(self) -> bytes:
         """Return ``verification.json``, sealed."""

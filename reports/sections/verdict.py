@@ -14,6 +14,8 @@ def render(page: Page) -> Section:
     if not page.axes:
         return _of_junction(page)
     tones = [judgement_of(axis, score_of(axis, page.traces[axis.axis]))[0] for axis in page.axes]
+    if page.verification is not None and not page.verification.passed:
+        tones.append("bad")
     worst = "bad" if "bad" in tones else "middling" if "middling" in tones else "good"
     return Section(
         anchor="verdict",
@@ -49,7 +51,24 @@ def sentences(page: Page) -> tuple[str, str, str]:
     """Return three sentences: does the class apply, how well, what next."""
     good = [axis for axis in page.axes if axis.verdict.applies]
     wrong = [axis for axis in page.axes if not axis.verdict.applies]
-    return _applies(good, wrong), _how_well(good, wrong), _what_next([*wrong, *good])
+    applies = _applies(good, wrong).removesuffix(".") + _ships(page)
+    return applies, _how_well(good, wrong), _what_next([*wrong, *good])
+
+
+def _ships(page: Page) -> str:
+    """End the first sentence with what became of the controller, where it was run."""
+    found = page.verification
+    if found is None:
+        return "."
+    failed = [verdict for verdict in found.verdicts if not verdict.passed]
+    if not failed and found.passed:
+        return f", and the controller that ships passed all {len(found.verdicts)} verdicts."
+    if not failed:
+        return ", but a rebuild of the controller that ships did not give the same bits."
+    return (
+        f", but the controller that ships failed {len(failed)} of {len(found.verdicts)} verdicts, "
+        f"{failed[0].name} ({failed[0].scenario}) first."
+    )
 
 
 def _applies(good: list[AxisModel], wrong: list[AxisModel]) -> str:

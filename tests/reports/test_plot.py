@@ -1,0 +1,44 @@
+"""Notebooks: records show themselves, and a figure of the report stands alone."""
+
+from dataclasses import replace
+from html import unescape
+
+import pytest
+
+from piezoid.provenance import digest_of_bytes
+from piezoid.showing import shown
+from piezoid_reports.plot import plot
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+
+
+def test_a_recording_and_a_model_show_themselves_with_their_numbers() -> None:
+    table = Anatomy(recording()._repr_html_())
+    assert "500 Hz" in table.all("table")[0].text
+    assert digest_of_bytes(b"")[:7] in table.all("table")[0].text
+    assert "held-out error 30.0 nm rms" in stage_model(axis_model())._repr_html_()
+    refused = stage_model(axis_model(reason="it turns back"))
+    assert "does not apply: it turns back" in refused._repr_html_()
+
+
+def test_no_name_in_a_shown_record_is_markup() -> None:
+    held = replace(recording(), name="<script>alert(1)</script>.csv")
+    assert "<script" not in held._repr_html_()
+    assert "<b>" not in shown("<b>", [("<b>", "<b>")])
+
+
+@pytest.mark.parametrize("kind", ["loops", "residual"])
+def test_a_plot_holds_the_figures_and_runs_nothing(kind: str) -> None:
+    drawn = plot(stage_model(axis_model()), recording(), kind=kind)._repr_html_()
+    (frame,) = Anatomy(drawn).all("iframe")
+    assert frame.attributes["sandbox"] == ""
+    inside = Anatomy(frame.attributes["srcdoc"])
+    assert len(inside.all("figure")) == 2
+    assert "Content-Security-Policy" not in unescape(drawn)
+
+
+def test_a_plot_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="kind is 'bode'"):
+        plot(stage_model(axis_model()), recording(), kind="bode")
+    with pytest.raises(ValueError, match="none of these"):
+        plot(stage_model(axis_model()), recording("another.csv"))
