@@ -32,6 +32,7 @@ class Trial:
     parameters  nonlinear ones, by name with unit
     real        False: an unphysical twin, to calibrate by
     within      range of the first coefficient that physics allows
+    least       size below which the first coefficient is none
     free        parameters worth refining: by which factor (above 1) or step (below) to try
     limits      ranges of these; one that ends at its limit was not found
     """
@@ -40,6 +41,7 @@ class Trial:
     parameters: Parameters = field(default_factory=dict)
     real: bool = True
     within: tuple[float, float] = (-float("inf"), float("inf"))
+    least: float = 0.0
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -1,10 +1,10 @@
 """Judgement: an effect with everything refitted around it, against the same without it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
-from piezoid.diagnosis.effect import Effect, Trial
+from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Held, compared, surely
 from piezoid.diagnosis.screening import Screened, null_of, screened
@@ -91,7 +91,7 @@ def judged(
 def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
     assert one.effect.columns is not None
     columns = one.effect.columns(view, one.parameters)
-    trial = Trial(columns=columns, parameters=one.parameters, within=seen.trial.within)
+    trial = replace(seen.trial, columns=columns, parameters=one.parameters)
     found = screened(one.effect, null_of(one.effect, without), [trial])
     return Judged(
         accepted=one,
@@ -101,4 +101,18 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
         sound=found.sound and one.inside,
         without=without,
         view=view,
+    )
+
+
+def structure_of(found: Screened, final: View) -> Judged:
+    """Return what a test of the envelope's own structure comes to, with all causes at work."""
+    accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
+    return Judged(
+        accepted=accepted,
+        held=found.held,
+        twin=found.twin,
+        share=found.share,
+        sound=found.sound,
+        without=final,
+        view=final,
     )

@@ -89,7 +89,7 @@ def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
     if effect.drive is not None or effect.passes is not None:
         # such a tangent errs by factors, but not in its sign; the share is one after the refit
         low, high = LEAST_SHARE, float("inf")
-    return bool(low <= held.coefficient[0] <= high)
+    return bool(low <= held.coefficient[0] <= high and abs(held.coefficient[0]) >= trial.least)
 
 
 def _shares(held: Held, across: Array) -> tuple[float, float]:

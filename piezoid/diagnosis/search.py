@@ -15,7 +15,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.judgement import Judged, judged, structure_of
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
@@ -82,7 +82,7 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         found = screen(effect, final)
         if found is None:
             continue
-        structure = _structure(found, final)
+        structure = structure_of(found, final)
         if structure.speaks and (not accepted or _stands_beside(structure, final)):
             causes.append(structure)
         else:
@@ -119,19 +119,6 @@ def _told_apart(
 def _stands_beside(structure: Judged, final: View) -> bool:
     """Tell whether structure shows beside causes: what they leave over looks like it as well."""
     return structure.held.gain > BESIDE_CAUSES and final.rms < QUIET * final.noise
-
-
-def _structure(found: Screened, final: View) -> Judged:
-    accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
-    return Judged(
-        accepted=accepted,
-        held=found.held,
-        twin=found.twin,
-        share=found.share,
-        sound=found.sound,
-        without=final,
-        view=final,
-    )
 
 
 def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:

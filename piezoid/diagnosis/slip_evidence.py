@@ -147,5 +147,5 @@ def _chance(delay: Array, weight: Array) -> float:
     w = weight[orders]
     moved = np.cumsum(w * (delay[orders] - np.average(delay, weights=weight)), axis=1)[:, :-1]
     share = np.cumsum(w, axis=1)[:, :-1] / weight.sum()
-    clear = np.max(moved**2 / (share * (1.0 - share)), axis=1)
+    clear = np.max(moved**2 / np.maximum(share * (1.0 - share), 1e-12), axis=1)
     return float(np.mean(clear >= clear[0] * (1.0 - 1e-12)))

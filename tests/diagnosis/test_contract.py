@@ -9,6 +9,8 @@ import pytest
 import piezoid.diagnosis.effects as folder
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.judgement import judged, structure_of
+from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 
 from .bench import healthy, healthy_view, view_of_recordings
@@ -22,7 +24,12 @@ def speaks(effect: Effect, view) -> bool:
     if effect.fault is not None:
         return effect.fault(view) is not None
     found = screen(effect, view)
-    return found is not None and found.speaks
+    if found is None:
+        return False
+    if effect.against is not None:
+        return structure_of(found, view).speaks
+    one, there = refined(begun(effect, found.trial, float(found.held.coefficient[0])), view, [])
+    return judged(one, view, [], seen=found, view=there).speaks
 
 
 def test_every_file_of_the_folder_is_registered_under_its_own_name():

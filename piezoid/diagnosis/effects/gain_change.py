@@ -22,6 +22,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 PLACES = np.linspace(0.07, 0.93, 13)
+LEAST_CHANGE = 0.003  # of the gain: a step of the zero alone is something else
 NARROW = 0.2  # of the track: how long a passing change lasts
 
 
@@ -64,6 +65,7 @@ def _trial(view: View, k: int, place: float, kind: str) -> Trial:
         parameters={"track": float(k), "place": place},
         real=kind == "step",
         within=(-0.3, 0.3),
+        least=LEAST_CHANGE,
         free={"place": 0.02},
     )
 
