@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.verification.criteria import Verdict
+from piezoid.verification.verification import Verification
 from piezoid_reports.render import render
 from piezoid_reports.score import line_rms_m, score_of
 from piezoid_reports.traces import rms, traces_of
@@ -110,3 +112,33 @@ def test_each_weakness_is_named_with_what_to_do(change: dict[str, object], said:
 
 def test_a_zero_that_wanders_is_a_weakness_with_its_size() -> None:
     assert any("moves by 200\u202fnm" in weakness.why for weakness in weaknesses_of(axis_model()))
+
+
+def test_the_controller_that_ships_stands_in_the_first_sentence() -> None:
+    passed = verification(value=0.2)
+    failed = verification(value=0.9)
+    model, recordings = stage_model(axis_model()), [recording()]
+    good = _verdict(render(model, recordings, verification=passed))
+    assert ", and the controller that ships passed all 1 verdicts. On data" in good
+    page = render(model, recordings, verification=failed)
+    assert "but the controller that ships failed 1 of 1 verdicts, tracking (spiral) first." in (
+        _verdict(page)
+    )
+    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose bad"
+
+
+def verification(*, value: float) -> Verification:
+    return Verification(
+        name="bench",
+        methods={"x": "mpi"},
+        radius_m=1e-6,
+        comparison=(),
+        spirals=(),
+        currents=(),
+        traces=(),
+        verdicts=(Verdict(name="tracking", scenario="spiral", value=value, limit=0.5, unit="m"),),
+        proofs=(),
+        plants=(),
+        parameters_digest="sha256:" + "0" * 64,
+        runtime_digest="sha256:" + "0" * 64,
+    )
