@@ -17,7 +17,7 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.signals import rate_of, relaxed, with_displacement
+from piezoid.diagnosis.signals import relaxed, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import activated
@@ -30,6 +30,7 @@ STRAINS = (1e-3, 1e9)  # a lag that is as good as linear has no strain
 LONGEST = (2e-6, 0.3)
 TOO_LITTLE = 1e-5  # of half the stroke: a lag nobody sees
 FEWEST = 8  # reversals
+SPEED = 50.0  # strokes per second at which the injected lag is the share that is asked for
 TURN = 0.03  # of the drive's range: how far a branch is still reversible
 
 
@@ -88,14 +89,15 @@ def _trials(view: View) -> list[Trial]:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let what does not follow the drive in proportion come late."""
+    """Let what is not in proportion to the drive lag: by the share at SPEED strokes a second.
+
+    One time constant for all recordings of a stage: slow ones do not show it.
+    """
     moved_m, drive_V = recording.displacement_m(), recording.voltage_V()
     slope = 0.6 * float(np.polyfit(drive_V, moved_m, 1)[0])
     walls_m = moved_m - slope * drive_V
-    speed = rate_of(walls_m, recording.sampling_rate_Hz)
-    behind_m = -np.arcsinh(speed / max(float(np.std(speed)), 1e-30))
-    scale = share * float(np.ptp(moved_m)) / max(float(np.std(behind_m)), 1e-30)
-    return with_displacement(recording, moved_m + scale * behind_m)
+    behind_m = relaxed(walls_m, share / SPEED, recording.sampling_rate_Hz) - walls_m
+    return with_displacement(recording, moved_m + behind_m)
 
 
 EFFECT = Effect(

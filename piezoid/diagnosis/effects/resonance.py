@@ -25,6 +25,7 @@ ALLOWED = (0.01, 1.6)
 QUALITIES = (4.0, 12.0, 40.0)
 DAMPED = (2.5, 300.0)  # below it is a lag, above it nobody can tell
 LOWEST_Hz = 15.0
+INJECTED_Hz = 300.0
 PER_OCTAVE = 5
 LEAST_RATE_Hz = 200.0
 
@@ -66,11 +67,10 @@ def _size(_: View, parameters: Parameters, __: Array) -> float:
 
 
 def inject(recording: Recording, share: float) -> Recording:
-    """Let a mode of a tenth of the sampling rate ring."""
+    """Let a part of the motion ring, fifty times the share: so much of it a chirp shows."""
     moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
-    rung_m = mode(moved_m, 0.1 * rate_Hz, 15.0, rate_Hz) - moved_m
-    part = min(share * float(np.ptp(moved_m)) / max(float(np.std(rung_m)), 1e-30), 1.0)
-    return with_displacement(recording, moved_m + part * rung_m)
+    rung_m = mode(moved_m, min(INJECTED_Hz, 0.2 * rate_Hz), 15.0, rate_Hz) - moved_m
+    return with_displacement(recording, moved_m + min(50.0 * share, 1.0) * rung_m)
 
 
 EFFECT = Effect(
