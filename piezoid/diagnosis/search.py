@@ -41,7 +41,7 @@ NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for st
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave
 LEFT_OVER = 0.3  # of a rival's share
-NEAR = 1.6  # times the least error left: how far a first refit may lie behind to be refined
+NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
 
 
