@@ -33,6 +33,8 @@ class Trial:
     real        False: an unphysical twin, to calibrate by
     within      range of the first coefficient that physics allows
     least       size below which the first coefficient is none
+    apart       part of the first column, by length, that the null must leave over: a lag at one
+                frequency is a width of the loop
     free        parameters worth refining: by which factor (above 1) or step (below) to try
     limits      ranges of these; one that ends at its limit was not found
     """
@@ -42,6 +44,7 @@ class Trial:
     real: bool = True
     within: tuple[float, float] = (-float("inf"), float("inf"))
     least: float = 0.0
+    apart: float = 0.0
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -69,7 +69,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
     ]
     twins = [held for t, held, _ in judged if not t.real]
     real = [(t, held, c) for t, held, c in judged if t.real]
-    allowed = [row for row in real if _sound(effect, row[0], row[1])]
+    allowed = [row for row in real if _sound(effect, row[0], row[1]) and _apart(row[0], row[2])]
     trial, held, columns = max(allowed or real, key=lambda row: row[1].gain)
     share, bound = _shares(held, columns)
     return Screened(
@@ -90,6 +90,11 @@ def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
         # such a tangent errs by factors, but not in its sign; the share is one after the refit
         low, high = LEAST_SHARE, float("inf")
     return bool(low <= held.coefficient[0] <= high and abs(held.coefficient[0]) >= trial.least)
+
+
+def _apart(trial: Trial, across: Array) -> bool:
+    whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
+    return bool(np.linalg.norm(across[:, 0]) >= trial.apart * np.linalg.norm(whole))
 
 
 def _shares(held: Held, across: Array) -> tuple[float, float]:

@@ -1,7 +1,7 @@
 """Tracks: recordings in scaled units, with the rows that are compared and the blocks they form."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,8 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
+JUMP = 0.05  # of half the range in one sample
+BEFORE, BEHIND = 2, 200  # rows about a jump
 
 Places = NDArray[np.int_]
 
@@ -30,6 +32,7 @@ class Track:
     others    scaled drives of other axes that move, by axis
     place     (rows,)     samples that are compared
     block     (rows,)     block of each of these, from 0
+    bridged   (count,)    samples that were never measured: they are not among ``place``
     """
 
     name: str
@@ -41,6 +44,7 @@ class Track:
     others: Mapping[str, Array]
     place: Places
     block: Places
+    bridged: Places = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "command", frozen(self.command, "command"))
@@ -50,6 +54,11 @@ class Track:
     def read(self, command: Array) -> Array:
         """Return a command behind the sensor's pole."""
         return behind_pole(command, self.sensor_Hz, self.rate_Hz)
+
+    @property
+    def measured(self) -> Array:
+        """Return the response without what was bridged."""
+        return np.delete(self.response, self.bridged) if len(self.bridged) else self.response
 
     @property
     def time_s(self) -> Array:
@@ -83,7 +92,9 @@ def tracks_of(
         recording = recordings[piece.recording]
         first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
         starts[piece.recording] = first + len(piece.drive)
-        place = rows_between(len(piece.drive), share)
+        bridged = np.array(recording.bridged, dtype=int) - first
+        bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
+        place = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
         command = piece.drive
         if clock_Hz is not None:
             command = later(command, 0.5 * piece.sampling_rate_Hz / clock_Hz)
@@ -99,6 +110,7 @@ def tracks_of(
                 others=_others(recording, axis, first, len(piece.drive)),
                 place=place,
                 block=place * BLOCKS // len(piece.drive),
+                bridged=bridged,
             )
         )
     return tuple(tracks)
@@ -108,6 +120,17 @@ def later(signal: Array, samples: float) -> Array:
     """Return a signal that many samples later, straight between samples."""
     place = np.arange(len(signal), dtype=np.float64)
     return np.asarray(np.interp(place - samples, place, signal))
+
+
+def rows_of(drive: Array, share: int) -> Places:
+    """Return the rows that are compared: spread over the track, and all of them behind jumps.
+
+    What a jump excites is over before rows that are spread meet it twice.
+    """
+    jumps = np.flatnonzero(np.abs(np.diff(drive)) > JUMP)
+    behind = (jumps[:, None] + np.arange(-BEFORE, BEHIND)).ravel()
+    behind = np.unique(behind[(behind >= 0) & (behind < len(drive))])[: share // 2]
+    return np.union1d(rows_between(len(drive), share - len(behind)), behind)
 
 
 def rows_between(samples: int, share: int) -> Places:

@@ -23,6 +23,7 @@ from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
+APART = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 12
 
@@ -47,6 +48,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {name: value}),
             parameters={name: value},
             within=ALLOWED,
+            apart=APART,
             free={name: 1.5},
         )
         for name, value in ways

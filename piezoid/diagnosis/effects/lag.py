@@ -23,6 +23,7 @@ from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
+APART = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 14
 
@@ -43,6 +44,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
             within=ALLOWED,
+            apart=APART,
             free={"time_s": 1.5},
         )
         for t in times_s

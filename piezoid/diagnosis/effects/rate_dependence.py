@@ -23,6 +23,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
+APART = 0.03
 ALLOWED = (0.03, 5.0)
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 WIDEST = 1.0  # strain from which the lag is as good as linear
@@ -80,6 +81,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {"time_s": time_s, "strain": strain}),
             parameters={"time_s": time_s, "strain": strain},
             within=ALLOWED,
+            apart=APART,
             free={"time_s": 1.8, "strain": 2.0},
             limits={"time_s": LONGEST, "strain": STRAINS},
         )
