@@ -9,6 +9,7 @@ import numpy as np
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Problem
+from piezoid.records.time_faults import TimeFaults
 
 # A stamp this far (in sampling intervals) off its place is jitter worth telling.
 JITTER_LIMIT = 0.01
@@ -17,6 +18,8 @@ UNIFORM_LIMIT = 0.35
 # Steps are averaged over this many samples before the interval is taken: stamps printed with few
 # digits repeat and jump, their averages do not.
 _WINDOW = 64
+# Over fewer samples where lost ones are so many that fewer averages than this agree.
+_AGREEING = 0.6
 # Beyond this many units a double rounds too coarsely to tell a printed digit from noise.
 _COUNTABLE = 1e12
 _RARE = 0.01
@@ -28,14 +31,16 @@ class Clock:
 
     sampling_rate_Hz  of the samples between gaps
     jitter_rms_s      of the stamps about uniform ones, faults left out; 0 within their print
-    breaks            first sample after each gap or step backwards
+    breaks            first sample after each longer gap or step backwards
+    bridged           first sample after each gap of one sample
     problems          ``jitter``, ``gap``, ``duplicate_time``, ``time_reversed``
     """
 
     sampling_rate_Hz: float
     jitter_rms_s: float
-    breaks: tuple[int, ...]
-    problems: tuple[Problem, ...]
+    breaks: tuple[int, ...] = ()
+    bridged: tuple[int, ...] = ()
+    problems: tuple[Problem, ...] = ()
 
 
 def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
@@ -61,8 +66,6 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
         return Clock(
             sampling_rate_Hz=plain_rate_Hz(1 / uniform_s, uncertain),
             jitter_rms_s=0.0,
-            breaks=(),
-            problems=(),
         )
     return _faulty_clock(time_s, resolution_s, name, place)
 
@@ -136,34 +139,33 @@ def _faulty_clock(
             "samples at a uniform rate",
         )
     excess_s = max(0.5 * interval_s, 6 * spread_s) + _rounding_s(interval_s, resolution_s)
-    stands = np.flatnonzero(np.abs(steps) <= 1e-9 * interval_s) + 1
-    back = np.flatnonzero(steps < -excess_s) + 1
-    gaps = _gaps(time_s, interval_s, excess_s)
-    if resolution_s > 0.5 * interval_s:
-        stands = stands[:0]  # printed too coarsely to tell: equal stamps are their rounding
-    breaks = tuple(sorted({*gaps.tolist(), *back.tolist()}))
+    faults = TimeFaults.of(time_s, interval_s, excess_s, resolution_s)
     jitter_s = _jitter_s(steps, interval_s, excess_s)
-    problems = (
-        *_told("gap", gaps, time_s, place, lambda k: f"{time_s[k] - time_s[k - 1]:.6g} s"),
-        *_told("duplicate_time", stands, time_s, place, lambda _: "the stamp before repeated"),
-        *_told("time_reversed", back, time_s, place, lambda k: f"{steps[k - 1]:.6g} s"),
-        *_jitter_problem(jitter_s, interval_s, resolution_s),
-    )
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
         jitter_rms_s=jitter_s,
-        breaks=breaks,
-        problems=problems,
+        breaks=faults.breaks,
+        bridged=faults.bridged,
+        problems=(
+            *faults.problems(time_s, place),
+            *_jitter_problem(jitter_s, interval_s, resolution_s),
+        ),
     )
 
 
 def _interval_s(time_s: Array) -> float:
-    """The interval between samples: the median step, refined over stretches without faults."""
+    """The interval between samples: the median step, refined over stretches without faults.
+
+    Where most stretches have lost a sample, shorter ones are taken: their median is right again.
+    """
     width = min(_WINDOW, len(time_s) - 1)
-    rough = float(np.median(time_s[width:] - time_s[:-width])) / width
-    spans = time_s[width:] - time_s[:-width]
-    whole = np.abs(spans - rough * width) < 0.5 * rough
-    return float(np.mean(spans[whole])) / width if whole.any() else rough
+    while True:
+        spans = time_s[width:] - time_s[:-width]
+        rough = float(np.median(spans)) / width
+        whole = np.abs(spans - rough * width) < 0.5 * rough
+        if width == 1 or whole.mean() > _AGREEING:
+            return float(np.mean(spans[whole])) / width if whole.any() else rough
+        width //= 2
 
 
 def _rounding_s(interval_s: float, resolution_s: float) -> float:
@@ -171,30 +173,6 @@ def _rounding_s(interval_s: float, resolution_s: float) -> float:
     if resolution_s == 0:
         return 0.0
     return math.ceil(interval_s / resolution_s - 1e-6) * resolution_s - interval_s
-
-
-def _gaps(time_s: Array, interval_s: float, excess_s: float) -> np.ndarray:
-    """First samples after missing time: a late stamp, or a clock catching up, is no gap.
-
-    The time lost must stay lost over the samples around the step, so the step is compared between
-    stretches of stamps, not between two stamps.
-    """
-    steps = np.diff(time_s)
-    candidates = np.flatnonzero(steps > interval_s + excess_s) + 1
-    kept = []
-    for k in candidates.tolist():
-        before = _first_equal(time_s, k - 1)
-        after = min(k + 1, len(time_s) - 1)
-        expected_s = (after - before) * interval_s
-        if time_s[after] - time_s[before] > expected_s + excess_s:
-            kept.append(k)
-    return np.array(kept, dtype=int)
-
-
-def _first_equal(time_s: Array, k: int) -> int:
-    while k > 0 and time_s[k - 1] == time_s[k]:
-        k -= 1
-    return k
 
 
 def _jitter_s(steps: Array, interval_s: float, excess_s: float) -> float:
@@ -217,29 +195,6 @@ def _jitter_problem(
         f"{100 * jitter_s / interval_s:.2g} % of the sampling interval"
     )
     return (Problem(kind="jitter", place="the time column", text=text),)
-
-
-_SENTENCES = {
-    "gap": "time is missing between samples",
-    "duplicate_time": "the clock stands still",
-    "time_reversed": "the clock goes backwards",
-}
-
-
-def _told(
-    kind: str,
-    rows: np.ndarray,
-    time_s: Array,
-    place: Callable[[int], str],
-    size: Callable[[int], str],
-) -> tuple[Problem, ...]:
-    """Return one problem for all places of a kind: the count, and the first three."""
-    if not len(rows):
-        return ()
-    first = [f"{place(k)}, t = {time_s[k]:.6g} s ({size(k)})" for k in rows[:3].tolist()]
-    more = f" and {len(rows) - 3} more" if len(rows) > 3 else ""
-    text = f"{_SENTENCES[kind]} at {len(rows)} places: {'; '.join(first)}{more}"
-    return (Problem(kind=kind, place=place(int(rows[0])), text=text),)
 
 
 def _no_clock(name: str, found: str, needed: str) -> RecordingError:

@@ -16,6 +16,7 @@ from piezoid.records.own_axis import incomplete, own_axis, several_axes
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Problem, Recording
 from piezoid.records.refusal import lab_block
+from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
 
 Rows = NDArray[np.intp]
@@ -64,9 +65,10 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     assignment = assign(table, lab, entry)
     kept, row_problems = _kept_rows(table, assignment)
     clock = _clock(table, lab, entry, assignment, kept)
-    breaks = {*clock.breaks, *_skips(kept), *_segments(table, kept)}
-    part = _part(entry, clock, len(kept))
-    rows = kept[part]
+    rows = SampleRows.of(
+        kept, {*clock.breaks, *_skips(kept), *_segments(table, kept)}, clock.bridged
+    )
+    rows = rows.cut(_part(entry, clock, len(rows.place)))
     channels = tuple(_channel(assigned, rows) for assigned in assignment.channels)
     return Recording(
         name=table.name,
@@ -74,7 +76,8 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         axis=own_axis(entry, channels, lab.place),
         sampling_rate_Hz=clock.sampling_rate_Hz,
         channels=channels,
-        breaks=tuple(sorted(b - part.start for b in breaks if part.start < b < part.stop)),
+        breaks=rows.breaks,
+        bridged=rows.bridged,
         problems=(
             *table.problems,
             *assignment.problems,
@@ -130,7 +133,7 @@ def _segments(table: RawTable, kept: Rows) -> list[int]:
 def _clock(
     table: RawTable, lab: Lab, entry: RecordingEntry, assignment: Assignment, kept: Rows
 ) -> Clock:
-    """Return the clock, its breaks counted in kept rows.
+    """Return the clock, its breaks and single losses counted in kept rows.
 
     It is read from every row with a stamp, so that a row left out for another column's sake is no
     gap in time besides.
@@ -146,8 +149,17 @@ def _clock(
     )
     if declared_Hz is not None:
         _check_rate(table, lab, declared_Hz, clock.sampling_rate_Hz)
-    at = np.searchsorted(kept, stamped[list(clock.breaks)])
-    return replace(clock, breaks=tuple(sorted({int(k) for k in at if 0 < k < len(kept)})))
+    return replace(
+        clock,
+        breaks=_counted(stamped[list(clock.breaks)], kept),
+        bridged=_counted(stamped[list(clock.bridged)], kept),
+    )
+
+
+def _counted(rows: Rows, kept: Rows) -> tuple[int, ...]:
+    """Return the numbers of the first kept rows from some rows on."""
+    at = np.searchsorted(kept, rows)
+    return tuple(sorted({int(k) for k in at if 0 < k < len(kept)}))
 
 
 def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock:
@@ -163,7 +175,7 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
             f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
         )
-    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0, breaks=(), problems=())
+    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
 
 
 def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, found_Hz: float) -> None:
@@ -191,12 +203,12 @@ def _part(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
     return slice(start, stop)
 
 
-def _channel(assigned: Assigned, rows: Rows) -> Channel:
+def _channel(assigned: Assigned, rows: SampleRows) -> Channel:
     assert assigned.quantity is not None
     column = assigned.column
     return Channel(
         quantity=assigned.quantity,
         axis=assigned.axis,
-        values=assigned.values[rows],
+        values=rows.values(assigned.values),
         label=column.label or f"column {column.number}",
     )

@@ -48,14 +48,16 @@ class Channel:
 class Problem:
     """Something wrong with a file that does not stop it from being read.
 
-    kind   a short name: ``gap``, ``duplicate_time``, ``jitter``, ``dead``, ``saturated``, ...
-    place  where: a column, a line, a time
-    text   one sentence with the number and its unit
+    kind     a short name: ``gap``, ``duplicate_time``, ``jitter``, ``dead``, ``saturated``, ...
+    place    where: a column, a line, a time
+    text     one sentence with the number and its unit
+    samples  of a clock's fault: how many are missing, have a stamp again, or were stepped back
     """
 
     kind: str
     place: str
     text: str
+    samples: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,6 +71,8 @@ class Recording:
     channels          at least one; all of the same length; one per quantity and axis
     breaks            (count,)  first sample after each gap in time, increasing; memory of what
                       happened inside a gap is lost there
+    bridged           (count,)  samples that were lost one at a time: halfway between neighbours,
+                      and no measurement
     problems          what was odd about the file, in the order of its columns
 
     A recording holds no NaN: rows that had one were cut at the ends or are behind a break.
@@ -80,6 +84,7 @@ class Recording:
     sampling_rate_Hz: float
     channels: tuple[Channel, ...]
     breaks: tuple[int, ...] = ()
+    bridged: tuple[int, ...] = ()
     problems: tuple[Problem, ...] = ()
 
     def __post_init__(self) -> None:
@@ -93,6 +98,8 @@ class Recording:
             raise ValueError(f"{self.name}: two channels of the same quantity and axis")
         if any(not 0 < b < self.samples for b in self.breaks):
             raise ValueError(f"{self.name}: breaks {self.breaks} outside the recording")
+        if any(not 0 <= b < self.samples for b in self.bridged):
+            raise ValueError(f"{self.name}: bridged {self.bridged} outside the recording")
 
     @property
     def samples(self) -> int:

@@ -47,19 +47,38 @@ def test_jitter_is_found_with_its_size(share: float, rng: np.random.Generator) -
     assert clock.sampling_rate_Hz == pytest.approx(RATE_Hz, rel=1e-4)
 
 
-@pytest.mark.parametrize("lost", [[700], [100, 101, 700], list(range(2000, 2600))])
-def test_lost_samples_are_gaps_at_their_place(lost: list[int]) -> None:
-    clock = clock_of(np.delete(TIME_s, lost))
-    assert kinds(clock) == {"gap"}
+def test_samples_lost_one_at_a_time_are_bridged_and_longer_gaps_are_breaks() -> None:
+    clock = clock_of(np.delete(TIME_s, [100, 101, 700, *range(2000, 2600)]))
     assert clock.sampling_rate_Hz == RATE_Hz
-    first = clock.breaks[0]
-    assert first == lost[0]
-    assert clock.problems[0].place == f"row {first + 1}"
+    assert clock.breaks == (100, 1997)
+    assert clock.bridged == (698,)
+    (problem,) = clock.problems
+    assert (problem.kind, problem.place, problem.samples) == ("gap", "row 101", 603)
+    assert "1 of single samples, bridged" in problem.text
+
+
+def test_two_losses_around_one_sample_are_two() -> None:
+    clock = clock_of(np.delete(TIME_s, [700, 702]))
+    assert clock.bridged == (700, 701)
+    assert clock.problems[0].samples == 2
+
+
+@pytest.mark.parametrize("share", [0.004, 0.015, 0.06])
+@pytest.mark.parametrize("digits", [15, 4, 3])
+def test_many_lost_samples_change_no_rate_and_are_all_told(
+    share: float, digits: int, rng: np.random.Generator
+) -> None:
+    time_s = np.round(np.arange(20000) / 1000, digits)
+    lost = 1 + np.flatnonzero(rng.random(19998) < share)
+    clock = clock_of(np.delete(time_s, lost))
+    assert clock.sampling_rate_Hz == 1000.0
+    assert clock.problems[0].samples == len(lost)
+    assert len(clock.bridged) > 0.8 * len(lost)
 
 
 def test_a_lost_sample_is_found_in_stamps_of_few_digits() -> None:
     time_s = np.round(np.delete(np.arange(2000) / 1000, 900), 3)
-    assert clock_of(time_s).breaks == (900,)
+    assert clock_of(time_s).bridged == (900,)
 
 
 def test_a_clock_slightly_slower_than_its_print_lost_nothing() -> None:
@@ -86,6 +105,13 @@ def test_a_clock_that_stands_and_catches_up_lost_no_time() -> None:
     clock = clock_of(time_s)
     assert "duplicate_time" in kinds(clock)
     assert not clock.breaks
+
+
+def test_a_clock_that_stands_is_found_in_stamps_of_few_digits() -> None:
+    time_s = np.round(np.arange(2000) / 1000, 3)
+    time_s[900:905] = time_s[900]
+    (problem,) = clock_of(time_s).problems
+    assert (problem.kind, problem.place, problem.samples) == ("duplicate_time", "row 902", 4)
 
 
 def test_a_clock_that_goes_backwards_is_a_break() -> None:

@@ -172,6 +172,32 @@ def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
     assert [(p.kind, p.place) for p in recording.problems] == [("gap", "line 202")]
 
 
+def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", *columns)
+    recording = ingest(path)
+    assert recording.samples == SAMPLES - 10
+    assert recording.breaks == (100,)
+    assert recording.bridged == (190, 290)
+    between = (VOLTAGE_V[199] + VOLTAGE_V[201]) / 2
+    assert recording.voltage_V()[190] == pytest.approx(between, rel=1e-8)
+    whole = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    measured = np.delete(np.arange(SAMPLES - 10), [190, 290])
+    np.testing.assert_allclose(recording.voltage_V()[measured], VOLTAGE_V[whole], rtol=1e-8)
+    part = ingest(path, lab_with(start_s=0.15, stop_s=0.2))
+    assert (part.breaks, part.bridged) == ((), (40,))
+
+
+def test_a_row_without_a_number_beside_a_lost_one_is_no_bridge(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), 200)
+    holed = RESPONSE.copy()
+    holed[201] = np.nan
+    columns = (TIME_s[kept], VOLTAGE_V[kept], holed[kept])
+    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    assert (recording.breaks, recording.bridged) == ((200,), ())
+
+
 def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
     time_s = np.arange(4000) / RATE_Hz
     drive = 50 + 40 * np.sin(2 * np.pi * time_s)

@@ -48,31 +48,38 @@ def _fault(view: View) -> Fault | None:
 
 
 def _of_reading(view: View) -> Fault | None:
-    steps = np.array([_step(track.response) for track in view.tracks])
+    steps = np.array([_step(track.measured) for track in view.tracks])
     samples = np.array([len(track.response) for track in view.tracks])
-    if not np.any(steps > 0.0):
+    coarse = steps > 0.0
+    # a range may be chosen for each recording, and its step with it
+    if samples[coarse].sum() < MOST_SAMPLES * samples.sum():
         return None
-    step = float(np.median(steps[steps > 0.0]))
+    step = float(steps[int(np.argmax(np.where(coarse, samples, 0)))])
     shared = np.abs(steps - step) < ALIKE * step
-    if samples[shared].sum() < MOST_SAMPLES * samples.sum():
-        return None
     chance = sum(
-        _evidence(t.response, step) for t, s in zip(view.tracks, shared, strict=True) if s
+        _evidence(track.measured, own)
+        for track, own in zip(view.tracks, steps.tolist(), strict=True)
+        if own
     )
-    step_m = view.stroke_m * step
+    others = np.abs(steps[coarse & ~shared] - step)
     return Fault(
         tracks=view.tracks,
-        value=1e9 * step_m,
-        spread=1e7 * step_m,
+        value=1e9 * view.stroke_m * step,
+        spread=1e9 * view.stroke_m * max(0.01 * step, *others),
         p_value=float(np.exp(-min(chance, 700.0))),
     )
 
 
 def _step(response: Array) -> float:
     """Return the step of a reading's lattice, 0 where it is too fine to be seen."""
+    step = _lattice(response)
+    return step if step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
+
+
+def _lattice(response: Array) -> float:
+    """Return the step of a reading's lattice, 0 where it never rests on one."""
     step = step_size(np.round(response, 9))
-    rests = float(np.mean(np.diff(response) == 0)) > 0.0
-    return step if rests and step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
+    return step if np.any(np.diff(response) == 0) else 0.0
 
 
 def _evidence(response: Array, step: float) -> float:
