@@ -64,7 +64,8 @@ def diagnose(
         since = None if change is None else change.to_json()
         content = write_diagnosis(found, since=since)
         page = _page(found, recordings, declared)
-        write_folder(out, {"diagnosis.json": content, "diagnosis.html": page.encode()})
+        pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
+        write_folder(out, pages, force=force)
     if json:
         typer.echo(content, nl=False)
     elif not quiet:

@@ -32,8 +32,8 @@ def export(
     content = (stage / "design.json").read_bytes()
     design = design_from_json(content, str(stage / "design.json"))
     model_content = (stage / "model.json").read_bytes()
-    same_model(model_content, design.model_digest, "design.json", "piezoid design")
     model = read_model(model_content, str(stage / "model.json"))
+    same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]
     file = export_stage(model, design, design_digest=digest, lab=lab_of(stage, lab))
     contents = {f"bundle/{name}": text for name, text in bundle(file).files.items()}

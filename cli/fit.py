@@ -45,7 +45,7 @@ def fit(
     check_free(out, force=force)
     with shown(quiet=quiet or json) as told:
         found = calibrate(files, lab, told)
-        write_folder(out, found.files)
+        write_folder(out, found.files, force=force)
     if json:
         from json import dumps
 

@@ -1,24 +1,28 @@
 """A folder of results appears whole or not at all, whatever happens while it is written."""
 
 import ctypes
+import errno
 import os
 import shutil
 import signal
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import typer
 
 _AT_FDCWD = -100
 _RENAME_EXCHANGE = 2
+# Only what ends like this is ever taken for the remains of a run that was killed.
+_UNFINISHED = ".unfinished"
 
 
 def check_free(folder: Path, *, force: bool) -> None:
-    """Refuse a folder that holds something, before any work is done.
+    """Refuse a folder that holds something or cannot be written, before any work is done.
 
-    Raises ``typer.BadParameter`` (exit status 2) unless the folder is absent, empty, or ``force``.
+    Raises ``typer.BadParameter`` (exit status 2) unless the folder is absent, empty, or ``force``,
+    and ``PermissionError`` where nothing can be put beside it.
     """
     if folder.exists() and not folder.is_dir():
         raise typer.BadParameter(f"{folder} is a file; name a folder for the results")
@@ -26,6 +30,11 @@ def check_free(folder: Path, *, force: bool) -> None:
         raise typer.BadParameter(
             f"{folder} is not empty; name another folder, or add --force to replace its contents"
         )
+    if folder.is_mount():  # nothing can be put in its place in one step
+        raise typer.BadParameter(f"{folder} is a disk of its own; name a folder below it")
+    place = next(above for above in folder.resolve().parents if above.exists())
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
 
 
 def check_free_file(place: Path, *, force: bool) -> None:
@@ -43,29 +52,42 @@ def check_free_file(place: Path, *, force: bool) -> None:
 
 def write_file(place: Path, content: bytes) -> None:
     """Write one file whole or not at all."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    number, name = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
-    fresh = Path(name)
-    try:
-        with open(number, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        fresh.chmod(0o644)
-        fresh.replace(place)
-    finally:
-        fresh.unlink(missing_ok=True)
+    with _named(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        number, name = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
+        fresh = Path(name)
+        try:
+            with open(number, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            fresh.chmod(0o644)
+            fresh.replace(place)
+        finally:
+            fresh.unlink(missing_ok=True)
 
 
-def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = True) -> None:
     """Write all files beside the folder, then put the finished one in its place in one step.
 
-    folder    what is to be written; a folder already there is replaced
+    folder    what is to be written
     contents  file names, with / for sub-folders, and their bytes
+    force     replace what the folder holds; without it, raises ``typer.BadParameter`` where
+              another run has filled the folder since ``check_free``
     """
     target = folder.resolve()
-    target.parent.mkdir(parents=True, exist_ok=True)
-    fresh = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    with _named(folder):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _alone_in(target.parent):
+            check_free(target, force=force)
+            _write(target, contents)
+
+
+def _write(target: Path, contents: Mapping[str, bytes]) -> None:
+    _clear_away(target)
+    fresh = Path(
+        tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
+    )
     try:
         for name, content in contents.items():
             place = fresh / name
@@ -80,6 +102,44 @@ def write_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
             shutil.rmtree(fresh, ignore_errors=True)
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _clear_away(target: Path) -> None:
+    """Remove what killed runs left beside the folder; only while nobody else writes there."""
+    start = f".{target.name}."
+    for place in target.parent.iterdir():
+        if place.name.startswith(start) and place.name.endswith(_UNFINISHED):
+            shutil.rmtree(place, ignore_errors=True)
+
+
+@contextmanager
+def _named(place: Path) -> Iterator[None]:
+    """Let a failing disk name what was to be written, not a file nobody has heard of."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(place)) from error
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Let nobody else put results into this folder meanwhile; a killed run lets go by itself.
+
+    Some network disks know no locks, and one system has none: there, two runs at the same moment
+    still leave one whole folder, that of the later one.
+    """
+    try:
+        import fcntl
+    except ModuleNotFoundError:
+        yield
+        return
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(number, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(number)
 
 
 @contextmanager
@@ -100,12 +160,14 @@ def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 
     contents  as for ``write_folder``; every other file stays as it is
     """
-    held = {
-        place.relative_to(folder).as_posix(): place.read_bytes()
-        for place in sorted(folder.rglob("*"))
-        if place.is_file()
-    }
-    write_folder(folder, {**held, **contents})
+    target = folder.resolve()
+    with _named(folder), _alone_in(target.parent):
+        held = {
+            place.relative_to(target).as_posix(): place.read_bytes()
+            for place in sorted(target.rglob("*"))
+            if place.is_file()
+        }
+        _write(target, {**held, **contents})
 
 
 def _put(fresh: Path, target: Path) -> None:

@@ -85,7 +85,7 @@ def plan(
         if out is None:
             add_to_folder(stage, written)
         else:
-            write_folder(out, written)
+            write_folder(out, written, force=force)
     if json:
         typer.echo(written["plan.json"], nl=False)
     elif not quiet:

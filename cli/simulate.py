@@ -60,7 +60,7 @@ def simulate(
     if junction is not None:
         if effect or truth or recording or careless:
             raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
-        _write_junction(seed, junction, out, quiet=quiet)
+        _write_junction(seed, junction, out, force=force, quiet=quiet)
         return
     sizes = dict(_sized(text) for text in effect or ())
     with shown(quiet=quiet) as told:
@@ -71,12 +71,12 @@ def simulate(
             )
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error
-        write_folder(out, campaign_files(campaign))
+        write_folder(out, campaign_files(campaign), force=force)
     if not quiet:
         _show(campaign, out)
 
 
-def _write_junction(seed: int, seconds: float, out: Path, *, quiet: bool) -> None:
+def _write_junction(seed: int, seconds: float, out: Path, *, force: bool, quiet: bool) -> None:
     from piezoid_cli.output_folder import write_folder
     from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.junction_campaign import (
@@ -91,7 +91,7 @@ def _write_junction(seed: int, seconds: float, out: Path, *, quiet: bool) -> Non
         except ValueError as error:
             raise typer.BadParameter(str(error)) from error
         files = junction_files(campaign)
-        write_folder(out, files)
+        write_folder(out, files, force=force)
     if not quiet:
         for name in files:
             typer.echo(str(out / name))

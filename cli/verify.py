@@ -58,8 +58,8 @@ def verify(
 
     file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
     content = (stage / "model.json").read_bytes()
-    same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     model = read_model(content, str(stage / "model.json"))
+    same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)
     chosen = None if limits is None else limits_from_toml(limits.read_text("utf-8"), limits.name)
     with shown(quiet=quiet or json) as told:

@@ -62,7 +62,15 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
             needed="the file must be byte for byte what piezoid wrote",
             remedy="Take the original, or write it again from the recordings.",
         )
-    return _of_schema(json.loads(content), schema, place)
+    try:
+        record = json.loads(content)
+    except (ValueError, RecursionError) as error:  # sealed all the same: not by piezoid
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__}: {error}",
+            needed="JSON text in UTF-8",
+            remedy="Write the file again from the recordings.",
+        ) from error
+    return _of_schema(record, schema, place)
 
 
 def _of_schema(record: Any, schema: str, place: str) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A folder of results is whole or not there; what was there before is never half gone."""
 
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -10,7 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from piezoid_cli.output_folder import check_free, write_folder
+from piezoid_cli.output_folder import add_to_folder, check_free, write_file, write_folder
 
 NEW = {"model.json": b"new", "bundle/a.h": b"header"}
 
@@ -96,3 +97,66 @@ def test_a_folder_that_holds_something_is_refused_without_force(tmp_path: Path) 
     check_free(tmp_path / "new", force=False)
     with pytest.raises(typer.BadParameter, match="is a file"):
         check_free(tmp_path / "mine.txt", force=True)
+    with pytest.raises(typer.BadParameter, match="a disk of its own"):
+        check_free(Path("/"), force=True)
+
+
+def test_a_folder_another_run_has_filled_meanwhile_is_left_to_it(tmp_path: Path) -> None:
+    check_free(tmp_path / "stage", force=False)
+    write_folder(tmp_path / "stage", {"model.json": b"theirs"}, force=False)
+    with pytest.raises(typer.BadParameter, match="not empty"):
+        write_folder(tmp_path / "stage", NEW, force=False)
+    assert held(tmp_path / "stage") == {"model.json": b"theirs"}
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_what_killed_runs_left_is_cleared_away_and_nothing_else(tmp_path: Path) -> None:
+    for name in (".stage.x7_1.unfinished", ".stage.backup", ".other.x7_1.unfinished"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "half.json").write_bytes(b"{")
+    write_folder(tmp_path / "stage", NEW)
+    assert sorted(os.listdir(tmp_path)) == [".other.x7_1.unfinished", ".stage.backup", "stage"]
+
+
+def test_runs_that_add_at_the_same_time_lose_nothing_of_each_other(tmp_path: Path) -> None:
+    write_folder(tmp_path / "stage", NEW)
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from piezoid_cli.output_folder import add_to_folder\n"
+        "for n in range(8):\n"
+        "    add_to_folder(Path(sys.argv[1]), {f'{sys.argv[2]}{n}': b'here'})\n"
+    )
+    runs = [
+        subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "stage"), name])
+        for name in "ab"
+    ]
+    assert [run.wait() for run in runs] == [0, 0]
+    assert len(held(tmp_path / "stage")) == len(NEW) + 2 * 8
+
+
+def test_a_full_disk_is_told_with_the_name_of_the_folder(tmp_path: Path) -> None:
+    place = tmp_path / "stage"
+    write_folder(place, {"model.json": b"old"})
+    small = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, small[1]))
+    try:
+        for write in (write_folder, add_to_folder):
+            with pytest.raises(OSError, match="large") as told:
+                write(place, {"model.json": bytes(2000)})
+            assert told.value.filename == str(place)
+        with pytest.raises(OSError, match=r"lab\.toml"):
+            write_file(tmp_path / "lab.toml", bytes(2000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, small)
+    assert held(place) == {"model.json": b"old"}
+    assert os.listdir(tmp_path) == ["stage"]
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Whoever runs the tests may be allowed everything, so the answer of the system is given here.
+    monkeypatch.setattr(os, "access", lambda place, _: place != tmp_path)
+    with pytest.raises(PermissionError) as told:
+        check_free(tmp_path / "deep" / "stage", force=False)
+    assert told.value.filename == str(tmp_path)
