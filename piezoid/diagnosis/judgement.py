@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
+from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Held, compared, surely
@@ -84,7 +85,7 @@ def judged(
         held=compared(without.null, view.null),
         twin=seen.twin,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        sound=one.inside,
+        sound=one.inside and (one.effect.passes is None or is_alike(one, view)),
         without=without,
         view=view,
     )

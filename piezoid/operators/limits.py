@@ -40,7 +40,7 @@ def crept(signal: Array, part: float, threshold: float) -> Array:
 def activated(irreversible: Array, time_s: float, sampling_rate_Hz: float, strain: float) -> Array:
     """Return an irreversible response that climbs its barriers by thermal activation.
 
-        dx/dt = (2 s / tau) sinh((h - x) / (2 s)),   exact for steps of h    [Eyring 1936]
+        dx/dt = (s / tau) sinh((h - x) / s),   exact for steps of h    [Eyring 1936]
 
     h    irreversible  (samples,)  any unit; what would be reached without haste
     tau  time_s        scalar      s, time constant of small lags

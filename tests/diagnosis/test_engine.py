@@ -1,0 +1,119 @@
+"""The engine of the diagnosis: what decides is the effect refitted, not its tangent."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.consistency import is_alike
+from piezoid.diagnosis.effects import delay, lag
+from piezoid.diagnosis.envelope import FRICTION, PLAYS, SHARED, shape, shape_columns
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.folds import Null, surely
+from piezoid.diagnosis.knee import with_best_knee
+from piezoid.diagnosis.memory import with_own_pasts
+from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.signals import delayed, with_displacement
+from piezoid.diagnosis.view import View, cycled
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import healthy, recorded, view_of_recordings
+
+LATE_s = 3e-4
+
+
+@cache
+def late_view() -> View:
+    recordings, lab = healthy()
+    late = [
+        with_displacement(r, delayed(r.displacement_m(), LATE_s, r.sampling_rate_Hz))
+        for r in recordings
+    ]
+    return view_of_recordings(tuple(late), lab)
+
+
+def test_the_response_without_columns_is_the_response_with_them():
+    chance = np.random.default_rng(1)
+    states, rubs = chance.normal(size=(50, PLAYS)), chance.normal(size=(50, len(FRICTION)))
+    drive, weight = chance.normal(size=50), chance.normal(size=SHARED)
+    expected = shape_columns(states, rubs, drive) @ weight
+    np.testing.assert_allclose(shape(states, rubs, drive, weight), expected, rtol=1e-10, atol=1e-9)
+
+
+def test_a_delay_is_found_though_its_tangent_was_at_another_time():
+    seen = screen(delay.EFFECT, late_view())
+    one, view = refined(
+        begun(delay.EFFECT, seen.trial, float(seen.held.coefficient[0])), late_view(), []
+    )
+    assert seen.trial.parameters["delay_s"] != pytest.approx(LATE_s, rel=0.1)
+    assert one.parameters["delay_s"] == pytest.approx(LATE_s, rel=0.02)
+    assert view.rms < 0.5 * late_view().rms
+
+
+def test_a_delay_leaves_less_than_a_lag_where_the_reading_was_late():
+    errors = {}
+    for effect, name in ((delay.EFFECT, "delay_s"), (lag.EFFECT, "time_s")):
+        start = Accepted(effect=effect, parameters={name: LATE_s}, free={name: 1.5})
+        _, view = refined(start, late_view(), [], finer=2)
+        errors[name] = view
+    assert errors["delay_s"].rms < 0.8 * errors["time_s"].rms
+    assert surely(errors["time_s"].null.energy, errors["delay_s"].null.energy) > 2.0
+
+
+def test_nothing_accepted_changes_nothing():
+    view = late_view()
+    assert extended(view, []) is view
+
+
+def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
+    known, lab = recorded(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
+    view = view_of_recordings(known, lab)
+    assert with_own_pasts(view).rms > 0.95 * view.rms
+    unknown, lab = recorded(
+        draw_campaign(404, truth="preisach", plans=("sweep", "check"), careless=True)
+    )
+    view = view_of_recordings(unknown, lab)
+    found = with_own_pasts(view)
+    assert found.rms < 0.9 * view.rms
+    assert cycled(found).rms == pytest.approx(view.rms)
+
+
+def test_one_bouc_wen_state_follows_a_bouc_wen_ceramic_to_its_noise():
+    campaign = draw_campaign(305, truth="bouc_wen", plans=("sweep", "check", "chirp"))
+    recordings, lab = recorded(campaign)
+    view = view_of_recordings(recordings, lab)
+    noise = campaign.answer.noise_rms_m / view.stroke_m
+    assert view.rms > 2.0 * noise
+    assert with_best_knee(view).rms < 1.4 * noise
+
+
+def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
+    chance = np.random.default_rng(2)
+    block = np.repeat(np.arange(40), 50)
+    column = np.repeat(chance.normal(size=40), 50)[:, None]
+    found, said = [], []
+    for _ in range(200):
+        error = np.repeat(chance.normal(size=40), 50) + 0.1 * chance.normal(size=2000)
+        null = Null(columns=np.ones((2000, 1)), response=error, block=block)
+        across = null.without(column)[:, 0]
+        found.append(float(across @ error / (across @ across)))
+        said.append(float(null.doubt(column)[0, 0]) ** 0.5)
+    # rows counted one by one would say a seventh of it
+    assert np.mean(said) == pytest.approx(np.std(found), rel=0.2)
+
+
+def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
+    recordings, lab = healthy()
+    one_late = [
+        with_displacement(r, delayed(r.displacement_m(), 4e-3, r.sampling_rate_Hz))
+        if "check" in r.name
+        else r
+        for r in recordings
+    ]
+    view = view_of_recordings(tuple(one_late), lab)
+    seen = screen(delay.EFFECT, view)
+    found, there = refined(begun(delay.EFFECT, seen.trial, 1.0), view, [])
+    assert not is_alike(found, there)
+    start = Accepted(effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5})
+    assert is_alike(*refined(start, late_view(), []))
