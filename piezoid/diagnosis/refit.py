@@ -37,6 +37,8 @@ FASTEST_s = 0.01
 LONGER = 10.0  # slowest rung over the longest piece
 GAPS = (0.2, 0.5, 0.8)  # of another axis' half range: thresholds of its plays
 BENDS = 3
+LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
+SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
 STATIC = Structure(lag=False)
 Parameters = Mapping[str, float]
 
@@ -148,11 +150,15 @@ def _slew_limit(found: Found, setting: Setting) -> tuple[Extension, ...]:
 
 
 def _rate_dependence(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    bend_s, time_s = found.parameters.get("bend_s", 0.0), found.parameters.get("time_s", 0.0)
-    share = max(found.share, 0.0)
-    if bend_s > 0.0:
-        return (RateDependence(beta_s=share, barrier_m=share / bend_s * setting.stroke_m),)
-    return (RateDependence(beta_s=share * time_s if time_s > 0.0 else share),)
+    """A share of the lag is a lag of a shorter time and a smaller strain, where motion is slow."""
+    strain, share = found.parameters["strain"], float(np.clip(found.share, *SHARES))
+    bends = strain < LINEAR_STRAIN
+    return (
+        RateDependence(
+            time_s=share * found.parameters["time_s"],
+            strain_m=share * strain * setting.stroke_m if bends else 0.0,
+        ),
+    )
 
 
 def _cross_coupling(_: Found, setting: Setting) -> tuple[Extension, ...]:

@@ -6,53 +6,52 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
-from piezoid.identification.extensions.signals import later
+from piezoid.identification.extensions.signals import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.limits import activated
 
-LONGEST_s = 1.0
+SHORTEST_s, LONGEST_s = 1e-9, 10.0
 WIDEST_m = 1.0
+NARROWEST = 1e-12  # m: a strain below it is none of a wall
+FELT = 1e-3  # of a number: a change that is felt
 
 
 @dataclass(frozen=True, kw_only=True)
 class RateDependence(Extension):
-    """Plays come late, the reversible part does not.
+    """Walls climb their barriers by thermal activation; the reversible part is there at once.
 
-        v -> v(t - beta),                       thresholds r + beta |du/dt| to first order
-        v -> v - s asinh(beta v' / s)           with barriers that a lead lowers, s > 0
+        dx/dt = (s / tau) sinh((h - x) / s),   h the irreversible part without haste
+        dx/dt = (h - x) / tau                        where s is 0: barriers the lag does not lower
 
-    beta  beta_s     s, >= 0
-    s     barrier_m  m, >= 0; 0: the lag stays proportional to speed
+    tau  time_s    s, > 0   time constant of small lags
+    s    strain_m  m, >= 0  lags beyond it grow with the logarithm of the speed
 
-    Source: Al Janaideh, Su & Rakheja (2008); Smith (2005).
+    Source: Eyring (1936); Smith (2005).
     """
 
     kind: ClassVar[str] = "rate_dependence"
 
-    beta_s: float
-    barrier_m: float = 0.0
+    time_s: float
+    strain_m: float = 0.0
 
     def __post_init__(self) -> None:
-        within("beta_s", self.beta_s, 0.0, LONGEST_s)
-        within("barrier_m", self.barrier_m, 0.0, WIDEST_m)
+        within("rate dependence time_s", self.time_s, SHORTEST_s, LONGEST_s)
+        if self.strain_m != 0.0:
+            within("rate dependence strain_m", self.strain_m, NARROWEST, WIDEST_m)
 
     def irreversible(self, part_m: Array, rate_Hz: float) -> Array:
         """Return the irreversible part as late as it comes."""
-        if self.barrier_m <= 0.0:
-            return later(part_m, self.beta_s * rate_Hz)
-        speed_m_per_s = np.gradient(part_m) * rate_Hz
-        behind_m = self.barrier_m * np.arcsinh(self.beta_s * speed_m_per_s / self.barrier_m)
-        return np.asarray(part_m - behind_m)
+        if self.strain_m > 0.0:
+            return activated(part_m, self.time_s, rate_Hz, self.strain_m)
+        return relaxed(part_m, self.time_s, rate_Hz)
 
     def free(self) -> Free:
-        """Return the time, and the barrier where there is one."""
-        step_s = max(1e-3 * self.beta_s, 1e-8)
-        if self.barrier_m <= 0.0:
-            return free(self.beta_s, 0.0, LONGEST_s, step_s)
-        value = (self.beta_s, self.barrier_m)
-        lower, upper = (0.0, 1e-3 * self.barrier_m), (LONGEST_s, 1e3 * self.barrier_m)
-        return free(value, lower, upper, (step_s, 1e-3 * self.barrier_m))
+        """Return the time, and the strain where there is one."""
+        value = np.array([self.time_s, self.strain_m][: 2 if self.strain_m > 0.0 else 1])
+        lower, upper = (SHORTEST_s, NARROWEST)[: len(value)], (LONGEST_s, WIDEST_m)[: len(value)]
+        return free(value, lower, upper, FELT * value)
 
     def moved_to(self, value: Array) -> Self:
-        """Return another time, and another barrier where there is one."""
-        barrier_m = float(value[1]) if len(value) > 1 else 0.0
-        return type(self)(beta_s=float(value[0]), barrier_m=barrier_m)
+        """Return another time, and another strain where there is one."""
+        strain_m = float(value[1]) if len(value) > 1 else 0.0
+        return type(self)(time_s=float(value[0]), strain_m=strain_m)

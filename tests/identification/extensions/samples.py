@@ -36,7 +36,7 @@ def one_of_each() -> tuple[Extension, ...]:
     return (
         SlewLimit(limit_V_per_s=123.4),
         AmplifierLimits(low_V=None, high_V=9.5),
-        RateDependence(beta_s=1e-3, barrier_m=2e-7),
+        RateDependence(time_s=1e-3, strain_m=2e-7),
         CreepLadder(time_s=(0.1, 1.0, 10.0), share=(0.01, 0.0, 0.02)),
         CreepOperator(time_s=(1.0, 10.0), threshold_m=(0.0, 1e-6), share=(0.01, 0.02)),
         GainChange(

@@ -59,14 +59,16 @@ def test_a_delay_in_rows_is_the_same_number_of_rows_at_every_rate() -> None:
         np.testing.assert_allclose(late[3:], signal[:-3], atol=1e-12)
 
 
-def test_small_lags_of_the_walls_are_a_delay_and_large_ones_grow_with_the_logarithm() -> None:
-    ramp_m = np.linspace(0.0, 8e-6, 8000)
-    speed = 1e-6
-    plain = RateDependence(beta_s=0.02).irreversible(ramp_m, RATE_Hz)
-    assert ramp_m[-1] - plain[-1] == pytest.approx(0.02 * speed, rel=1e-3)
-    for barrier_m, expected_m in ((1e-5, 0.02 * speed), (1e-9, 1e-9 * np.arcsinh(20.0))):
-        slow = RateDependence(beta_s=0.02, barrier_m=barrier_m).irreversible(ramp_m, RATE_Hz)
-        assert ramp_m[4000] - slow[4000] == pytest.approx(expected_m, rel=1e-3)
+def test_small_lags_of_the_walls_are_a_pole_and_large_ones_grow_with_the_logarithm() -> None:
+    ramp_m, speed, time_s = np.linspace(0.0, 8e-6, 8000), 1e-6, 0.02
+    plain = RateDependence(time_s=time_s).irreversible(ramp_m, RATE_Hz)
+    assert ramp_m[-1] - plain[-1] == pytest.approx(time_s * speed, rel=1e-3)
+    for strain_m in (1e-5, 1e-8):
+        slow = RateDependence(time_s=time_s, strain_m=strain_m).irreversible(ramp_m, RATE_Hz)
+        # dx/dt = speed is reached at a lag of s asinh(speed tau / s)
+        behind_m = strain_m * np.arcsinh(time_s * speed / strain_m)
+        assert ramp_m[4000] - slow[4000] == pytest.approx(behind_m, rel=0.06)
+    assert behind_m < 0.8 * time_s * speed
 
 
 def test_limits_clip_on_their_side_only() -> None:
