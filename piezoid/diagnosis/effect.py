@@ -5,7 +5,7 @@ twins of the same freedom that must do clearly worse, what it adds once it is ac
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.tracks import Track
@@ -64,6 +64,18 @@ class Fault:
     spread: float
     p_value: float
 
+    def after(self, earlier: "Fault | None") -> "Fault":
+        """Return this fault with what was found of it before: the larger size, the surer p."""
+        if earlier is None:
+            return self
+        larger = max(earlier, self, key=lambda fault: abs(fault.value))
+        return replace(
+            self,
+            value=larger.value,
+            spread=larger.spread,
+            p_value=min(earlier.p_value, self.p_value),
+        )
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
@@ -90,6 +102,7 @@ class Effect:
     worth        part of the error on rows left out that it must take off
     shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
     least        share of the stroke below which it is not looked for
+    bound        (view) -> share of the stroke that could be there and not be found, for faults
     """
 
     name: str
@@ -105,6 +118,7 @@ class Effect:
     drive: Callable[[Array, float, Parameters], Array] | None = None
     passes: Callable[[Array, float, Parameters], Array] | None = None
     fault: Callable[[View], Fault | None] | None = None
+    bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
     sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named

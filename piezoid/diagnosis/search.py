@@ -134,7 +134,7 @@ def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:
             fault = effect.fault(view)
             if fault is None:
                 break
-            faults.setdefault(effect.name, fault)
+            faults[effect.name] = fault.after(faults.get(effect.name))
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.slips import Searched, Slip, late
+from piezoid.diagnosis.slips import FEWEST as FEWEST_ROWS
+from piezoid.diagnosis.slips import OWN, Searched, Slip, beside, late
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
@@ -61,6 +62,27 @@ class Judged:
                 for gain, sure, whole in ways
             )
         )
+
+
+def hidden(view: View) -> float:
+    """Return the rms of the largest slip that could be there unseen, of the stroke.
+
+    A slip is evident if it takes the part g of a track's squared residual R^2; where nothing else
+    stands for the part f of its own square,
+
+        rms^2 < g R^2 / f,
+
+    f for a slip in the middle of all places at which one is looked for.
+    """
+    null, worst = beside(view), LEAST_SHARE
+    gain = EVIDENCE[0][0]
+    for k in range(len(view.tracks)):
+        track = Searched.of(view, null, k)
+        first = track.instants() if len(track.place) >= FEWEST_ROWS else ()
+        if len(first):
+            share = max(float(np.median(track.own_share(1, first))), OWN)
+            worst = max(worst, float(np.sqrt(gain / share * np.mean(track.residual**2))))
+    return worst / 2.0
 
 
 def judged_of(view: View, null: Null, slip: Slip) -> Judged | None:

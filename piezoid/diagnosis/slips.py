@@ -153,17 +153,27 @@ class Searched:
 
     def score(self, samples: int, first: Places) -> tuple[Array, Array]:
         """Return gain and beta of slips by some samples from some rows on."""
-        from scipy.linalg import solve_triangular
-
         c = late(self.static, self.place, samples)
-        pull, square = _behind(self.residual * c, first), _behind(c * c, first)
-        shared = _behind(self.null.columns[self.rows] * c[:, None], first) / self.null.scale
-        half = solve_triangular(self.null.factor, shared.T, lower=True)
-        own = square - np.sum(half * half, axis=0)
+        pull = _behind(self.residual * c, first)
+        square, own = self._squares(c, first)
         seen = own > OWN * square + 1e-300
         beta = np.where(seen, pull / np.where(seen, own, 1.0), 0.0)
         whole = float(self.residual @ self.residual) + 1e-300
         return np.asarray(beta * pull / whole), np.asarray(beta)
+
+    def own_share(self, samples: int, first: Places) -> Array:
+        """Return which part of the square of such slips nothing else can stand for."""
+        square, own = self._squares(late(self.static, self.place, samples), first)
+        return np.asarray(own / (square + 1e-300))
+
+    def _squares(self, c: Array, first: Places) -> tuple[Array, Array]:
+        """Return the squares of a column from some rows on, and what the null leaves of them."""
+        from scipy.linalg import solve_triangular
+
+        square = _behind(c * c, first)
+        shared = _behind(self.null.columns[self.rows] * c[:, None], first) / self.null.scale
+        half = solve_triangular(self.null.factor, shared.T, lower=True)
+        return square, np.asarray(square - np.sum(half * half, axis=0))
 
     def promising(self, first: Places) -> list[int]:
         """Return the lengths that take most where nothing is shared, which is a lower limit."""

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
     mains_interference,
     outliers,
@@ -18,12 +19,14 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
 from piezoid.diagnosis.slips import beside, strongest
+from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid.records.recording import Channel, Problem, Quantity, Recording
 
 STROKE_m = 30e-6
 NOISE_m = 5e-4 * STROKE_m
@@ -231,3 +234,68 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
     size = sensor_periodic_error.EFFECT.size
     amplitude_nm = size(view, found.trial.parameters, found.held.coefficient)
     assert amplitude_nm == pytest.approx(1e9 * 2e-3 * STROKE_m, rel=0.25)
+
+
+def test_what_is_larger_than_a_fault_that_could_hide_is_found():
+    height = 1.3 * outliers.EFFECT.bound(healthy())
+    reading_m = np.array(clean("walk")[2])
+    reading_m[4000] += height * 2.0 * healthy().stroke_m
+    assert outliers.EFFECT.fault(view_with(walk=reading_m)) is not None
+    step = 1.3 * np.sqrt(12.0) * quantisation.EFFECT.bound(healthy())
+    assert quantisation.EFFECT.fault(coarse_reading(step * 2.0 * healthy().stroke_m)) is not None
+
+
+def test_a_slip_well_above_one_that_could_hide_is_found():
+    share = timestamp_fault.EFFECT.bound(healthy())
+    late_m = [slipped(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
+    rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in late_m])
+    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().stroke_m))
+    view = view_with(waves=slipped(clean("waves")[2], 4100, samples))
+    assert within(timestamp_fault.EFFECT.fault(view), samples)
+
+
+def test_a_fault_found_in_several_goes_has_the_larger_size_and_the_surer_p():
+    first = Fault(tracks=healthy().tracks, value=-5.0, spread=0.5, p_value=0.01)
+    second = Fault(tracks=(), value=2.0, spread=0.1, p_value=0.001)
+    both = second.after(first)
+    assert (both.value, both.spread, both.p_value) == (-5.0, 0.5, 0.001)
+    assert both.tracks == ()
+
+
+def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
+    whole = recording("sweep")
+    problems = (
+        Problem(kind="gap", place="line 5", text="", samples=40),
+        Problem(kind="duplicate_time", place="line 9", text="", samples=3),
+        Problem(kind="jitter", place="the time column", text=""),
+    )
+    slip = Fault(tracks=healthy().tracks, value=-5.0, spread=0.4, p_value=0.001)
+    found = Outcome(
+        first=healthy(),
+        clean=healthy(),
+        final=healthy(),
+        faults={"timestamp_fault": slip},
+        causes=(),
+        rivals={},
+        screened={},
+    )
+    assert with_stamps(found, [whole]) is found
+    told = [whole, replace(whole, name="b", problems=problems)]
+    fault = with_stamps(found, told).faults["timestamp_fault"]
+    assert fault.value == 48.0
+    assert fault.p_value < 1e-6
+    assert with_stamps(replace(found, faults={}), told).faults["timestamp_fault"].value == 43.0
+
+
+def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():
+    step_m = 4e-3 * STROKE_m
+    reading_m = step_m * np.round(clean("sweep")[2] / step_m)
+    lost = np.arange(50, 8950, 67)
+    reading_m[lost] = (reading_m[lost - 1] + reading_m[lost + 1]) / 2
+    view = view_on(
+        [replace(recording("sweep", reading_m), bridged=tuple(lost.tolist()))],
+        axis="x",
+        lab=Lab(),
+    )
+    assert not np.isin(view.tracks[0].place, lost).any()
+    assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)

@@ -65,9 +65,7 @@ def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float
     """
     y = track.response
     wrong, chance = np.zeros(len(y), dtype=bool), 0.0
-    typical = max(1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0), 1e-12)
-    # on a coarse converter a reading may be one step beside its neighbours
-    least = max(FAR * typical, STEPS * max(step, step_size(np.round(y, 9))), LEAST)
+    typical, least = _typical(y), _least(y, step)
     for width, spread in NEIGHBOURHOODS:
         if len(y) < 4 * width:
             continue
@@ -86,6 +84,41 @@ def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float
         if found < SURE and here.mean() < RARE:
             wrong, chance = wrong | here, max(chance, found)
     return wrong, chance
+
+
+def _typical(y: Array) -> float:
+    """Return the typical distance of a reading from what its neighbours say."""
+    return max(1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0), 1e-12)
+
+
+def _least(y: Array, step: float) -> float:
+    # on a coarse converter a reading may be one step beside its neighbours
+    return max(FAR * _typical(y), STEPS * max(step, step_size(np.round(y, 9))), LEAST)
+
+
+def _bound(view: View) -> float:
+    """Return the height of a spike that would not be found, of the stroke, at nearly all places.
+
+    At most a twentieth of all places hide a larger one: there the stage moves too fast.
+    """
+    step = drive_step(view)
+    heights = [_hides(track.response, step) for track in view.tracks]
+    return max(heights) / 2.0
+
+
+def _hides(y: Array, step: float) -> float:
+    heights = [_least(y, step)]
+    for width, spread in NEIGHBOURHOODS:
+        if len(y) < 4 * width:
+            continue
+        distance, agree = _far(y, width, spread)
+        size = np.abs(distance)
+        begins = float(np.quantile(size, TAIL))
+        falls = max(float(np.mean(size[size >= begins] - begins)), 0.1 * _typical(y))
+        tail = begins + falls * float(np.log(max(len(y) * (1.0 - TAIL) / SURE, 1.0)))
+        fast = float(np.quantile(3.0 * agree, 0.95))
+        heights.append(max(heights[0], CLEAR * begins, tail, fast))
+    return min(heights[1:], default=heights[0])
 
 
 def without_spikes(track: Track, static: Array) -> Track:
@@ -140,5 +173,6 @@ EFFECT = Effect(
     experiment="Record with the sensor's cable moved away from relays and supplies, at twice the "
     "rate: a spark stays one sample long.",
     fault=_fault,
+    bound=_bound,
     inject=inject,
 )

@@ -22,6 +22,7 @@ Source
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -61,11 +62,11 @@ def _of_reading(view: View) -> Fault | None:
         for track, own in zip(view.tracks, steps.tolist(), strict=True)
         if own
     )
-    others = np.abs(steps[coarse & ~shared] - step)
+    apart = float(np.max(np.abs(steps[coarse & ~shared] - step), initial=0.01 * step))
     return Fault(
         tracks=view.tracks,
         value=1e9 * view.stroke_m * step,
-        spread=1e9 * view.stroke_m * max(0.01 * step, *others),
+        spread=1e9 * view.stroke_m * apart,
         p_value=float(np.exp(-min(chance, 700.0))),
     )
 
@@ -136,26 +137,49 @@ def _of_drive(view: View) -> Fault | None:
 
 def _strongest(drive: Array, residual: Array) -> Saw | None:
     """Return the saw whose first wave is clearest, if its height is what its period asks for."""
-    cell = np.clip(((drive + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
-    wave = np.fft.rfft(np.bincount(cell, residual, CELLS), FINER * CELLS)
-    frequency = np.arange(len(wave)) / (FINER * RANGE)
-    within = (frequency > FEWEST_STEPS) & (frequency < MOST_STEPS)
-    power = np.abs(wave[within]) ** 2
+    frequency, wave = _waves(drive, residual)
+    power = np.abs(wave) ** 2
     j, typical = int(np.argmax(power)), float(np.median(power)) + 1e-300
-    found = float(frequency[within][j])
+    found = float(frequency[j])
     height = 2.0 * float(np.sqrt(power[j])) / len(residual)
     if power[j] < CLEAR * typical or abs(np.pi * height * found - 1.0) > NEAR:
         return None
     # cells have their middle half a cell on; the transform counts from the range's lower end
     middle = RANGE / 2 - RANGE / CELLS / 2
-    turn = float(np.angle(wave[within][j])) + 2.0 * np.pi * found * middle
+    turn = float(np.angle(wave[j])) + 2.0 * np.pi * found * middle
     # powers beside the peak are exponential: the median is ln 2 of their mean
-    chance = np.sum(within) * np.exp(-float(power[j]) * np.log(2.0) / typical)
+    chance = len(wave) * np.exp(-float(power[j]) * np.log(2.0) / typical)
     return Saw(
         step=1.0 / found,
         origin=(np.pi / 2 - turn) / (2.0 * np.pi * found),
         p_value=float(min(1.0, chance)),
     )
+
+
+def _waves(drive: Array, residual: Array) -> tuple[Array, NDArray[np.complex128]]:
+    """Return the waves of a residual along its drive: their frequencies, and what they are."""
+    cell = np.clip(((drive + RANGE / 2) * (CELLS / RANGE)).astype(int), 0, CELLS - 1)
+    wave = np.fft.rfft(np.bincount(cell, residual, CELLS), FINER * CELLS)
+    frequency = np.arange(len(wave)) / (FINER * RANGE)
+    within = (frequency > FEWEST_STEPS) & (frequency < MOST_STEPS)
+    return frequency[within], wave[within]
+
+
+def _bound(view: View) -> float:
+    """Return the rms error of the coarsest converter that agrees with the data, of the stroke.
+
+    A reading without a lattice has more values than rows it could repeat in; a saw along the drive
+    lower than the clearest wave may be there.
+    """
+    reading = [_lattice(y) or 2.0 * float(np.ptp(y)) / len(y) for y in _measured(view)]
+    _, wave = _waves(view.rows([t.drive for t in view.tracks]), view.null.residual)
+    typical = float(np.median(np.abs(wave) ** 2))
+    saw = np.pi * 2.0 * np.sqrt(CLEAR * typical) / len(view.null.residual)
+    return float(max(*reading, saw, COARSE) / np.sqrt(12.0) / 2.0)
+
+
+def _measured(view: View) -> list[Array]:
+    return [track.measured for track in view.tracks]
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -171,5 +195,6 @@ EFFECT = Effect(
     experiment="Record the same sweep with the converter's range reduced to the signal, or with "
     "more bits; a step that shrinks with the range is the converter's.",
     fault=_fault,
+    bound=_bound,
     inject=inject,
 )

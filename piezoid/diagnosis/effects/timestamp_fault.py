@@ -21,7 +21,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.slip_evidence import Judged, judged_of
+from piezoid.diagnosis.slip_evidence import Judged, hidden, judged_of
 from piezoid.diagnosis.slips import INSTANTS, Slip, beside, late, strongest
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View, with_tracks
@@ -46,8 +46,12 @@ def _fault(view: View) -> Fault | None:
         judged = _next(calm, bool(found))
         if judged is None:
             break
+        better = _repaired(calm, judged.slip)
+        # one that is none takes its share of the tangent's error, and makes the true one larger
+        if better.rms >= calm.rms:
+            break
         found.append(judged)
-        calm = _repaired(calm, judged.slip)
+        calm = better
     if not found:
         return None
     tracks = list(view.tracks)
@@ -82,13 +86,21 @@ def _next(view: View, again: bool) -> Judged | None:
         if slip.gain < LOOK:
             break
         judged = judged_of(view, null, _placed(view, slip))
+        if judged is not None and abs(judged.step - judged.slip.samples) > 2.0 * judged.deviation:
+            # fitted in the midst of other slips: stretches of equal speed know the length better
+            length = round(judged.step) or int(np.sign(slip.samples))
+            judged = judged_of(
+                view, null, _placed(view, replace(slip, samples=length), fixed=True)
+            )
         if judged is not None and judged.speaks(again=again):
             return judged
     return None
 
 
-def _placed(view: View, slip: Slip) -> Slip:
+def _placed(view: View, slip: Slip, *, fixed: bool = False) -> Slip:
     """Return the slip at the sample and of the whole length that fit best, all samples compared.
+
+    fixed  the length is known, the instant is not
 
     The static response is fitted again with the slip undone; what tracks have of their own (zero,
     memory) is carried from rows to all samples.
@@ -103,18 +115,17 @@ def _placed(view: View, slip: Slip) -> Slip:
         own = track.response[track.place] - here - static[track.place]
         place = np.arange(len(static))
         measured = view.tracks[k].response - np.interp(place, track.place, own)
-        better = _best(measured, static, slip, width)
+        better = _best(measured, static, slip, width, 0 if fixed else max(2, abs(samples) // 6))
         if better == slip:
             break
         slip = better
     return slip
 
 
-def _best(measured: Array, static: Array, slip: Slip, width: int) -> Slip:
-    """Return the neighbour in place and length that leaves the least squares."""
+def _best(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
+    """Return the neighbour in place, and in length up to a reach, that leaves least squares."""
     n, samples = len(static), int(slip.samples)
     place = np.arange(n)
-    reach = max(2, abs(samples) // 6)
     first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
     before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
     best = (np.inf, slip)
@@ -169,6 +180,7 @@ EFFECT = Effect(
     "column, and nothing else running on the computer.",
     rivals=("delay",),
     fault=_fault,
+    bound=hidden,
     shows_at=1.2e-2,
     inject=inject,
 )
