@@ -78,7 +78,9 @@ def hidden(view: View) -> float:
     gain = EVIDENCE[0][0]
     for k in range(len(view.tracks)):
         track = Searched.of(view, null, k)
-        first = track.instants() if len(track.place) >= FEWEST_ROWS else ()
+        if len(track.place) < FEWEST_ROWS:
+            continue
+        first = track.instants()
         if len(first):
             share = max(float(np.median(track.own_share(1, first))), OWN)
             worst = max(worst, float(np.sqrt(gain / share * np.mean(track.residual**2))))

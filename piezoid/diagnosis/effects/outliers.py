@@ -88,12 +88,13 @@ def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float
 
 def _typical(y: Array) -> float:
     """Return the typical distance of a reading from what its neighbours say."""
-    return max(1.4826 * float(np.median(np.abs(np.diff(y, 2)))) / np.sqrt(6.0), 1e-12)
+    return float(max(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0), 1e-12))
 
 
 def _least(y: Array, step: float) -> float:
     # on a coarse converter a reading may be one step beside its neighbours
-    return max(FAR * _typical(y), STEPS * max(step, step_size(np.round(y, 9))), LEAST)
+    stairs = max(step, step_size(np.round(y, 9)))
+    return float(max(FAR * _typical(y), STEPS * stairs, LEAST))
 
 
 def _bound(view: View) -> float:
