@@ -75,8 +75,9 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
     declared = None if lab is None else read_lab(lab)
     held = collect(files, declared)
     model = fit(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
-    content = {"model.json": write_model(model)}
     diagnoses, undiagnosed = _diagnosed(held.recordings, declared, model, told)
+    model = _extended(model, diagnoses)
+    content = {"model.json": write_model(model)}
     if diagnoses:
         from piezoid.diagnosis.diagnosis import write_diagnosis
 
@@ -120,14 +121,22 @@ def _diagnosed(
     from piezoid.errors import PiezoidError
 
     found, missing = [], []
-    for axis in model.axes:
+    for axis, known in model.axes.items():
         try:
-            found.append(diagnose(recordings, axis=axis, lab=lab, progress=told))
+            found.append(diagnose(recordings, axis=axis, lab=lab, model=known, progress=told))
         except PiezoidError as refusal:
             missing.append(f"axis {axis} is not diagnosed: {refusal}")
         except Exception as error:  # a fault of ours must not cost the lab its model
             missing.append(f"axis {axis} is not diagnosed: {type(error).__name__}: {error}")
     return tuple(found), tuple(missing)
+
+
+def _extended(model: "ActuatorModel", diagnoses: "Sequence[Diagnosis]") -> "ActuatorModel":
+    """Return the stage with everything in its axes that their diagnoses found."""
+    from dataclasses import replace
+
+    found = {one.axis: one.model for one in diagnoses if one.model is not None}
+    return replace(model, axes={axis: found.get(axis, one) for axis, one in model.axes.items()})
 
 
 def _controller(

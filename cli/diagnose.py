@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from piezoid.diagnosis.change import Change
     from piezoid.diagnosis.diagnosis import Diagnosis
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.model import ActuatorModel, AxisModel
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Recording
 
@@ -35,7 +35,8 @@ def diagnose(
 ) -> None:
     """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json and .html.
 
-    With the model.json of an earlier fit in front, say as well what changed since then.
+    With the model.json of an earlier fit in front, say as well what changed since then, and
+    measure errors with that model refitted; without, with a linear stand-in, in half the time.
 
     [bold]Examples[/bold]
 
@@ -59,7 +60,10 @@ def diagnose(
         declared = None if lab is None else read_lab(lab)
         model, rest = _model_in_front(files)
         recordings = collect(rest, declared).recordings
-        found = find(recordings, axis=axis or _first(model), lab=declared, progress=told)
+        known = None if model is None else _known(model, axis)
+        found = find(
+            recordings, axis=axis or _first(model), lab=declared, model=known, progress=told
+        )
         change = None if model is None else _changed(model, recordings, found.axis, told)
         since = None if change is None else change.to_json()
         content = write_diagnosis(found, since=since)
@@ -102,6 +106,14 @@ def _page(found: "Diagnosis", recordings: "Sequence[Recording]", lab: "Lab | Non
 
 def _first(model: "_Model | None") -> str | None:
     return None if model is None else next(iter(model[0].axes), None)
+
+
+def _known(model: "_Model", axis: str | None) -> "AxisModel | None":
+    """Return an axis of the earlier model, without the memory of the recordings of then."""
+    from dataclasses import replace
+
+    known = model[0].axes.get(axis or _first(model) or "")
+    return None if known is None else replace(known, starts=())
 
 
 def _changed(

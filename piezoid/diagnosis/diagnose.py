@@ -13,10 +13,13 @@ from piezoid.diagnosis.screening import Screened
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
+from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
+from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
+from piezoid.identification.model import AxisModel
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -29,6 +32,7 @@ def diagnose(
     *,
     axis: str | None = None,
     lab: Lab | None = None,
+    model: AxisModel | None = None,
     progress: Progress = lambda _: None,
 ) -> Diagnosis:
     """Explain the difference between simulation and recordings of one axis.
@@ -36,6 +40,8 @@ def diagnose(
     recordings  of one stage, in the order in which they were made
     axis        which one; the first that has both drive and displacement
     lab         what the laboratory declares; declared poles are part of the simulation
+    model       the axis as ``fit`` made it: errors are then of this model refitted with what is
+                found, and the diagnosis carries it; None: of a quick linear stand-in
     progress    told what is being done
 
     Raises ``ExcitationError`` where drive or displacement does not move. What goes wrong: a cause
@@ -43,12 +49,19 @@ def diagnose(
     ``explained_fraction`` and the noise floor tell how much is left.
     """
     wanted = axes_of(recordings)[0] if axis is None else axis
+    declared = lab or Lab()
     progress("fitting the envelope")
-    view = view_on(recordings, axis=wanted, lab=lab or Lab())
-    outcome = search(view, progress)
+    found = search(view_on(recordings, axis=wanted, lab=declared), progress)
+    chosen = moving(recordings, wanted)
     progress("refitting the simulation")
-    numbers = simulated(outcome)
-    return _diagnosis(wanted, outcome, numbers)
+    if model is None:
+        numbers = simulated(found)
+    else:
+        scales = scales_of(chosen, wanted)
+        numbers = worth_of(
+            found, chosen, model=model, lab=declared, scales=scales, progress=progress
+        )
+    return _diagnosis(wanted, with_stamps(found, chosen), numbers)
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -81,6 +94,7 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
         explained_fraction=_explained(numbers.baseline, numbers.final, noise),
         findings=tuple(findings),
         not_detected=tuple(absent),
+        model=numbers.model,
     )
 
 
@@ -97,7 +111,8 @@ def _explained(before: float, after: float, noise: float) -> float:
 
 def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> Finding:
     effect = _named(name)
-    before, after = numbers.without[name], numbers.final
+    # what ingest repaired, and what cannot be repaired, changes nothing here
+    before, after = numbers.without.get(name, numbers.final), numbers.final
     reach = 1.96 * fault.spread
     return Finding(
         effect=name,
@@ -163,7 +178,8 @@ def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
             next_experiment=effect.experiment,
         )
     if found is None:
-        limit_m = effect.least * 2.0 * outcome.final.stroke_m
+        least = effect.least if effect.bound is None else effect.bound(outcome.clean)
+        limit_m = least * 2.0 * outcome.final.stroke_m
         return NotDetected(
             effect=effect.name,
             upper_bound_m=limit_m,

@@ -1,10 +1,11 @@
 """Diagnosis: what was found, what was not, and how small a thing these recordings could show."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from piezoid.errors import ParameterFileError
+from piezoid.identification.model import AxisModel
 from piezoid.provenance import seal, unseal
 from piezoid.showing import shown
 
@@ -80,6 +81,8 @@ class Diagnosis:
     noise_floor_rms_m   of the sensor
     explained_fraction  of the variance above the noise floor
     findings            by falling gain
+    model               the axis with everything found in it, as it ships; None where no model was
+                        at hand. It stands in model.json, not here
     """
 
     axis: str
@@ -91,6 +94,7 @@ class Diagnosis:
     explained_fraction: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
+    model: AxisModel | None = field(default=None, compare=False, repr=False)
 
     @property
     def names(self) -> tuple[str, ...]:

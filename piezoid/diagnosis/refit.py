@@ -37,6 +37,7 @@ FASTEST_s = 0.01
 LONGER = 10.0  # slowest rung over the longest piece
 GAPS = (0.2, 0.5, 0.8)  # of another axis' half range: thresholds of its plays
 BENDS = 3
+LOOSE = 0.85  # of the error: what shares of its own for every rung of creep must leave
 LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
 SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
 STATIC = Structure(lag=False)
@@ -94,7 +95,8 @@ class Refitted:
     without     with everything but one, by its name
     extensions  the extensions each effect became, as fitted
     spread      for each effect the standard errors of their numbers
-    model       what ships: with the fitted lag where no lag or delay was found
+    model       what ships: with the fitted lag where no lag or delay was found; as it was given
+                where nothing was found
     """
 
     baseline: Extended
@@ -112,18 +114,18 @@ def _creep(found: Found, setting: Setting) -> tuple[Extension, ...]:
     count = int(np.clip(np.ceil(2.0 * np.log10(max(last_s / first_s, 1.0))) + 1.0, 2, RUNGS))
     time_s = np.geomspace(first_s, max(last_s, 1.5 * first_s), count)
     share = np.clip(found.share * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
-    return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * count),)
+    return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * count, even=True),)
 
 
 def _lag(found: Found, _: Setting) -> tuple[Extension, ...]:
-    return (FirstOrderLag(lag_s=max(found.parameters["time_s"] * found.share, 0.0)),)
+    return (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),)
 
 
 def _delay(found: Found, _: Setting) -> tuple[Extension, ...]:
-    samples = found.parameters.get("delay_samples", 0.0) * found.share
+    samples = found.parameters.get("delay_samples", 0.0)
     if samples > 0.0:
         return (Delay(delay_samples=samples),)
-    return (Delay(delay_s=max(found.parameters.get("delay_s", 0.0) * found.share, 0.0)),)
+    return (Delay(delay_s=max(found.parameters.get("delay_s", 0.0), 0.0)),)
 
 
 def _resonance(found: Found, _: Setting) -> tuple[Extension, ...]:
@@ -273,6 +275,7 @@ def refitted(
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
     final = _best((model, baseline.model), recordings, every, structure, places)
+    final = _loosened(final, recordings, structure, places)
     fitted = _fitted(given, every, final)
     starts = (final.model, baseline.model)
     without = {}
@@ -291,7 +294,7 @@ def refitted(
         without=without,
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
-        model=_shipped(model, recordings, final, structure, places),
+        model=_shipped(model, recordings, final, structure, places) if found or faults else model,
     )
 
 
@@ -308,6 +311,25 @@ def _best(
         for start in starts
     )
     return min(fits, key=lambda fit: fit.rms_m)
+
+
+def _loosened(
+    final: Extended,
+    recordings: Sequence[Recording],
+    structure: Structure,
+    places: Sequence[Samples] | None,
+) -> Extended:
+    """Let every rung of a creep have a share of its own where that is clearly better.
+
+    Free rungs follow whatever hysteresis is not quite as the model's, so they must earn it.
+    """
+    free = tuple(
+        replace(e, even=False) if isinstance(e, CreepLadder) else e for e in final.model.extensions
+    )
+    if not any(isinstance(e, CreepLadder) for e in free):
+        return final
+    loose = fit_extended(final.model, recordings, free, structure=structure, places=places)
+    return loose if loose.held_out_rms_m < LOOSE * final.held_out_rms_m else final
 
 
 def _declared(lab: Lab) -> tuple[Extension, ...]:

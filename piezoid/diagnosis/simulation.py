@@ -1,6 +1,7 @@
-"""The simulation's own error before and after, on rows left out.
+"""The simulation's own error before and after, on rows left out, where no model is at hand.
 
-The simulation is a modified Prandtl-Ishlinskii model,
+With a fitted model that one is refitted, by ``refit``; this stand-in is linear and quicker. It is
+a modified Prandtl-Ishlinskii model,
 
     y = h + sum_j v_j S_j(h) + zero and memory of the track,     h = sum_i w_i z_i,
 
@@ -11,6 +12,7 @@ are then free: one linear problem, refitted fold by fold.
 Source: Kuhnen, Eur. J. Control 9 (2003).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +22,7 @@ from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.view import View
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 
 KINKS = (-0.75, -0.5, -0.25, 0.25, 0.5, 0.75)
@@ -32,11 +35,13 @@ class Simulated:
     baseline  of the raw recordings
     final     with everything found
     without   with everything found but one, by its name
+    model     what ships with everything found; None where no model was at hand
     """
 
     baseline: float
     final: float
-    without: dict[str, float]
+    without: Mapping[str, float]
+    model: AxisModel | None = None
 
 
 def simulated(outcome: Outcome) -> Simulated:

@@ -20,6 +20,7 @@ class CreepLadder(Extension):
 
     tau_i  time_s  (rungs,)  s, rising
     c_i    share   (rungs,)  1, 0 to 0.5
+    even           the shares stay equal: barriers spread evenly, one number to fit
 
     Steady before the first sample: what a stage still owes from before a recording is its zero's.
     """
@@ -28,12 +29,15 @@ class CreepLadder(Extension):
 
     time_s: tuple[float, ...]
     share: tuple[float, ...]
+    even: bool = False
 
     def __post_init__(self) -> None:
         if len(self.time_s) != len(self.share) or not self.time_s:
             raise ValueError(f"creep has {len(self.time_s)} times and {len(self.share)} shares")
         if any(np.diff(self.time_s) <= 0.0):
             raise ValueError(f"creep times are {self.time_s}, expected rising")
+        if self.even and len(set(self.share)) > 1:
+            raise ValueError(f"even creep has shares {self.share}, expected equal ones")
         for time_s, share in zip(self.time_s, self.share, strict=True):
             within("creep time_s", time_s, 1e-6, 1e9)
             within("creep share", share, 0.0, MOST)
@@ -55,13 +59,14 @@ class CreepLadder(Extension):
         return float(np.mean(self.share) / spacing)
 
     def free(self) -> Free:
-        """Return the shares."""
-        return free(self.share, 0.0, MOST, 1e-3)
+        """Return the shares, or the one that all have."""
+        return free(self.share[:1] if self.even else self.share, 0.0, MOST, 1e-3)
 
     def moved_to(self, value: Array) -> Self:
         """Return the ladder with other shares."""
-        return type(self)(time_s=self.time_s, share=tuple(value.tolist()))
+        shares = value.tolist() * (len(self.time_s) if self.even else 1)
+        return type(self)(time_s=self.time_s, share=tuple(shares), even=self.even)
 
     def prior(self) -> Array:
         """Return neighbouring shares as nearly alike: barriers are spread evenly."""
-        return np.diff(np.eye(len(self.share)), axis=0)
+        return np.diff(np.eye(len(self.free().value)), axis=0)
