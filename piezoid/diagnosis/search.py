@@ -35,6 +35,7 @@ MOST_REPAIRS = 3
 WORTH = 0.02  # of the rms: what removing a cause must lose
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
+NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
 BESIDE_CAUSES = 0.15  # of the error: what structure must take off where causes were found
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
@@ -188,21 +189,26 @@ def _best(
 ) -> Judged | None:
     """Return the effect that leaves least among those that are evidence."""
     best = max((found.total for found in screenings if found.sound), default=0.0)
-    telling = [f for f in screenings if f.total > max(TELLING * best, LEAST_GAIN) and f.sound]
+    least = max(TELLING * best, LEAST_GAIN)
+    telling = [f for f in screenings if f.total > least and f.sound and _above_twin(f)]
     first = []
     for found in telling:
         one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
         first.append((extended(clean, [*accepted, one]).rms, one, found))
-    least = min((rms for rms, _, _ in first), default=0.0)
+    closest = min((rms for rms, _, _ in first), default=0.0)
     finer = []
     for rms, one, found in first:
-        if rms > NEAR * least:
+        if rms > NEAR * closest:
             continue
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, clean, accepted)
         finer.append(judged(better, clean, accepted, seen=found, view=view))
     own = [j for j in finer if j.speaks and not _left_over(j, clean, accepted)]
     return min(own, key=lambda j: j.held.rms, default=None)
+
+
+def _above_twin(found: Screened) -> bool:
+    return found.twin is None or found.held.gain > NEAR_TWIN * found.twin.gain
 
 
 def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
