@@ -57,7 +57,7 @@ def plan(
         told("reading the stage")
         from piezoid.diagnosis.diagnosis import read_diagnosis
         from piezoid.diagnosis.experiment import plan as choose
-        from piezoid.diagnosis.plan_file import plan_files
+        from piezoid.diagnosis.planning.plan_file import plan_files
         from piezoid.identification.store import read_model
         from piezoid.records.collection import collect
 
@@ -96,7 +96,7 @@ def _show(found: "Plan", drive: Path) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from piezoid.diagnosis.plan_file import sentences
+    from piezoid.diagnosis.planning.plan_file import sentences
 
     console = Console()
     for sentence in sentences(found):

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.driven import Driven, null_columns, rows_of
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.playing import driven_recording
-from piezoid.diagnosis.question import suspect_of
-from piezoid.diagnosis.separation import basis_of, block_of, scale_of
-from piezoid.diagnosis.tangents import Tangent
+from piezoid.diagnosis.planning.driven import Driven, null_columns, rows_of
+from piezoid.diagnosis.planning.playing import driven_recording
+from piezoid.diagnosis.planning.question import suspect_of
+from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
+from piezoid.diagnosis.planning.tangents import Tangent
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array

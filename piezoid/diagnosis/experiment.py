@@ -10,16 +10,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.menu import MENU, Bench, Experiment, played
-from piezoid.diagnosis.playing import (
+from piezoid.diagnosis.planning.menu import MENU, Bench, Experiment, played
+from piezoid.diagnosis.planning.playing import (
     bench_of,
     driven_drive,
     driven_recording,
     drives_axis,
     usual_drives,
 )
-from piezoid.diagnosis.question import Question, question_of
-from piezoid.diagnosis.separation import Errors, Told, told_apart
+from piezoid.diagnosis.planning.question import Question, question_of
+from piezoid.diagnosis.planning.separation import Errors, Told, told_apart
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits

@@ -11,9 +11,9 @@ import pytest
 from piezoid.diagnosis.diagnosis import Diagnosis, read_diagnosis, write_diagnosis
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.menu import MENU, Bench, Experiment, played
-from piezoid.diagnosis.plan_file import SCHEMA, plan_files, sentences
-from piezoid.diagnosis.tangents import TANGENTS, WITHOUT
+from piezoid.diagnosis.planning.menu import MENU, Bench, Experiment, played
+from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
+from piezoid.diagnosis.planning.tangents import TANGENTS, WITHOUT
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.provenance import unseal
 from piezoid.records.excitation import DriveLimits

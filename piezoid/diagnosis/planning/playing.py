@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.driven import Driven, rows_of
-from piezoid.diagnosis.menu import Bench
+from piezoid.diagnosis.planning.driven import Driven, rows_of
+from piezoid.diagnosis.planning.menu import Bench
 from piezoid.errors import LabFileError
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.simulation import starts_of

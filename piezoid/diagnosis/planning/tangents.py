@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.driven import Driven
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import delayed, mode, rate_of, relaxed
 from piezoid.numerics.arrays import Array
 

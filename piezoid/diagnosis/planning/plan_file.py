@@ -5,7 +5,7 @@ from math import isfinite, sqrt
 from typing import Any
 
 from piezoid.diagnosis.experiment import Alternative, Plan
-from piezoid.diagnosis.separation import Told
+from piezoid.diagnosis.planning.separation import Told
 from piezoid.provenance import digest_of_bytes, seal
 
 SCHEMA = "piezoid.plan/1"

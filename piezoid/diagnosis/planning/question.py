@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
-from piezoid.diagnosis.separation import Suspect
-from piezoid.diagnosis.tangents import WITHOUT, tangent_of
+from piezoid.diagnosis.planning.separation import Suspect
+from piezoid.diagnosis.planning.tangents import WITHOUT, tangent_of
 from piezoid.errors import ExcitationError
 
 WIDE = 0.25  # half an interval over the size: from here on it is worth a recording

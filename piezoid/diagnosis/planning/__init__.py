@@ -1,0 +1,1 @@
+"""What the next experiment is chosen from and by: drives, tangents, separability."""
