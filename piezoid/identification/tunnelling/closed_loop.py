@@ -18,8 +18,10 @@ import numpy as np
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.confidence import Confidence, Reason
 from piezoid.identification.tunnelling.instrument_fit import (
+    HIGHEST_POLE_SHARE,
     InstrumentFit,
     LEAST_POLE_Hz,
+    bounds_of_logs,
     fit_with_instrument,
 )
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
@@ -124,7 +126,7 @@ def identify_closed_loop(
         logs=fit.logs,
         covariance=fit.covariance,
         gain_interval=(math.exp(low[0]), math.exp(high[0])),
-        sensor_pole_interval_Hz=_pole_interval(low[1], high[1]),
+        sensor_pole_interval_Hz=pole_interval(low[1], high[1], record.sampling_rate_Hz),
         delay_interval_s=(max(float(low[2]), 0.0) * period_s, float(high[2]) * period_s),
         decay_per_m=decay,
         barrier_eV=barrier_of_decay(decay),
@@ -181,9 +183,13 @@ def _intervals(fit: InstrumentFit, blocks: int) -> tuple[Array, Array]:
     return fit.logs - half, fit.logs + half
 
 
-def _pole_interval(low: float, high: float) -> tuple[float, float]:
-    """A pole far beyond what the record can see is bounded from below only."""
-    return math.exp(max(low, math.log(LEAST_POLE_Hz))), math.exp(high) if high < 50.0 else math.inf
+def pole_interval(low: float, high: float, sampling_rate_Hz: float) -> tuple[float, float]:
+    """Return the ends of a pole's interval from those of its logarithm, hertz.
+
+    A pole that may lie where a hold no longer shows it is bounded from below only.
+    """
+    lowest, highest = (ends[1] for ends in bounds_of_logs(sampling_rate_Hz))
+    return math.exp(max(low, lowest)), math.exp(high) if high < highest else math.inf
 
 
 def _judge(
@@ -202,8 +208,9 @@ def _judge(
         )
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     pole_Hz = fit.plant.sensor_pole_Hz
-    if not 1.01 * LEAST_POLE_Hz < pole_Hz < record.sampling_rate_Hz:
-        text = f"a sensor pole of {pole_Hz:.3g} Hz cannot be told from none on this record"
+    highest_Hz = HIGHEST_POLE_SHARE * record.sampling_rate_Hz
+    if not 1.01 * LEAST_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
+        text = f"a sensor pole of {pole_Hz:.3g} Hz, the end of what is sought, may lie beyond it"
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     reasons.sort(key=lambda reason: reason.grade is not Confidence.LOW)
     return (reasons[0].grade if reasons else Confidence.HIGH), tuple(reasons)

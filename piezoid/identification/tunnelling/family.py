@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
+from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.tunnelling import barrier_of_decay
@@ -62,7 +63,9 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
     drive_gain_m_per_V  extension per volt, for the barrier
 
     ``q`` is Student's for one further junction. A member is where an ellipsoid touches its
-    bounding box: there gain, pole or delay is extreme and the others follow their correlation.
+    bounding box: there gain, pole or delay is extreme and the others follow their correlation, no
+    further than a pole and a delay are ever sought: a record that cannot tell one from the other
+    allows neither to be anything.
     """
     logs = np.array([fit.logs for fit in fits])
     covariance, seen = _covariance_of_next(fits, logs)
@@ -73,7 +76,8 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
     spreads = []
     for place in range(3):
         arm = reach * covariance[:, place] / max(math.sqrt(covariance[place, place]), 1e-300)
-        ends = [_plant(center + sign * arm, nominal) for sign in (-1.0, 1.0)]
+        steps = (_within_bounds(center, sign * arm, nominal) for sign in (-1.0, 1.0))
+        ends = [_plant(center + step, nominal) for step in steps]
         members += ends
         spreads.append(ends)
     (gain_low, gain_high), (pole_low, pole_high), (delay_low, delay_high) = spreads
@@ -136,6 +140,18 @@ def _quantile(records: int) -> float:
     from scipy.stats import t as student
 
     return float(student.ppf(0.975, records - 1))
+
+
+def _within_bounds(center: Array, step: Array, like: JunctionPlant) -> Array:
+    """Return the step of gain whole, those of pole and delay together as far as bounds allow.
+
+    Where pole and delay look alike, one goes up as the other goes down: cut one by one they would
+    leave that line, and with it what the record does know.
+    """
+    low, high = bounds_of_logs(like.sampling_rate_Hz)
+    ahead = np.where(step > 0.0, np.subtract(high, center), np.subtract(center, low))
+    share = min(1.0, *(float(room) for room in ahead[1:] / np.maximum(np.abs(step[1:]), 1e-300)))
+    return np.asarray(step * np.array([1.0, share, share]), dtype=np.float64)
 
 
 def _plant(logs: Array, like: JunctionPlant) -> JunctionPlant:

@@ -22,6 +22,7 @@ from piezoid.numerics.arrays import Array
 ComplexArray = NDArray[np.complex128]
 
 LEAST_POLE_Hz = 100.0
+HIGHEST_POLE_SHARE = 0.5  # of the sampling rate
 _ROUNDS = 4  # weights depend on the plant, weakly: they settle to a per mille after two
 _STEPS = 60  # of the solver; ten suffice where there is a plant to find
 _NEIGHBOURS = 9  # lines over which a variance is smoothed: few blocks make it rough
@@ -68,7 +69,7 @@ def fit_with_instrument(
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     starts = [
         np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay])
-        for pole_Hz in (0.1 * sampling_rate_Hz, sampling_rate_Hz)
+        for pole_Hz in (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
         for delay in (0.2, 1.0, 2.0)
     ]
     deviation = problem.deviation(response)
@@ -85,20 +86,23 @@ def fit_with_instrument(
     )
 
 
+def bounds_of_logs(sampling_rate_Hz: float) -> tuple[list[float], list[float]]:
+    """A gain of any size, a pole of 100 Hz to half the sampling rate, a delay of 0 to 8 ticks.
+
+    A hold shows nothing of a faster pole but a delay: what is sought ends where it can be told.
+    """
+    return (
+        [-60.0, math.log(LEAST_POLE_Hz), 0.0],
+        [60.0, math.log(HIGHEST_POLE_SHARE * sampling_rate_Hz), 8.0],
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Moments:
     spectra: LoopSpectra
     instrument: ComplexArray
     amplifier_pole_Hz: float
     sampling_rate_Hz: float
-
-    @property
-    def bounds(self) -> tuple[list[float], list[float]]:
-        """A gain of any size, a pole of 100 Hz to ten sampling rates, a delay of 0 to 8 ticks."""
-        return (
-            [-60.0, math.log(LEAST_POLE_Hz), 0.0],
-            [60.0, math.log(10.0 * self.sampling_rate_Hz), 8.0],
-        )
 
     def plant(self, logs: Array) -> JunctionPlant:
         return JunctionPlant(
@@ -151,11 +155,11 @@ class _Moments:
     def solve(self, start: Array, deviation: Array) -> tuple[Array, float]:
         from scipy.optimize import least_squares
 
-        low, high = self.bounds
+        low, high = bounds_of_logs(self.sampling_rate_Hz)
         result = least_squares(
             lambda logs: self.weighted(logs, deviation),
             np.clip(start, np.add(low, 1e-9), np.subtract(high, 1e-9)),
-            bounds=self.bounds,
+            bounds=(low, high),
             max_nfev=_STEPS,
         )
         return np.asarray(result.x, dtype=np.float64), 2.0 * float(result.cost)

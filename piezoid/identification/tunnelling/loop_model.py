@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
+from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.family import PlantFamily, mean_of
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
@@ -184,7 +184,8 @@ def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Inter
     center, half = mean_of(fits)
     period_s = 1.0 / fits[0].plant.sampling_rate_Hz
     ends: list[Array] = [center - half, center + half]
-    gain, pole_Hz = ((math.exp(ends[0][k]), math.exp(min(ends[1][k], 700.0))) for k in (0, 1))
+    gain = (math.exp(ends[0][0]), math.exp(ends[1][0]))
+    pole_Hz = pole_interval(ends[0][1], ends[1][1], fits[0].plant.sampling_rate_Hz)
     delay_s = (max(float(ends[0][2]), 0.0) * period_s, max(float(ends[1][2]), 0.0) * period_s)
     return gain, pole_Hz, delay_s
 

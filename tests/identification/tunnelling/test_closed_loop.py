@@ -8,6 +8,7 @@ import pytest
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.family import spread_family
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_dither
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
@@ -46,6 +47,34 @@ def test_delay_and_sensor_pole_are_found_with_their_intervals() -> None:
     assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
     assert fit.sensor_pole_interval_Hz[0] < 5000.0 < fit.sensor_pole_interval_Hz[1]
     assert fit.plant.delay_s == pytest.approx(40e-6, abs=5e-6)
+
+
+def test_a_pole_faster_than_a_hold_shows_is_bounded_from_below_only() -> None:
+    """It looks like a delay; neither it nor the family around it may run away."""
+    junction = Junction(latency_s=40e-6, sensor_pole_Hz=30e3)
+    fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
+    assert fit.sensor_pole_interval_Hz[0] > 4e3
+    assert fit.sensor_pole_interval_Hz[1] == np.inf
+    assert fit.confidence is not Confidence.HIGH
+    assert any("sensor pole" in reason.text for reason in fit.reasons)
+    family = spread_family([fit], drive_gain_m_per_V=junction.drive_gain_m_per_V)
+    assert 3e3 < family.sensor_pole_Hz.low
+    assert family.delay_s.high < 80e-6
+
+
+def test_a_pole_no_record_can_tell_leaves_the_family_where_poles_are_sought() -> None:
+    junction = Junction()
+    fit = identified(loop_records([junction], periods=11, seed=3)[0], junction)
+    known = fit.covariance.copy()
+    known[1, :] *= 1e4
+    known[:, 1] *= 1e4
+    members = spread_family(
+        [replace(fit, covariance=known)], drive_gain_m_per_V=junction.drive_gain_m_per_V
+    ).members
+    poles_Hz = [member.sensor_pole_Hz for member in members]
+    assert 99.0 < min(poles_Hz) <= max(poles_Hz) < 10.1e3
+    gains = np.log([member.gain_nepers_per_V for member in members])
+    assert np.ptp(gains) == pytest.approx(2.0 * 1.96 * np.sqrt(known[0, 0]), rel=1e-3)
 
 
 def test_a_quiet_junction_is_known_to_a_per_mille() -> None:
