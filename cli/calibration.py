@@ -6,8 +6,6 @@ from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piezoid.errors import DesignError, LabFileError, ParameterFileError
-
 if TYPE_CHECKING:
     from piezoid.design.design import Design
     from piezoid.diagnosis.diagnosis import Diagnosis
@@ -27,7 +25,8 @@ class Calibration:
     diagnoses     of every axis that could be diagnosed, the first one in front
     undiagnosed   why the others could not, a sentence each
     design        None where none could be made; ``undesigned`` then says why
-    verification  of what ships; None without a design
+    stumbled      a fault of ours ended the way to the controller; ``undesigned`` says which
+    verification  of what ships; nothing ships without one
     files         name and bytes of everything that belongs into the folder
     """
 
@@ -36,6 +35,7 @@ class Calibration:
     undiagnosed: tuple[str, ...]
     design: "Design | None"
     undesigned: str
+    stumbled: bool
     parameters: "ParameterFile | None"
     verification: "Verification | None"
     files: Mapping[str, bytes]
@@ -47,8 +47,9 @@ class Calibration:
 
     @property
     def passed(self) -> bool:
-        """Whether the model applies to every axis, and no verdict on the controller failed."""
-        return self.model.applies and (self.verification is None or self.verification.passed)
+        """Whether the model applies to every axis, and nothing about the controller failed."""
+        verified = self.verification is None or self.verification.passed
+        return self.model.applies and verified and not self.stumbled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +58,7 @@ class _Controller:
     parameters: "ParameterFile | None" = None
     verification: "Verification | None" = None
     reason: str = ""
+    stumbled: bool = False
 
 
 def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibration:
@@ -104,6 +106,7 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
         undiagnosed=undiagnosed,
         design=controller.design,
         undesigned=controller.reason,
+        stumbled=controller.stumbled,
         parameters=controller.parameters,
         verification=controller.verification,
         files={**content, "report.html": page.encode()},
@@ -142,24 +145,38 @@ def _extended(model: "ActuatorModel", diagnoses: "Sequence[Diagnosis]") -> "Actu
 def _controller(
     model: "ActuatorModel", content: bytes, lab: "Lab | None", told: Told
 ) -> _Controller:
-    """Return the controllers and what became of them, or why there are none."""
-    from piezoid.design.stage import design_stage
-    from piezoid.export.stage import export_stage
-    from piezoid.verification.stage import verify_stage
+    """Return the controllers and what became of them, or why there are none.
 
+    Whatever stands in their way, model and report are there without them; a controller that could
+    not be verified does not ship.
+    """
+    from piezoid.design.stage import design_stage
+    from piezoid.errors import PiezoidError
+
+    design = None
     try:
         digest = loads(content)["digest"]
         design = design_stage(model, model_digest=digest, lab=lab, progress=told)
-    except (DesignError, LabFileError) as refusal:
-        return _Controller(reason=str(refusal))
-    try:
-        told("exporting")
-        design_digest = loads(design.to_json())["digest"]
-        parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
-        told("running the compiled controller against the stage")
-        found = verify_stage(parameters, model, lab=lab)
-    except (ParameterFileError, LabFileError) as refusal:
+        return _verified(model, design, lab, told)
+    except PiezoidError as refusal:
         return _Controller(design=design, reason=str(refusal))
+    except Exception as error:  # a fault of ours must not cost the lab its model
+        reason = f"a mistake of ours, {type(error).__name__}: {error}"
+        return _Controller(design=design, reason=reason, stumbled=True)
+
+
+def _verified(
+    model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told
+) -> _Controller:
+    """Return what ships of a design, and what its run against the stage showed."""
+    from piezoid.export.stage import export_stage
+    from piezoid.verification.stage import verify_stage
+
+    told("exporting")
+    design_digest = loads(design.to_json())["digest"]
+    parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
+    told("running the compiled controller against the stage")
+    found = verify_stage(parameters, model, lab=lab)
     return _Controller(design=design, parameters=parameters, verification=found)
 
 

@@ -88,6 +88,8 @@ def _reason(found: "Calibration") -> str:
         for axis in found.model.axes.values()
         if not axis.verdict.applies
     ]
+    if found.stumbled:
+        wrong.append(found.undesigned)
     if found.verification is not None:
         wrong += [
             f"{verdict.name} ({verdict.scenario}): {verdict.value:.4g}, allowed "

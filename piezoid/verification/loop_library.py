@@ -8,7 +8,7 @@ from typing import Any
 from piezoid.errors import RuntimeLibraryError
 from piezoid.numerics.arrays import Array
 
-MAX_STATES = 32
+MAX_STATES = 64
 _MODULE = "piezoid.verification._plant_loop"
 
 RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from piezoid.design.chain import Section
+from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.linear import ContinuousSystem, sample
@@ -184,7 +185,11 @@ def _block(
     """Build a block; ``drive`` holds B_old and B_new."""
     old, new = drive
     if len(A) > MAX_STATES:
-        raise ValueError(f"the plant has {len(A)} states in one block, at most {MAX_STATES}")
+        raise ParameterFileError(
+            f"the plant has {len(A)} states in one block",
+            needed=f"at most {MAX_STATES}, what the loop has room for",
+            remedy="Fit a model with fewer modes, or give the controller a higher rate.",
+        )
     x = np.zeros(len(A))
     linear = Linear(states=len(A), x=kept.address(x))
     for name, array in {"A": A, "B_old": old, "B_new": new, "C": C}.items():

@@ -15,7 +15,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#define PL_MAX_STATES 32
+#define PL_MAX_STATES 64
 
 enum { PL_PLAYS = 0, PL_EXPONENTIAL = 1, PL_PLUGGED = 2 };
 

@@ -1,0 +1,65 @@
+"""Whatever stands in the way of a controller, model and report do not get lost."""
+
+import json
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError
+from piezoid_cli import calibration
+
+STEPS = {
+    "piezoid.design.stage.design_stage": SimpleNamespace(to_json=lambda: b'{"digest": "d"}'),
+    "piezoid.export.stage.export_stage": "parameters",
+    "piezoid.verification.stage.verify_stage": "verified",
+}
+
+
+def controller(patch: pytest.MonkeyPatch, broken: str = "", error: Exception | None = None) -> Any:
+    """Return what becomes of a controller of which one step raises."""
+
+    def step(name: str) -> Callable[..., Any]:
+        def run(*_: Any, **__: Any) -> Any:
+            if name == broken and error is not None:
+                raise error
+            return STEPS[name]
+
+        return run
+
+    for name in STEPS:
+        patch.setattr(name, step(name))
+    model: Any = None
+    return calibration._controller(
+        model, json.dumps({"digest": "m"}).encode(), None, lambda _: None
+    )
+
+
+def test_a_controller_that_was_verified_ships(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = controller(monkeypatch)
+    assert (found.parameters, found.verification) == ("parameters", "verified")
+    assert found.reason == ""
+    assert not found.stumbled
+
+
+@pytest.mark.parametrize("broken", STEPS)
+@pytest.mark.parametrize("kind", [DesignError, RuntimeLibraryError])
+def test_a_refusal_of_any_step_is_told_and_nothing_ships(
+    monkeypatch: pytest.MonkeyPatch, broken: str, kind: type[PiezoidError]
+) -> None:
+    found = controller(monkeypatch, broken, kind("9 N", needed="8 N", remedy="Push less."))
+    assert found.reason == "9 N; 8 N. Push less."
+    assert not found.stumbled
+    assert (found.parameters, found.verification) == (None, None)
+
+
+@pytest.mark.parametrize("broken", STEPS)
+def test_a_mistake_of_ours_is_told_as_one_and_nothing_ships(
+    monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    found = controller(monkeypatch, broken, ValueError("40 states"))
+    assert found.reason == "a mistake of ours, ValueError: 40 states"
+    assert found.stumbled
+    assert (found.parameters, found.verification) == (None, None)
+    assert (found.design is None) == ("design" in broken)
