@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.refit import Found, Refitted, refitted
+from piezoid.diagnosis.extenders import Found
+from piezoid.diagnosis.refit import Refitted, refitted
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.simulation import Simulated
 from piezoid.diagnosis.tracks import Track

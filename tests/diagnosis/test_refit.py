@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
-from piezoid.diagnosis.refit import EXTENDERS, WITHOUT, Found, refitted
+from piezoid.diagnosis.extenders import EXTENDERS, Found
+from piezoid.diagnosis.refit import WITHOUT, refitted
 from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
 from piezoid.identification.simulation import simulate_recording
 from piezoid.records.lab import Acquisition, Lab

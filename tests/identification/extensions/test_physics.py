@@ -1,5 +1,7 @@
 """Each extension against a law it must obey."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -134,3 +136,13 @@ def test_a_periodic_error_is_corrected_to_rounding() -> None:
     np.testing.assert_allclose(error.corrected(reading_m), position_m, atol=1e-20)
     with pytest.raises(ValueError, match="steepness"):
         PeriodicError(wavelength_m=6e-7, cosine_m=(1e-7,), sine_m=(0.0,))
+
+
+def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> None:
+    even = CreepLadder(time_s=(0.1, 1.0, 10.0), share=(0.01,) * 3, even=True)
+    assert len(even.free().value) == 1
+    assert even.moved_to(np.array([0.02])).share == (0.02,) * 3
+    assert even.moved_to(np.array([0.02])).prior().shape == (0, 1)
+    assert CreepLadder.from_json(even.to_json()) == even
+    with pytest.raises(ValueError, match="expected equal"):
+        replace(even, share=(0.01, 0.02, 0.01))

@@ -1,0 +1,111 @@
+"""What a diagnosis found goes into the model it was given, and errors are that model's."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import piezoid.diagnosis.diagnose as engine
+from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effects import delay
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.folds import compared
+from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.worth import mending, repaired
+from piezoid.identification.extensions import Delay
+from piezoid.identification.hysteresis.pieces import scales_of
+from piezoid.identification.simulation import simulate_recording
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
+
+DELAY_s = 2e-3
+
+
+def outcome_of(recordings: Sequence[Recording], *found: Accepted) -> Outcome:
+    """Return a search that came to these causes."""
+    view = view_on(recordings, axis="x", lab=Lab())
+    causes = []
+    for one in found:
+        there = extended(view, [one])
+        causes.append(
+            Judged(
+                accepted=one,
+                held=compared(view.null, there.null),
+                twin=None,
+                share=0.01,
+                sound=True,
+                without=view,
+                view=there,
+            )
+        )
+    final = causes[-1].view if causes else view
+    return Outcome(
+        first=view,
+        clean=view,
+        final=final,
+        faults={},
+        causes=tuple(causes),
+        rivals={},
+        screened={},
+    )
+
+
+def test_a_diagnosis_of_a_model_carries_it_with_what_was_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recordings = recordings_of(Delay(delay_s=DELAY_s))
+    late = Accepted(
+        effect=delay.EFFECT, parameters={"delay_s": 1.3 * DELAY_s}, free={"delay_s": 1.5}
+    )
+    outcome = outcome_of(recordings, late)
+    monkeypatch.setattr(engine, "search", lambda *_: outcome)
+    found = engine.diagnose(recordings, axis="x", model=known_model())
+    (finding,) = found.findings
+    assert found.model is not None
+    assert found.model.lag.kind == "delay"
+    assert found.model.lag.time_s == pytest.approx(DELAY_s, rel=0.05)
+    assert found.final.rms_m < 1.5 * NOISE_m
+    assert finding.held_out_rms_after_m == found.final.rms_m
+    assert finding.held_out_gain == 1.0 - found.final.rms_m / finding.held_out_rms_before_m
+    assert finding.held_out_rms_before_m == pytest.approx(found.baseline.rms_m, rel=0.05)
+    for recording in recordings:
+        error_m = simulate_recording(found.model, recording) - recording.displacement_m()
+        assert np.std(error_m) < 1.5 * NOISE_m
+
+
+def test_a_model_in_which_nothing_is_wrong_stays_as_it_was(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    recordings, model = recordings_of(), known_model()
+    outcome = outcome_of(recordings)
+    monkeypatch.setattr(engine, "search", lambda *_: outcome)
+    found = engine.diagnose(recordings, axis="x", model=model)
+    assert found.findings == ()
+    assert found.model is model
+    assert found.final.rms_m == pytest.approx(found.baseline.rms_m, rel=0.02)
+
+
+def test_a_repair_changes_the_recording_where_it_was_and_nothing_else() -> None:
+    recordings = recordings_of()
+    spiked = (disturbed(recordings[0], slice(700, 701), 4e-7), recordings[1])
+    view = view_on(spiked, axis="x", lab=Lab())
+    mended = view_on(recordings, axis="x", lab=Lab())
+    scales = scales_of(spiked, "x")
+    first, second = repaired(spiked, "x", view.tracks, mended.tracks, scales)
+    np.testing.assert_allclose(
+        first.displacement_m(), recordings[0].displacement_m(), rtol=0, atol=1e-15
+    )
+    assert second is recordings[1]
+    assert np.array_equal(first.voltage_V(), spiked[0].voltage_V())
+
+
+def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
+    outcome = outcome_of(recordings_of())
+    known = Fault(tracks=outcome.first.tracks, value=1.0, spread=0.1, p_value=1e-6)
+    other = tuple(replace(track, response=0.5 * track.response) for track in known.tracks)
+    faults = {"quantisation": known, "outliers": replace(known, tracks=other)}
+    assert mending(replace(outcome, faults=faults)) == ("outliers",)
