@@ -28,8 +28,8 @@ RATE_Hz = 5000.0
 MODE_Hz, DAMPING = 400.0, 0.05
 
 
-def chirp(amplitude_V: float = 2.0) -> Array:
-    time_s = np.arange(30000) / RATE_Hz
+def chirp(amplitude_V: float = 2.0, samples: int = 30000) -> Array:
+    time_s = np.arange(samples) / RATE_Hz
     rate = np.log(1500.0 / 5.0) / time_s[-1]
     return 5.0 + amplitude_V * np.sin(2 * np.pi * 5.0 * np.expm1(rate * time_s) / rate)
 

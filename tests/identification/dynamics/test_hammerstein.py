@@ -30,6 +30,8 @@ from tests.identification.dynamics.test_axis_dynamics import (
 )
 from tests.reports.known_stage import HYSTERESIS, axis_model
 
+SAMPLES = 10000  # two seconds
+
 
 def axis() -> AxisModel:
     start = PieceStart(
@@ -37,7 +39,7 @@ def axis() -> AxisModel:
         memory_V=HYSTERESIS.virgin_memory(),
         zero_m=np.zeros(2),
         first=0,
-        last=30000,
+        last=SAMPLES,
     )
     return replace(axis_model(), starts=(start,))
 
@@ -81,7 +83,7 @@ def behind(voltage_V: Array, rng: np.random.Generator) -> Recording:
 
 @pytest.fixture(scope="module")
 def together() -> Joint:
-    chirped = recorded(chirp(), np.random.default_rng(41))
+    chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41))
     found = fit_jointly(axis(), rough(axis()), chirped, [chirped])
     assert found is not None
     return found
@@ -107,7 +109,7 @@ def test_memory_before_the_mode_is_told_by_the_phase_of_its_harmonics(together: 
 
 
 def test_memory_behind_the_mode_is_told_as_well() -> None:
-    turned = behind(chirp(), np.random.default_rng(43))
+    turned = behind(chirp(samples=SAMPLES), np.random.default_rng(43))
     found = fit_jointly(axis(), rough(axis()), turned, [turned])
     assert found is not None
     assert found.record.structure.order == "behind"
@@ -115,7 +117,7 @@ def test_memory_behind_the_mode_is_told_as_well() -> None:
 
 def test_every_derivative_is_that_of_the_simulation() -> None:
     known = axis()
-    chirped = recorded(chirp(), np.random.default_rng(41))
+    chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41))
     threshold_V = known.hysteresis.plays.threshold
     (rows,) = rows_of(known, [chirped], threshold_V=threshold_V, controller_Hz=RATE_Hz)
     shape, theta = start_of(known.hysteresis, rough(known), threshold_V)
@@ -131,7 +133,7 @@ def test_every_derivative_is_that_of_the_simulation() -> None:
 
 
 def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:
-    chirped = recorded(chirp(), np.random.default_rng(41), "other.csv")
+    chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41), "other.csv")
     assert fit_jointly(axis(), rough(axis()), chirped, [chirped]) is None
 
 
