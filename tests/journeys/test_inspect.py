@@ -74,7 +74,8 @@ def test_scripts_read_json(folder: Path) -> None:
     assert content["schema"] == "piezoid.inspection/1"
     good, scope = content["files"]
     assert good["sampling_rate_Hz"] == 1000
-    assert good["breaks"] == 1
+    assert good["breaks"] == 0
+    assert next((p["kind"], "bridged" in p["text"]) for p in good["problems"]) == ("gap", True)
     assert [column["si_unit"] for column in good["columns"]] == ["s", "V", "m", ""]
     assert good["refusal"] is None
     assert "lab.toml" in scope["refusal"]
