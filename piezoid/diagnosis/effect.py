@@ -99,6 +99,7 @@ class Effect:
                  judged at the end, when everything else is in
     inject       (recording, share) -> the recording with the effect, share of the stroke
     sure         standard errors to ask for
+    quiet        times the sensor's noise: where more is left, its null itself does not hold
     worth        part of the error on rows left out that it must take off
     shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
     least        share of the stroke below which it is not looked for
@@ -121,6 +122,7 @@ class Effect:
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
+    quiet: float = float("inf")
     sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
     least: float = 1.2e-4
     worth: float = 0.03

@@ -8,7 +8,7 @@ from piezoid.diagnosis.view import View, with_knee
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
 EXPONENTS = (1.0, 1.6)
-PARTS = (1.0, 0.4, 0.15)
+PARTS = (1.0, 0.5, 0.25, 0.1)
 FACTORS = (1.4, 1.0, 1.35)  # of beta and exponent by a full step
 STEP = 0.25  # of the ratio
 LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0))

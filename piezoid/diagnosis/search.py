@@ -84,7 +84,8 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         if found is None:
             continue
         structure = structure_of(found, final)
-        if structure.speaks and (not accepted or _stands_beside(structure, final)):
+        holds = final.rms < effect.quiet * final.noise
+        if structure.speaks and holds and (not accepted or _stands_beside(structure, final)):
             causes.append(structure)
         else:
             silent[effect.name] = found

@@ -52,6 +52,7 @@ EFFECT = Effect(
     inject=inject,
     shows_at=8e-3,
     least=4e-4,
+    quiet=1.5,
     sure=4.0,
     worth=0.11,  # no class of null is as wide as ceramics: a little of this is always there
 )
