@@ -210,7 +210,7 @@ def _judge(
     pole_Hz = fit.plant.sensor_pole_Hz
     highest_Hz = HIGHEST_POLE_SHARE * record.sampling_rate_Hz
     if not 1.01 * LEAST_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
-        text = f"a sensor pole of {pole_Hz:.3g} Hz, the end of what is sought, may lie beyond it"
+        text = f"sensor pole at {1e-3 * pole_Hz:.3g} kHz, the end of what is sought, or beyond"
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     reasons.sort(key=lambda reason: reason.grade is not Confidence.LOW)
     return (reasons[0].grade if reasons else Confidence.HIGH), tuple(reasons)
