@@ -5,6 +5,9 @@ tangents of the other beside the whole null; the size is a function of both,
 
     var size = g' cov g,    g = its gradient by small steps.
 
+A share of the stroke is the root of what the blocks explain, known to as many standard errors as
+the effect itself.
+
 Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance.
 """
 
@@ -30,8 +33,8 @@ def size_of(cause: Judged) -> Size:
     beta = cause.held.coefficient
     if effect.size is None:
         value = 100.0 * cause.share
-        across = float(np.linalg.norm(beta * cause.held.spread)) / max(float(beta @ beta), 1e-300)
-        reach = QUANTILE * min(across, 1.0) * value
+        # what blocks explain is known to one part in z, its root to half of that
+        reach = QUANTILE * value / (2.0 * max(cause.held.z, 1.0))
     else:
         value = effect.size(view, one.parameters, beta)
         reach = QUANTILE * _spread(cause, value)

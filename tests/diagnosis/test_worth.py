@@ -9,11 +9,12 @@ import pytest
 import piezoid.diagnosis.diagnose as engine
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.effects import delay
+from piezoid.diagnosis.effects import cross_coupling, delay
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import compared
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.worth import mending, repaired
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
@@ -109,3 +110,15 @@ def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
     other = tuple(replace(track, response=0.5 * track.response) for track in known.tracks)
     faults = {"quantisation": known, "outliers": replace(known, tracks=other)}
     assert mending(replace(outcome, faults=faults)) == ("outliers",)
+
+
+def test_a_share_of_the_stroke_is_known_the_better_the_surer_its_effect_is() -> None:
+    answer = Accepted(effect=cross_coupling.EFFECT, parameters={})
+    (cause,) = outcome_of(recordings_of(), answer).causes
+    reach = []
+    for z in (0.5, 4.0, 8.0):
+        size = size_of(replace(cause, held=replace(cause.held, z=z)))
+        low, high = size.ci95
+        assert 0.0 <= low < size.value < high
+        reach.append((high - low) / size.value)
+    assert reach == pytest.approx([2.0, 0.5, 0.25])
