@@ -5,6 +5,7 @@
 KILLS whole runs are killed at moments drawn over the length of a run. Nearly all of a run is
 arithmetic, so a second series aims at the disk: WRITES runs hold the finished calibration of a
 first one, and are killed while they put it in place, half of them over an older folder.
+The code must not change meanwhile: other bytes count as broken.
 """
 
 import os

@@ -39,12 +39,12 @@ def design(
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import lab_of
+    from piezoid_cli.stage_files import lab_of, text_of
     from piezoid_reports.render import render_design
 
     content = (stage / "model.json").read_bytes()
     model = read_model(content, str(stage / "model.json"))
-    asked = None if spec is None else Asked(text=spec.read_text("utf-8"), place=spec.name)
+    asked = None if spec is None else Asked(text=text_of(spec), place=spec.name)
     with shown(quiet=quiet) as told:
         found = design_stage(
             model,

@@ -4,7 +4,7 @@ from json import loads
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from piezoid.errors import ParameterFileError
+from piezoid.errors import LabFileError, ParameterFileError
 
 if TYPE_CHECKING:
     from piezoid.records.lab import Lab
@@ -25,6 +25,19 @@ def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None
             needed="files of one and the same model",
             remedy=f"Run `{verb}` again, then everything that follows it.",
         )
+
+
+def text_of(place: Path) -> str:
+    """Read a text file that somebody wrote by hand."""
+    content = place.read_bytes()
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise LabFileError(
+            f"{place}: {error}",
+            needed="text in UTF-8",
+            remedy="Save it again as plain text in UTF-8.",
+        ) from error
 
 
 def lab_of(stage: Path, given: Path | None) -> "Lab | None":

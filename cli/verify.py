@@ -54,14 +54,14 @@ def verify(
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import lab_of, same_model
+    from piezoid_cli.stage_files import lab_of, same_model, text_of
 
     file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
     content = (stage / "model.json").read_bytes()
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)
-    chosen = None if limits is None else limits_from_toml(limits.read_text("utf-8"), limits.name)
+    chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
         proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")

@@ -139,14 +139,17 @@ def specifications_from_toml(
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
+    except (tomllib.TOMLDecodeError, RecursionError) as fault:
         raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
     result = dict(defaults)
     for axis, table in tables.items():
         if axis not in defaults or not isinstance(table, dict):
             known = ", ".join(sorted(defaults))
             raise _unusable(place, f"[{axis}] is not an axis of this model", f"one of {known}")
-        result[axis] = _asked(defaults[axis], table, f"{place} [{axis}]")
+        try:
+            result[axis] = _asked(defaults[axis], table, f"{place} [{axis}]")
+        except (TypeError, OverflowError) as fault:
+            raise _unusable(place, f"[{axis}]: {fault}", "values of the right kind") from fault
     return result
 
 

@@ -165,20 +165,23 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             for a in record["axes"]
         ]
         name, sources = str(record["name"]), dict(record["sources"])
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise _incomplete(place, f"no {error}") from error
-    return ParameterFile(
-        name=name,
-        axes=tuple(
-            AxisParameters(
-                axis=axis,
-                values=_values(entries, place),
-                alternatives=tuple(_values(other, place) for other in others),
-            )
-            for axis, entries, others in axes
-        ),
-        sources=sources,
-    )
+    try:
+        return ParameterFile(
+            name=name,
+            axes=tuple(
+                AxisParameters(
+                    axis=axis,
+                    values=_values(entries, place),
+                    alternatives=tuple(_values(other, place) for other in others),
+                )
+                for axis, entries, others in axes
+            ),
+            sources=sources,
+        )
+    except (TypeError, ValueError, AttributeError) as error:
+        raise _incomplete(place, f"{type(error).__name__}: {error}") from error
 
 
 def _shipped() -> list[Parameter]:

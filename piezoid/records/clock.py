@@ -25,6 +25,9 @@ _COUNTABLE = 1e12
 _RARE = 0.01
 
 
+_LEAST_INTERVAL_s = 1e-15  # no converter is as fast; below, rates leave the range of numbers
+
+
 @dataclass(frozen=True, kw_only=True)
 class Clock:
     """What the stamps say.
@@ -58,6 +61,8 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
     resolution_s = print_resolution_s(time_s)
     k = np.arange(len(time_s))
     uniform_s = (time_s[-1] - time_s[0]) / k[-1]
+    if 0 < uniform_s < _LEAST_INTERVAL_s:
+        raise _no_clock(name, f"time stamps {uniform_s:.3g} s apart", "the steps of a clock")
     # Rounding is off by half a unit; the fitted line may be off by a quarter more.
     tolerance_s = 0.75 * resolution_s + 8 * np.spacing(np.abs(time_s).max())
     is_line = uniform_s > 0 and np.abs(time_s - _line(time_s)).max() <= tolerance_s

@@ -11,6 +11,9 @@ from piezoid.records.recording import Problem
 
 Stamps = NDArray[np.int_]
 
+# No more samples than this are counted as lost: a damaged stamp may lie anywhere.
+_MOST = 2.0**53
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimeFaults:
@@ -47,7 +50,7 @@ class TimeFaults:
             lost=lost,
             stands=_stands(steps, interval_s, resolution_s),
             back=back,
-            stepped=np.round(1.0 - steps[back - 1] / interval_s).astype(int),
+            stepped=np.round(np.minimum(1.0 - steps[back - 1] / interval_s, _MOST)).astype(int),
         )
 
     @property
@@ -114,7 +117,7 @@ def _gaps(time_s: Array, interval_s: float, excess_s: float) -> tuple[Stamps, St
             # two losses in a row: the next one is counted at its own place
             beyond_s = time_s[k] - time_s[before] - (k - before) * interval_s
             kept.append(k)
-            lost.append(max(round(min(missing_s, beyond_s) / interval_s), 1))
+            lost.append(max(round(min(missing_s, beyond_s, _MOST * interval_s) / interval_s), 1))
     return np.array(kept, dtype=int), np.array(lost, dtype=int)
 
 

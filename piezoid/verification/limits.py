@@ -1,6 +1,6 @@
 """Limits that somebody writes down: a file of their own, or ``[verification]`` of lab.toml."""
 
-import math
+import sys
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, replace
@@ -19,7 +19,7 @@ def limits_from_toml(text: str, place: str = "limits.toml") -> Limits:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as fault:
+    except (tomllib.TOMLDecodeError, RecursionError) as fault:
         raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
     return limits_from(table, place)
 
@@ -39,7 +39,7 @@ def limits_from(table: Mapping[str, object], place: str) -> Limits:
             raise _unusable(place, f"unknown limit {name!r}", "one of " + ", ".join(known))
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise _unusable(place, f"{name} is {value!r}", "a number")
-        if not (math.isfinite(value) and value > 0):
+        if not 0 < value <= sys.float_info.max:
             raise _unusable(place, f"{name} is {value!r}", "a finite number above zero")
         given[name] = float(value)
     return replace(Limits(), **given)

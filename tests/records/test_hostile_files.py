@@ -1,6 +1,7 @@
 """Damaged and hostile files end in an error of ours, or are read; nothing else."""
 
 import gzip
+import hashlib
 import io
 import pickle
 import zipfile
@@ -11,10 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.errors import PiezoidError, UnreadableFileError
+from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
+from piezoid.provenance import unseal
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table
-from piezoid.records.readers.source import open_source
+from piezoid.records.readers.block import Layout, parse_block
+from piezoid.records.readers.source import _read_to, open_source
 from tests.records.formats import SILENT, SPEAKING
 
 MUTATIONS = 60  # for each of nineteen formats; 1000 for each were tried once as well
@@ -165,3 +168,78 @@ def test_a_file_of_mostly_text_is_refused_with_its_first_bad_line(tmp_path: Path
     path.write_text("\n".join(rows) + "\n")
     with pytest.raises(UnreadableFileError, match="line"):
         read_table(path)
+
+
+ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(40))
+
+
+def _stamped(stamps: list[str]) -> str:
+    rows = (f"{at},{k % 7},{k % 5}\n" for k, at in enumerate(stamps))
+    return "time [s],voltage [V],position [um]\n" + "".join(rows)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("1," * 100_000, "100001 columns"),
+        ("9" * 200_000 + ",1,2\n" + ROWS, ""),
+        ("\n" * 200_000, "no row of numbers"),
+        (_stamped([f"{k * 5e-324}" for k in range(40)]), "the steps of a clock"),
+    ],
+    ids=["a line without breaks", "a number without end", "blank lines", "denormal stamps"],
+)
+def test_what_takes_time_or_memory_without_end_is_answered_at_once(
+    content: str, said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(content)
+    (inspection,) = inspect_file(path)
+    assert said in (inspection.refusal or "")
+
+
+@pytest.mark.parametrize("stray_s", [1e30, -1e30])
+def test_a_stamp_lying_anywhere_is_no_crash(stray_s: float, tmp_path: Path) -> None:
+    stamps = [f"{k / 1000}" for k in range(40)]
+    stamps[20] = f"{stray_s}"
+    path = tmp_path / "run.csv"
+    path.write_text(_stamped(stamps))
+    (inspection,) = inspect_file(path)
+    assert inspection.refusal or inspection.problems
+
+
+def test_groups_without_end_are_not_walked_through(tmp_path: Path) -> None:
+    import h5py
+
+    with h5py.File(tmp_path / "deep.h5", "w") as file:
+        group = file
+        for _ in range(200):
+            group = group.create_group("inner")
+    with pytest.raises(UnreadableFileError, match="more than 32 deep"):
+        read_table(tmp_path / "deep.h5")
+
+
+def test_a_table_without_any_row_is_unreadable() -> None:
+    with pytest.raises(UnreadableFileError, match="no row from line 7 on"):
+        parse_block("\n\n", Layout(separator=",", decimal=".", fields=2), "run.lvm", 7)
+
+
+def test_a_compressed_file_is_read_in_pieces() -> None:
+    asked: list[int] = []
+
+    class Stream(io.BytesIO):
+        def read(self, size: int | None = -1) -> bytes:
+            asked.append(size or -1)
+            return super().read(size)
+
+    assert _read_to(Stream(b"0" * 10), 1 << 31) == b"0" * 10
+    assert 0 < max(asked) <= 1 << 20
+
+
+@pytest.mark.parametrize("body", ["[" * 100_000 + "]" * 100_000, "9" * 10_000, "\xff"])
+def test_a_sealed_file_that_is_no_json_is_refused(body: str) -> None:
+    blank = f'{{"schema": "piezoid.model/1", "digest": "sha256:{"0" * 64}", "x": {body}}}'.encode(
+        "latin-1"
+    )
+    digest = hashlib.sha256(blank).hexdigest().encode()
+    with pytest.raises(ParameterFileError, match="JSON text in UTF-8"):
+        unseal(blank.replace(b"0" * 64, digest, 1), "piezoid.model/1", "model.json")

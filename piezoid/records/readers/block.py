@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.source import unreadable
+from piezoid.records.readers.source import check_columns, unreadable
 from piezoid.records.recording import Problem
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _EMPTY = frozenset({"", "nan", "n/a", "na", "null", "none", "-", "--", "#n/a", "-nan", "inf",
                     "-inf", "+inf", "infinity", "-infinity"})  # fmt: skip
+_LONGEST = 400  # characters of a number: 1e308 written out has 309
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 
 
@@ -61,7 +62,7 @@ def number_of(text: str, decimal: str) -> float | None:
     if text.lower() in _EMPTY:
         return np.nan
     text = text.replace(",", ".") if decimal == "," else text
-    if not _NUMBER.fullmatch(text):
+    if len(text) > _LONGEST or not _NUMBER.fullmatch(text):
         return None
     value = float(text.replace("D", "e").replace("d", "e"))
     return value if np.isfinite(value) else np.nan
@@ -69,6 +70,15 @@ def number_of(text: str, decimal: str) -> float | None:
 
 def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
     """Read the rows of a table; ``first_line`` is the line its first row stands on."""
+    check_columns(name, layout.fields)
+    if not text.strip():
+        raise unreadable(
+            name,
+            f"there is no row from line {first_line} on, where the table should begin",
+            needed="rows of numbers",
+            remedy="Export the recording again.",
+            line=first_line,
+        )
     block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
     return _parse_slowly(text, layout, name, first_line) if block is None else block
 

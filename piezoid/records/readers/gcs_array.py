@@ -16,7 +16,7 @@ _PAIR = re.compile(r"^\s*#\s*([A-Z_]+\d*)\s*=\s*(.*?)\s*$")
 
 def recognises(source: Source) -> bool:
     """Tell it by its end mark or its keys among the first bytes."""
-    return re.search(rb"^\s*#\s*END_HEADER\s*$", source.head, re.MULTILINE) is not None
+    return re.search(rb"^[ \t]*#[ \t]*END_HEADER[ \t\r]*$", source.head, re.MULTILINE) is not None
 
 
 def read(source: Source) -> RawTable:

@@ -8,6 +8,7 @@ from piezoid.records.readers.source import Source, check_size
 from piezoid.records.table import RawTable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_DEEPEST = 32  # groups; the library takes minutes to walk through some thousand
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
 
 
@@ -39,6 +40,8 @@ def _datasets(stream: object) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def keep(path: str, item: Any) -> None:
+        if path.count("/") > _DEEPEST:
+            raise ValueError(f"its groups lie more than {_DEEPEST} deep in one another")
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf":
             found[path] = item
 

@@ -14,6 +14,9 @@ from piezoid.provenance import digest_of_file
 # comes near a whole one, and a hostile archive of a few kilobytes must not fill the memory.
 SIZE_LIMIT = 1 << 31
 HEAD_SIZE = 1 << 16
+# Everything that is tried on columns is tried on each; recorders have some hundred.
+MOST_COLUMNS = 4096
+_PIECE = 1 << 20
 
 
 def unreadable(
@@ -104,10 +107,22 @@ def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
         )
 
 
+def check_columns(place: str, columns: int) -> None:
+    """Refuse a table so wide that it is none: a line without breaks, or an enemy's heading."""
+    if columns > MOST_COLUMNS:
+        raise unreadable(
+            place,
+            f"it has {columns} columns",
+            needed=f"at most {MOST_COLUMNS}, a row for each sample",
+            remedy="Keep only the columns that matter, or transpose the table.",
+            columns=columns,
+        )
+
+
 def _unpack(path: Path, limit: int) -> bytes:
     try:
         with gzip.open(path, "rb") as stream:
-            content = stream.read(limit + 1)
+            content = _read_to(stream, limit)
     except (OSError, EOFError, zlib.error) as error:
         raise unreadable(
             path.name,
@@ -117,6 +132,14 @@ def _unpack(path: Path, limit: int) -> bytes:
         ) from error
     check_size(path.name, len(content), limit)
     return content
+
+
+def _read_to(stream: io.BufferedIOBase, limit: int) -> bytes:
+    """Read until the limit is passed; asked for all at once, gzip would set the limit aside."""
+    held = io.BytesIO()
+    while held.tell() <= limit and (piece := stream.read(_PIECE)):
+        held.write(piece)
+    return held.getvalue()
 
 
 def text_of(source: Source) -> str:
