@@ -97,6 +97,8 @@ class Effect:
     size         (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
                  judged at the end, when everything else is in
+    known_to     part of the size that the law itself may be wrong by: a spectrum that is not even,
+                 a hold between samples; blocks of rows know nothing of it
     inject       (recording, share) -> the recording with the effect, share of the stroke
     sure         standard errors to ask for
     quiet        times the sensor's noise: where more is left, its null itself does not hold
@@ -122,6 +124,7 @@ class Effect:
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
+    known_to: float = 0.02
     quiet: float = float("inf")
     sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
     least: float = 1.2e-4

@@ -3,7 +3,9 @@
 Coefficients and nonlinear parameters are judged together, by the columns of the one and the
 tangents of the other beside the whole null; the size is a function of both,
 
-    var size = g' cov g,    g = its gradient by small steps.
+    var size = g' cov g + (k size)^2,    g = its gradient by small steps,
+
+k what the law of the effect may itself be wrong by.
 
 A share of the stroke is the root of what the blocks explain, known to as many standard errors as
 the effect itself.
@@ -12,7 +14,7 @@ Source: the delta method; Liang & Zeger, Biometrika 73 (1986) for the covariance
 """
 
 from dataclasses import replace
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -37,7 +39,7 @@ def size_of(cause: Judged) -> Size:
         reach = QUANTILE * value / (2.0 * max(cause.held.z, 1.0))
     else:
         value = effect.size(view, one.parameters, beta)
-        reach = QUANTILE * _spread(cause, value)
+        reach = QUANTILE * hypot(_spread(cause, value), effect.known_to * value)
     return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
 
 

@@ -109,6 +109,7 @@ EFFECT = Effect(
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
     rivals=("thermal_drift",),
     sure=2.7,
+    known_to=0.08,
     least=5e-5,  # what its past takes for itself does not count
     untestable=_untestable,
     trials=_trials,
