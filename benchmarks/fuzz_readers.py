@@ -21,6 +21,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -121,7 +122,7 @@ def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
             case 2 if isinstance(holder, dict):
                 holder[f"{key}_"] = holder.pop(key)
             case _:
-                holder[key] = HARD[int(rng.integers(len(HARD)))]
+                holder[key] = deepcopy(HARD[int(rng.integers(len(HARD)))])
     schema = record.pop("schema", "")
     record.pop("digest", None)
     return seal(schema, record) if isinstance(schema, str) and record else content
