@@ -180,7 +180,7 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             ),
             sources=sources,
         )
-    except (TypeError, ValueError, AttributeError) as error:
+    except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
         raise _incomplete(place, f"{type(error).__name__}: {error}") from error
 
 

@@ -66,7 +66,7 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
             remarks=tuple(record["remarks"]),
             controller_rate_Hz=record["controller_rate_Hz"],
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (LookupError, ArithmeticError, TypeError, ValueError, AttributeError) as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {SCHEMA}, of its own kind",
