@@ -23,6 +23,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
+WIDTH = "the drive has one speed at every place, so this is a width of the loop and no more"
 POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 Progress = Callable[[str], None]
 
@@ -167,8 +168,8 @@ def _named(name: str) -> Effect:
 
 
 def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
-    why = effect.untestable(outcome.final)
     found = outcome.screened.get(effect.name)
+    why = effect.untestable(outcome.final) or ("" if found is None or found.apart else WIDTH)
     if why or (found is None and effect.fault is None):
         return NotDetected(
             effect=effect.name,

@@ -26,6 +26,7 @@ class Screened:
     share  rms of what it adds, of the whole stroke
     bound  the largest such share the data allow, one-sided 95 %
     sound  whether physics allows it
+    apart  whether the null leaves enough of it to tell it from hysteresis
     total  1 - rms / rms without, all that comes with it included
     """
 
@@ -36,6 +37,7 @@ class Screened:
     share: float
     bound: float
     sound: bool
+    apart: bool
     total: float
 
 
@@ -80,6 +82,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
         share=share,
         bound=bound,
         sound=bool(allowed),
+        apart=any(_apart(trial, across) for trial, _, across in real),
         total=held.gain,
     )
 

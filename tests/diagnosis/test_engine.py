@@ -1,5 +1,6 @@
 """The engine of the diagnosis: what decides is the effect refitted, not its tangent."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -16,6 +17,8 @@ from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
+from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import healthy, recorded, view_of_recordings
@@ -117,3 +120,24 @@ def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     assert not is_alike(found, there)
     start = Accepted(effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5})
     assert is_alike(*refined(start, late_view(), []))
+
+
+def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():
+    recordings, lab = healthy()
+    whole = next(r for r in recordings if "sweep" in r.name)
+    turn = 2.0 * np.pi * np.arange(whole.samples) / 500.0
+    drive = np.sin(turn)
+    moved_m = 1e-5 * (drive - 0.2 * bouc_wen_states(drive, 2.0, 0.5, 1.2))
+    noise_m = 3e-9 * np.random.default_rng(3).normal(size=whole.samples)
+    channels = tuple(
+        replace(c, values=moved_m + noise_m)
+        if c.quantity is Quantity.DISPLACEMENT
+        else replace(c, values=5.0 + 5.0 * drive)
+        for c in whole.channels
+    )
+    view = view_of_recordings((replace(whole, channels=channels),), lab)
+    for effect in (delay.EFFECT, lag.EFFECT):
+        seen = screen(effect, view)
+        assert not seen.apart
+        assert not seen.sound
+    assert screen(delay.EFFECT, late_view()).apart
