@@ -11,6 +11,8 @@ from piezoid.design.templates import Violation
 from piezoid.errors import TemplateError
 
 _BISECTIONS = 4
+_STEPS_DOWN = 20
+_STEP_DOWN = -0.02
 _PER_E_FOLD_dB = 20.0 / np.log(10.0)
 _LOWEST_SHARE = 0.01
 
@@ -55,8 +57,13 @@ def nearest_feasible(
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if meets(middle) else (low, middle)
-    nearest_Hz = _rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
-    return NearestFeasible(bandwidth_Hz=nearest_Hz, relaxation_dB=relaxation_dB)
+    for _ in range(_STEPS_DOWN):
+        nearest_Hz = _rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
+        # what a search finds is not monotone in what it is asked: the advice itself is tried
+        if meets(float(np.log(nearest_Hz / specification.bandwidth_Hz))):
+            return NearestFeasible(bandwidth_Hz=nearest_Hz, relaxation_dB=relaxation_dB)
+        low += _STEP_DOWN
+    return NearestFeasible(bandwidth_Hz=None, relaxation_dB=relaxation_dB)
 
 
 def refuse(

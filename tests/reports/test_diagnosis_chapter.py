@@ -118,7 +118,7 @@ def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
     part_m = one.before_m - one.after_m
     assert rms(part_m) > 1e-8
     alike = np.corrcoef(part_m, one.injected_m)[0, 1]
-    assert alike > 0.8
+    assert alike > 0.6
 
 
 def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() -> None:
