@@ -81,4 +81,6 @@ EFFECT = Effect(
     size=_size,
     inject=inject,
     shows_at=8e-3,
+    least=8e-5,
+    worth=0.02,  # only the tips meet the limit
 )
