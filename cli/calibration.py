@@ -25,7 +25,8 @@ class Calibration:
     diagnoses     of every axis that could be diagnosed, the first one in front
     undiagnosed   why the others could not, a sentence each
     design        None where none could be made; ``undesigned`` then says why
-    stumbled      a fault of ours ended the way to the controller; ``undesigned`` says which
+    stumbled      a fault of ours ended a diagnosis or the way to the controller; the reasons say
+                  which
     verification  of what ships; nothing ships without one
     files         name and bytes of everything that belongs into the folder
     """
@@ -53,6 +54,13 @@ class Calibration:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Diagnosed:
+    found: "tuple[Diagnosis, ...]"
+    missing: tuple[str, ...]
+    stumbled: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Controller:
     design: "Design | None" = None
     parameters: "ParameterFile | None" = None
@@ -77,15 +85,10 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
     declared = None if lab is None else read_lab(lab)
     held = collect(files, declared)
     model = fit(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
-    diagnoses, undiagnosed = _diagnosed(held.recordings, declared, model, told)
+    diagnosed = _diagnosed(held.recordings, declared, model, told)
+    diagnoses = diagnosed.found
     model = _extended(model, diagnoses)
-    content = {"model.json": write_model(model)}
-    if diagnoses:
-        from piezoid.diagnosis.diagnosis import write_diagnosis
-
-        content["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
-    if lab is not None:
-        content["lab.toml"] = lab.read_bytes()  # what design, export and verify ask for again
+    content = {"model.json": write_model(model), **_told_files(diagnoses, lab)}
     controller = _controller(model, content["model.json"], declared, told)
     content |= _files_of(controller)
     told("writing the report")
@@ -103,19 +106,31 @@ def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibratio
     return Calibration(
         model=model,
         diagnoses=diagnoses,
-        undiagnosed=undiagnosed,
+        undiagnosed=diagnosed.missing,
         design=controller.design,
         undesigned=controller.reason,
-        stumbled=controller.stumbled,
+        stumbled=diagnosed.stumbled or controller.stumbled,
         parameters=controller.parameters,
         verification=controller.verification,
         files={**content, "report.html": page.encode()},
     )
 
 
+def _told_files(diagnoses: "Sequence[Diagnosis]", lab: Path | None) -> dict[str, bytes]:
+    """Return what was diagnosed, and what the laboratory said: later verbs ask for it again."""
+    from piezoid.diagnosis.diagnosis import write_diagnosis
+
+    files = {}
+    if diagnoses:
+        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
+    if lab is not None:
+        files["lab.toml"] = lab.read_bytes()
+    return files
+
+
 def _diagnosed(
     recordings: "Sequence[Recording]", lab: "Lab | None", model: "ActuatorModel", told: Told
-) -> "tuple[tuple[Diagnosis, ...], tuple[str, ...]]":
+) -> _Diagnosed:
     """Return the diagnoses of all axes, and why there is none where one failed.
 
     Whatever a diagnosis stumbles over, model and report are there without it.
@@ -123,15 +138,17 @@ def _diagnosed(
     from piezoid.diagnosis.diagnose import diagnose
     from piezoid.errors import PiezoidError
 
-    found, missing = [], []
+    found, missing, stumbled = [], [], False
     for axis, known in model.axes.items():
         try:
             found.append(diagnose(recordings, axis=axis, lab=lab, model=known, progress=told))
         except PiezoidError as refusal:
             missing.append(f"axis {axis} is not diagnosed: {refusal}")
         except Exception as error:  # a fault of ours must not cost the lab its model
-            missing.append(f"axis {axis} is not diagnosed: {type(error).__name__}: {error}")
-    return tuple(found), tuple(missing)
+            fault = f"a mistake of ours, {type(error).__name__}: {error}"
+            missing.append(f"axis {axis} is not diagnosed: {fault}")
+            stumbled = True
+    return _Diagnosed(found=tuple(found), missing=tuple(missing), stumbled=stumbled)
 
 
 def _extended(model: "ActuatorModel", diagnoses: "Sequence[Diagnosis]") -> "ActuatorModel":

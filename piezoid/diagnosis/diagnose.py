@@ -201,8 +201,11 @@ def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
         effect=found.effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
-        reason=f"at most {1e9 * bound_m:.3g} nm rms; it takes {100 * found.held.gain:.2g} % off "
-        f"the error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}",
+        reason=(
+            f"at most {1e9 * bound_m:.3g} nm rms; it takes {100 * found.held.gain:.2g} % off the "
+            f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
+            f"{_held_back(found, outcome)}"
+        ),
         next_experiment=found.effect.experiment,
     )
 
@@ -211,3 +214,11 @@ def _beside_twin(found: Screened) -> str:
     if found.twin is None:
         return ""
     return f", its unphysical twin {100 * found.twin.gain:.2g} %"
+
+
+def _held_back(found: Screened, outcome: Outcome) -> str:
+    if found.effect.name not in outcome.held_back:
+        return ""
+    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
+    beside = f"what {causes} may leave over" if causes else "what else no hysteresis here follows"
+    return f": not named, because these recordings do not tell it from {beside}"

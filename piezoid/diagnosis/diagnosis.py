@@ -28,7 +28,7 @@ class Finding:
     held_out_gain           1 - rms with it / rms without it, both refitted, on rows left out
     held_out_rms_before_m   without it
     held_out_rms_after_m    with it
-    p_value                 after Holm over everything tried
+    p_value                 times the number of effects tried [Bonferroni]
     share                   rms of what it adds, of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit

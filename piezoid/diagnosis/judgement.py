@@ -1,12 +1,11 @@
 """Judgement: an effect with everything refitted around it, against the same without it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import Accepted
 from piezoid.diagnosis.folds import Held, compared, surely
 from piezoid.diagnosis.screening import Screened, null_of, screened
 from piezoid.diagnosis.view import View
@@ -63,21 +62,13 @@ class Judged:
         return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > SURER
 
 
-def judged(
-    one: Accepted,
-    clean: View,
-    others: Sequence[Accepted],
-    *,
-    seen: Screened,
-    view: View | None = None,
-) -> Judged:
+def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judged:
     """Judge an effect beside others.
 
-    seen  its screening beside them, for its twins and for what physics allows
-    view  with all of them at work, where that is known already
+    view     with it and all others at work
+    without  with the others
+    seen     its screening there, for its twins and for what physics allows
     """
-    without = extended(clean, others)
-    view = extended(clean, [*others, one]) if view is None else view
     if one.adds:
         return _of_columns(one, seen, without, view)
     return Judged(

@@ -35,6 +35,7 @@ from piezoid.operators.play import play_columns
 COVERED = 0.97  # of the whole range: then all is forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
 CLEARLY = 0.9  # of the misfit of a cycled past: what another past must leave to be believed
+OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave to be taken
 POINTS = 500  # of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
 FARTHEST = 1.2

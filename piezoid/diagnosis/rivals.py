@@ -7,11 +7,11 @@ lose less with the rival, it takes the place.
 Source: Vuong, Econometrica 57 (1989).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.refinement import begun, refined
@@ -21,6 +21,51 @@ from piezoid.diagnosis.view import View
 NEAR = 0.5  # of the gain: what a rival's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
 BETTER = 3.0  # standard errors from which a rival takes the place
+
+Rivals = dict[str, tuple[str, ...]]
+
+
+def told_apart(
+    clean: View, accepted: Sequence[Accepted], progress: Callable[[str], None]
+) -> tuple[list[Judged], Rivals]:
+    """Judge every accepted effect, or the rival that takes its place, and name who is as good.
+
+    What no longer speaks beside all others goes, the least of it first.
+    """
+    accepted = list(accepted)
+    while True:
+        causes, rivals = _each(clean, accepted, progress)
+        mute = [cause for cause in causes if not cause.speaks]
+        if not mute:
+            return causes, rivals
+        least = min(mute, key=lambda cause: cause.held.gain)
+        accepted = [cause.accepted for cause in causes if cause is not least]
+
+
+def _each(
+    clean: View, accepted: list[Accepted], progress: Callable[[str], None]
+) -> tuple[list[Judged], Rivals]:
+    accepted, causes, near = list(accepted), [], {}
+    for k, one in enumerate(accepted):
+        progress(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        others = [other for n, other in enumerate(accepted) if n != k]
+        cause = _cause(clean, others, one)
+        rivals = rivals_of(cause, clean, others)
+        if rivals and takes_the_place(rivals[0], cause):
+            accepted[k] = rivals[0].accepted
+            cause, rivals = rivals[0], rivals_of(rivals[0], clean, others)
+        causes.append(cause)
+        near[cause.effect.name] = tuple(rival.effect.name for rival in rivals)
+    return causes, near
+
+
+def _cause(clean: View, others: Sequence[Accepted], one: Accepted) -> Judged:
+    """Judge an accepted effect once more, refined beside all others."""
+    better, view = refined(one, clean, others, finer=1)
+    without = extended(clean, others)
+    seen = screen(one.effect, without)
+    assert seen is not None
+    return judged(better, view, without, seen=seen)
 
 
 def rivals_of(cause: Judged, clean: View, others: Sequence[Accepted]) -> tuple[Judged, ...]:
@@ -54,4 +99,4 @@ def _in_place(
         return None
     one = begun(effect, seen.trial, float(seen.held.coefficient[0]))
     better, view = refined(one, clean, others, finer=1)
-    return judged(better, clean, others, seen=seen, view=view)
+    return judged(better, view, cause.without, seen=seen)

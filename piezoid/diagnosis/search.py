@@ -12,26 +12,24 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged, structure_of
 from piezoid.diagnosis.knee import with_best_knee
-from piezoid.diagnosis.memory import with_own_pasts
+from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.rivals import rivals_of, takes_the_place
+from piezoid.diagnosis.repair import repaired
+from piezoid.diagnosis.rivals import Rivals, told_apart
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import (
     View,
-    cycled,
     with_free_memory,
     with_knee,
     with_pasts,
-    with_tracks,
 )
 
 MOST_CAUSES = 5
-MOST_REPAIRS = 3
 WORTH = 0.02  # of the rms: what removing a cause must lose
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
@@ -40,7 +38,6 @@ BESIDE_CAUSES = 0.15  # of the error: what structure must take off where causes 
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
-OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave
 LEFT_OVER = 0.3  # of a rival's share
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
@@ -57,6 +54,7 @@ class Outcome:
     causes    every accepted effect beside all others
     rivals    effects that would explain as much in the place of an accepted one, by its name
     screened  the last word on each effect that was not accepted
+    held_back structure that speaks, but beside more than it can be told from
     """
 
     first: View
@@ -64,18 +62,20 @@ class Outcome:
     final: View
     faults: dict[str, Fault]
     causes: tuple[Judged, ...]
-    rivals: dict[str, tuple[str, ...]]
+    rivals: Rivals
     screened: dict[str, Screened]
+    held_back: tuple[str, ...] = ()
 
 
 def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
-    clean, faults = _repaired(view, progress)
+    clean, faults = repaired(view, progress)
     clean, accepted, silent = _grown(clean, progress)
     accepted = _pruned(clean, accepted, progress)
-    causes, rivals = _told_apart(clean, accepted, progress)
+    causes, rivals = told_apart(clean, accepted, progress)
     accepted = [cause.accepted for cause in causes]
     final = extended(clean, accepted)
+    held_back = []
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
@@ -84,11 +84,13 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         if found is None:
             continue
         structure = structure_of(found, final)
-        holds = final.rms < effect.quiet * final.noise
-        if structure.speaks and holds and (not accepted or _stands_beside(structure, final)):
+        if structure.speaks and _stands(structure, final, beside=bool(accepted)):
             causes.append(structure)
-        else:
-            silent[effect.name] = found
+            continue
+        silent[effect.name] = found
+        if structure.speaks:
+            held_back.append(effect.name)
+            rivals = _with_rival(rivals, effect)
     return Outcome(
         first=view,
         clean=clean,
@@ -97,50 +99,26 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         causes=tuple(causes),
         rivals=rivals,
         screened=silent,
+        held_back=tuple(held_back),
     )
 
 
-def _told_apart(
-    clean: View, accepted: list[Accepted], progress: Progress
-) -> tuple[list[Judged], dict[str, tuple[str, ...]]]:
-    """Judge every accepted effect, or the rival that takes its place, and name who is as good."""
-    accepted, causes, near = list(accepted), [], {}
-    for k, one in enumerate(accepted):
-        progress(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
-        others = [other for n, other in enumerate(accepted) if n != k]
-        cause = _cause(clean, others, one)
-        rivals = rivals_of(cause, clean, others)
-        if rivals and takes_the_place(rivals[0], cause):
-            accepted[k] = rivals[0].accepted
-            cause, rivals = rivals[0], rivals_of(rivals[0], clean, others)
-        causes.append(cause)
-        near[cause.effect.name] = tuple(rival.effect.name for rival in rivals)
-    return causes, near
+def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
+    """Tell whether structure may be named: what causes leave over looks like it as well.
+
+    beside  whether causes were found
+    """
+    if final.rms >= structure.effect.quiet * final.noise:
+        return False
+    return not beside or (structure.held.gain > BESIDE_CAUSES and final.rms < QUIET * final.noise)
 
 
-def _stands_beside(structure: Judged, final: View) -> bool:
-    """Tell whether structure shows beside causes: what they leave over looks like it as well."""
-    return structure.held.gain > BESIDE_CAUSES and final.rms < QUIET * final.noise
-
-
-def _repaired(view: View, progress: Progress) -> tuple[View, dict[str, Fault]]:
-    faults: dict[str, Fault] = {}
-    own = with_own_pasts(view)
-    # a wrong past looks like readings that are lost
-    view = own if own.rms < OTHER_PASTS * view.rms else view
-    for effect in EFFECTS:
-        if effect.fault is None:
-            continue
-        for _ in range(MOST_REPAIRS):
-            progress(f"looking for {effect.name.replace('_', ' ')}")
-            fault = effect.fault(view)
-            if fault is None:
-                break
-            faults[effect.name] = fault.after(faults.get(effect.name))
-            if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
-                break
-            view = with_tracks(view, fault.tracks)
-    return cycled(view), faults
+def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
+    """Say of causes that this structure may be what they are, or a part of them."""
+    return {
+        name: (*near, effect.name) if name in effect.rivals else near
+        for name, near in rivals.items()
+    }
 
 
 Grown = tuple[View, list[Accepted], dict[str, Screened]]
@@ -155,7 +133,7 @@ def _grown(clean: View, progress: Progress) -> Grown:
     for _ in range(MOST_CAUSES + 2):
         view = extended(clean, accepted)
         silent = _screened_all(view, {one.effect.name for one in accepted}, progress)
-        best = _best(clean, accepted, list(silent.values()), progress)
+        best = _best(clean, accepted, view, list(silent.values()), progress)
         least = best.view.rms if best else np.inf
         own = with_own_pasts(view)
         bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
@@ -185,10 +163,14 @@ def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, 
 def _best(
     clean: View,
     accepted: Sequence[Accepted],
+    without: View,
     screenings: Sequence[Screened],
     progress: Progress,
 ) -> Judged | None:
-    """Return the effect that leaves least among those that are evidence."""
+    """Return the effect that leaves least among those that are evidence.
+
+    without  the view with everything accepted, on which they were screened
+    """
     best = max((found.total for found in screenings if found.sound), default=0.0)
     least = max(TELLING * best, LEAST_GAIN)
     telling = [f for f in screenings if f.total > least and f.sound and _above_twin(f)]
@@ -203,7 +185,7 @@ def _best(
             continue
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, clean, accepted)
-        finer.append(judged(better, clean, accepted, seen=found, view=view))
+        finer.append(judged(better, view, without, seen=found))
     own = [j for j in finer if j.speaks and not _left_over(j, clean, accepted)]
     return min(own, key=lambda j: j.held.rms, default=None)
 
@@ -247,11 +229,3 @@ def _pruned(clean: View, accepted: list[Accepted], progress: Progress) -> list[A
             return accepted
         del accepted[losses.index(min(losses))]
     return accepted
-
-
-def _cause(clean: View, others: Sequence[Accepted], one: Accepted) -> Judged:
-    """Judge an accepted effect once more, refined beside all others."""
-    better, view = refined(one, clean, others, finer=1)
-    seen = screen(one.effect, extended(clean, others))
-    assert seen is not None
-    return judged(better, clean, others, seen=seen, view=view)

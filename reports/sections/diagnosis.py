@@ -99,7 +99,7 @@ def _gains(found: Diagnosis) -> Table:
     return Table(
         caption="What was found, largest gain first. Gain: the part of the error on rows left out "
         "that goes with this effect alone in or out of the model, refitted both times. p: chance "
-        "of such evidence without the effect, after Holm over everything tried.",
+        "of such evidence without the effect, times the number of effects tried.",
         columns=("effect", "gain", "without it", "with it", "size", "p"),
         rows=tuple(
             (

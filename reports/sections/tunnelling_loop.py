@@ -177,27 +177,7 @@ def _figures(page: Page, loop: LoopPlant) -> list[Part]:
 
 def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
     """Current, drive and unrest in one unit: what they amount to in the gap."""
-    rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
-    current_m, drive_m = per_V / summary.gain * record.log_current, per_V * record.drive_V
-    shown = [
-        (
-            "before",
-            "current",
-            *power_density(_level(current_m), rate_Hz),
-        ),
-        (
-            "model",
-            "drive",
-            *power_density(_level(drive_m), rate_Hz),
-        ),
-    ]
-    noise = noise_of_loop(record, rig, replace(loop.plant, gain_nepers_per_V=summary.gain))
-    if noise is not None:
-        shown.append(("trend", "unrest of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
-    curves = [
-        (role, name, np.log10(f_Hz[1:]), 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)))
-        for role, name, f_Hz, density in shown
-    ]
+    curves = _curves(loop, rig, summary, record)
     x = axis_over("log10 of the frequency over 1 Hz", [f for _, _, f, _ in curves], "")
     y = axis_over("log10 of the density over 1 m/√Hz", [level for *_, level in curves], "")
     canvas = Canvas(x=x, y=y)
@@ -221,6 +201,25 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
         y=y,
         layers=tuple(layers),
     )
+
+
+def _curves(
+    loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord
+) -> list[tuple[str, str, Array, Array]]:
+    """Return role, name, log10 of the frequency, log10 of the density of every curve."""
+    rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
+    current_m, drive_m = per_V / summary.gain * record.log_current, per_V * record.drive_V
+    shown = [
+        ("before", "current", *power_density(_level(current_m), rate_Hz)),
+        ("model", "drive", *power_density(_level(drive_m), rate_Hz)),
+    ]
+    noise = noise_of_loop(record, rig, replace(loop.plant, gain_nepers_per_V=summary.gain))
+    if noise is not None:
+        shown.append(("trend", "unrest of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
+    return [
+        (role, name, np.log10(f_Hz[1:]), 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)))
+        for role, name, f_Hz, density in shown
+    ]
 
 
 def _numbers(summary: LoopSummary) -> str:

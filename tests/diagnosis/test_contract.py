@@ -29,7 +29,7 @@ def speaks(effect: Effect, view) -> bool:
     if effect.against is not None:
         return structure_of(found, view).speaks
     one, there = refined(begun(effect, found.trial, float(found.held.coefficient[0])), view, [])
-    return judged(one, view, [], seen=found, view=there).speaks
+    return judged(one, there, view, seen=found).speaks
 
 
 def test_every_file_of_the_folder_is_registered_under_its_own_name():

@@ -1,0 +1,31 @@
+"""Repair: faults of the data are found and undone before anything is explained by physics."""
+
+from collections.abc import Callable
+
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
+from piezoid.diagnosis.view import View, cycled, with_tracks
+
+MOST_REPAIRS = 3
+
+
+def repaired(view: View, progress: Callable[[str], None]) -> tuple[View, dict[str, Fault]]:
+    """Return the view without the faults that can be undone, and all of them by effect."""
+    faults: dict[str, Fault] = {}
+    own = with_own_pasts(view)
+    # a wrong past looks like readings that are lost
+    view = own if own.rms < OTHER_PASTS * view.rms else view
+    for effect in EFFECTS:
+        if effect.fault is None:
+            continue
+        for _ in range(MOST_REPAIRS):
+            progress(f"looking for {effect.name.replace('_', ' ')}")
+            fault = effect.fault(view)
+            if fault is None:
+                break
+            faults[effect.name] = fault.after(faults.get(effect.name))
+            if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
+                break
+            view = with_tracks(view, fault.tracks)
+    return cycled(view), faults
