@@ -11,18 +11,8 @@ from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import (
-    SCHEMA,
-    ActuatorModel,
-    AxisModel,
-    Certificate,
-    FitQuality,
-    Lag,
-    Order,
-    PieceStart,
-    Uncertainty,
-    Verdict,
-)
+from piezoid.identification.model import SCHEMA, ActuatorModel, AxisModel, Lag, PieceStart
+from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import t as student
 
-from piezoid.identification.model import AxisModel, Uncertainty
+from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import Uncertainty
 from piezoid_reports.page import Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, told, told_between
 

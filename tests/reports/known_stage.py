@@ -3,17 +3,8 @@
 import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import (
-    ActuatorModel,
-    AxisModel,
-    Certificate,
-    FitQuality,
-    Lag,
-    Order,
-    PieceStart,
-    Uncertainty,
-    Verdict,
-)
+from piezoid.identification.model import ActuatorModel, AxisModel, Lag, PieceStart
+from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

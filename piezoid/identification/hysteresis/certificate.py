@@ -14,7 +14,7 @@ from piezoid.identification.hysteresis.coordinates import Coordinates, operator_
 from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Scales
-from piezoid.identification.model import Certificate
+from piezoid.identification.quality import Certificate
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

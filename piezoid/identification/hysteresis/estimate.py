@@ -19,14 +19,8 @@ from piezoid.identification.hysteresis.rows import starting_memory
 from piezoid.identification.hysteresis.search import Fitted, Settings, search
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
-from piezoid.identification.model import (
-    AxisModel,
-    FitQuality,
-    Lag,
-    Order,
-    PieceStart,
-    Verdict,
-)
+from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.quality import FitQuality, Order, Verdict
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import reversals_of

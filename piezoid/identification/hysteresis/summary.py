@@ -11,7 +11,7 @@ from piezoid.identification.hysteresis.physical import (
     physical,
 )
 from piezoid.identification.hysteresis.pieces import Scales
-from piezoid.identification.model import Uncertainty
+from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.arrays import Array
 
 POINTS = 41

@@ -1,0 +1,133 @@
+"""How far a fitted axis may be believed: verdict, error, spread of its parameters, bound."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from piezoid.numerics.arrays import Array, frozen
+
+
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """Whether this class of model applies to the axis, and why not.
+
+    applies  False: the fit must not be used as a hysteresis model
+    reason   one sentence with numbers; empty where it applies without remark
+    remarks  weaknesses the reader should know: at-bound weights, unexcited thresholds, ...
+    """
+
+    applies: bool
+    reason: str = ""
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """One shape that was tried.
+
+    plays, dead_zones  moving plays; dead zones besides the one at 0
+    bends              kinks of the envelope, 0 for Kuhnen's model
+    lag                kind
+    held_out_rms_m     on rows the fit did not see
+    """
+
+    plays: int
+    dead_zones: int
+    bends: int
+    lag: str
+    held_out_rms_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitQuality:
+    """How good the fit is, on what it saw and on what it did not.
+
+    rms_m                residual on the data of the fit
+    held_out_rms_m       free-run simulation error on rows the fit did not see
+    held_out_kind        ``other recordings`` or ``second half``
+    range_m              displacement range of the rows that counted
+    noise_rms_m          white noise of the sensor, from third differences
+    rows                 rows of the final search
+    kkt_gap              of the convex start
+    gradient             largest scaled derivative no bound holds, at the end of the search
+    converged            whether the last step changed the cost by less than one part in 1e5
+    orders               every shape tried, with its held-out error
+    """
+
+    rms_m: float
+    held_out_rms_m: float
+    held_out_kind: str
+    range_m: float
+    noise_rms_m: float
+    rows: int
+    kkt_gap: float
+    gradient: float
+    converged: bool
+    orders: tuple[Order, ...]
+
+    @property
+    def held_out_rms_percent(self) -> float:
+        """Held-out error in percent of the displacement range."""
+        return 100.0 * self.held_out_rms_m / self.range_m
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Uncertainty:
+    """How well the parameters are known; intervals are 95 %, from leaving out blocks of cycles.
+
+    blocks            how many blocks
+    names             (parameters,)
+    values            (parameters,)
+    covariance        (parameters, parameters)
+    upper_limit       one-sided limit by name, of weights that lie on 0
+    reach_V           (points,)  rise of the drive from the middle of its range
+    loading_m         (points,)  loading curve: what the de-poled model answers to that rise
+    loading_half_m    (points,)  half its interval
+    loop_width_m      opening of the full loop in its middle, and half its interval
+    """
+
+    blocks: int
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    upper_limit: Mapping[str, float]
+    reach_V: Array
+    loading_m: Array
+    loading_half_m: Array
+    loop_width_m: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        for name, ndim in (
+            ("values", 1),
+            ("covariance", 2),
+            ("reach_V", 1),
+            ("loading_m", 1),
+            ("loading_half_m", 1),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """A bound on the model's error for every drive in the range, at 95 % confidence.
+
+        |error| <= plays_m + dead_zones_m + remainder_m
+    plays_m       Lip(Psi) * integral |W_b - W| dr, 95 % quantile over refits
+    dead_zones_m  sup |Psi_b - Psi|, 95 % quantile over refits
+    remainder_m   99.9 % quantile of the held-out residual
+    found_m       largest model difference an adversarial search of drives reached, 95 % quantile
+                  over the same refits: how far the sum of the first two terms is from attained
+    reach_V       valid for |u - u_off| <= reach_V
+    slew_V_per_s  fastest drive in the data: valid up to there
+    """
+
+    plays_m: float
+    dead_zones_m: float
+    remainder_m: float
+    found_m: float
+    reach_V: float
+    slew_V_per_s: float
+
+    @property
+    def bound_m(self) -> float:
+        """The sum of the three terms."""
+        return self.plays_m + self.dead_zones_m + self.remainder_m
