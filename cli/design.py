@@ -25,7 +25,8 @@ def design(
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
 
-    Exit status 4 means that no controller meets what is asked; the message says which could.
+    Exit status 4 means that no controller meets what is asked; the message says which could. Where
+    that is so of one axis among several the others are written, and the status is 1.
 
     [bold]Examples[/bold]
 
@@ -37,6 +38,7 @@ def design(
 
     from piezoid.design.stage import Asked, design_stage
     from piezoid.identification.store import read_model
+    from piezoid_cli.export import show_unshipped
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import lab_of, text_of
@@ -58,7 +60,10 @@ def design(
     add_to_folder(stage, {"design.json": found.to_json(), "design.html": page.encode()})
     if not quiet:
         show(found)
+        show_unshipped(found.refused)
         typer.echo(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
+    if found.refused:
+        raise typer.Exit(1)
 
 
 def show(found: "Design") -> None:

@@ -1,5 +1,6 @@
 """`piezoid export`: a designed stage in, what firmware needs beside it."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -14,6 +15,8 @@ def export(
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
+
+    An axis that cannot ship keeps no other back: exit status 1 says that one is missing.
 
     [bold]Example[/bold]
 
@@ -42,4 +45,16 @@ def export(
         for axis in file.axes:
             others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
             typer.echo(f"axis {axis.axis}: {axis.method}{others}")
+        show_unshipped(file.unshipped)
         typer.echo(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
+    if file.unshipped:
+        raise typer.Exit(1)
+
+
+def show_unshipped(reasons: Mapping[str, str]) -> None:
+    """Print which axes do not ship, and why."""
+    from rich.console import Console
+    from rich.text import Text
+
+    for axis, reason in reasons.items():
+        Console().print(Text(f"axis {axis} does not ship: {reason}", style="bold red"))

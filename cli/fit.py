@@ -10,6 +10,7 @@ if TYPE_CHECKING:
 
     from piezoid.identification.model import ActuatorModel
     from piezoid_cli.calibration import Calibration
+    from piezoid_cli.controllers import Controllers
 
 
 def fit(
@@ -27,8 +28,8 @@ def fit(
     nothing that limits the stage's speed, there is no controller, and the report says what is
     missing.
 
-    Exit status 1 means that a verdict failed, or that the model class does not apply; the report
-    says why.
+    Exit status 1 means that a verdict failed, that the model class does not apply, or that no
+    controller of an axis may ship; the other axes ship all the same, and the report says why.
 
     [bold]Examples[/bold]
 
@@ -59,7 +60,8 @@ def fit(
 def summary_of(found: "Calibration") -> dict[str, Any]:
     """Return what a script wants to know of a stage."""
     causes = [] if found.diagnosis is None else found.diagnosis.findings
-    verdicts = () if found.verification is None else found.verification.verdicts
+    made = found.controllers
+    verdicts = () if made.verification is None else made.verification.verdicts
     return {
         "schema": "piezoid.summary/1",
         "stage": found.model.stage,
@@ -78,7 +80,8 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
         "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
         "causes": [finding.effect for finding in causes],
         "undiagnosed": list(found.undiagnosed),
-        "undesigned": found.undesigned,
+        "undesigned": made.reason,
+        "unshipped": dict(made.unshipped),
         "verdicts_passed": sum(verdict.passed for verdict in verdicts),
         "verdicts": len(verdicts),
         "files": sorted(found.files),
@@ -86,24 +89,33 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
 
 
 def _show(found: "Calibration", out: Path) -> None:
+    _show_model(found.model)
+    for sentence in _diagnosis_sentences(found):
+        typer.echo(sentence)
+    _show_controllers(found.controllers)
+    typer.echo(f"report: {out / 'report.html'}")
+
+
+def _show_controllers(made: "Controllers") -> None:
     from rich.console import Console
     from rich.text import Text
 
     from piezoid_cli.design import show as show_design
+    from piezoid_cli.export import show_unshipped
 
-    _show_model(found.model)
-    for sentence in _diagnosis_sentences(found):
-        typer.echo(sentence)
-    if found.design is not None:
-        show_design(found.design)
-    if found.undesigned:
-        what = "no controller" if found.design is None else "not exported"
-        Console().print(Text(f"{what}: {found.undesigned}", style="dim"))
-    if found.verification is not None:
-        passed = sum(verdict.passed for verdict in found.verification.verdicts)
-        line = f"verification: {passed} of {len(found.verification.verdicts)} verdicts passed"
-        Console().print(Text(line, style="" if found.verification.passed else "bold red"))
-    typer.echo(f"report: {out / 'report.html'}")
+    console = Console()
+    if made.design is not None:
+        show_design(made.design)
+    if made.reason:
+        what = "no controller" if made.design is None else "not exported"
+        tone = "dim" if made.passed else "bold red"
+        console.print(Text(f"{what}: {made.reason}", style=tone))
+    show_unshipped(made.unshipped)
+    if made.verification is not None:
+        verdicts = made.verification.verdicts
+        passed = sum(verdict.passed for verdict in verdicts)
+        line = f"verification: {passed} of {len(verdicts)} verdicts passed"
+        console.print(Text(line, style="" if made.verification.passed else "bold red"))
 
 
 def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:

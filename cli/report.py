@@ -1,6 +1,6 @@
 """`piezoid report`: the page of a stage, drawn again from the sealed files of its folder."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -86,6 +86,7 @@ def _page(
 ) -> str:
     from piezoid.design.design import design_from_json
     from piezoid.diagnosis.diagnosis import read_diagnosis
+    from piezoid.export.parameter_file import from_json
     from piezoid.verification.verification import verification_from_json
     from piezoid_cli.stage_files import lab_of, same_model
     from piezoid_reports.render import render
@@ -99,6 +100,9 @@ def _page(
         same_model(held["model.json"], design.model_digest, "design.json", "piezoid design")
     if "diagnosis.json" in held:
         diagnosis = read_diagnosis(held["diagnosis.json"], place("diagnosis.json"))
+    unshipped: Mapping[str, str] = {} if design is None else design.refused
+    if "params.json" in held:
+        unshipped = from_json(held["params.json"], place("params.json")).unshipped
     if "verification.json" in held:
         verification = verification_from_json(
             held["verification.json"], place("verification.json")
@@ -111,6 +115,7 @@ def _page(
         "" if design else UNDESIGNED,
         diagnosis=diagnosis,
         verification=verification,
+        unshipped=unshipped,
         files=held,
         lab=lab_of(stage, lab),
     )

@@ -10,6 +10,7 @@ from piezoid_reports.fleet.records import CRASHED, FAILED, PASSED, REFUSED, Flee
 if TYPE_CHECKING:
     from piezoid.identification.model import AxisModel
     from piezoid_cli.calibration import Calibration
+    from piezoid_cli.controllers import Controllers
 
 LAB = "lab.toml"
 
@@ -89,21 +90,28 @@ def _reason(found: "Calibration") -> str:
         if not axis.verdict.applies
     ]
     if found.stumbled:
-        wrong.append(found.undesigned)
-    if found.verification is not None:
-        wrong += [
-            f"{verdict.name} ({verdict.scenario}): {verdict.value:.4g}, allowed "
-            f"{verdict.limit:.4g}, {verdict.unit}"
-            for verdict in found.verification.verdicts
-            if not verdict.passed
-        ]
-    return "; ".join(wrong)
+        wrong += found.undiagnosed
+    return "; ".join([*wrong, *_wrong_controllers(found.controllers)])
+
+
+def _wrong_controllers(made: "Controllers") -> list[str]:
+    if made.passed:
+        return []
+    wrong = [made.reason] if made.reason else []
+    wrong += [f"axis {axis} does not ship: {reason}" for axis, reason in made.unshipped.items()]
+    return wrong + [
+        f"{verdict.name} ({verdict.scenario}): {verdict.value:.4g}, allowed "
+        f"{verdict.limit:.4g}, {verdict.unit}"
+        for verdict in (() if made.verification is None else made.verification.verdicts)
+        if not verdict.passed
+    ]
 
 
 def _axis(axis: "AxisModel", found: "Calibration") -> FleetAxis:
     from piezoid_reports.fleet.quantities import QUANTITIES
 
-    designs = {} if found.design is None else {one.axis: one for one in found.design.axes}
+    design = found.controllers.design
+    designs = {} if design is None else {one.axis: one for one in design.axes}
     values = {quantity.name: quantity.of(axis, designs.get(axis.axis)) for quantity in QUANTITIES}
     return FleetAxis(
         axis=axis.axis,

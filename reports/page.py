@@ -30,6 +30,7 @@ class Page:
     undesigned    why they were not, or empty
     diagnosis     of one axis, where it was made
     verification  of what ships, where it was run
+    unshipped     by axis, why it does not ship beside the others
     lab           what the laboratory declared
     files         sealed files of the folder by name, for the chain of digests
     """
@@ -43,6 +44,7 @@ class Page:
     undesigned: str = ""
     diagnosis: Diagnosis | None = None
     verification: Verification | None = None
+    unshipped: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
     lab: Lab | None = None
 

@@ -46,6 +46,7 @@ def render(
     *,
     diagnosis: Diagnosis | None = None,
     verification: Verification | None = None,
+    unshipped: Mapping[str, str] = MappingProxyType({}),
     files: Mapping[str, bytes] = MappingProxyType({}),
     lab: Lab | None = None,
 ) -> str:
@@ -58,6 +59,7 @@ def render(
     undesigned  why there are none
     diagnosis   of one of its axes
     verification  of what ships
+    unshipped   by axis, why it does not ship beside the others
     files       of the folder the page belongs to, for their digests
     lab         what the laboratory declared
     """
@@ -71,6 +73,7 @@ def render(
         undesigned=undesigned,
         diagnosis=diagnosis,
         verification=verification,
+        unshipped=unshipped,
         files=files,
         lab=lab,
     )

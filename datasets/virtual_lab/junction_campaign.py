@@ -29,6 +29,7 @@ MAINS_FREE = [n for n in range(1, 400, 2) if (10 * n) % 50 and (10 * n) % 60]  #
 DITHER_NEPERS = 0.15
 AMPLIFIER_GAIN_V_per_V = 15.0
 SPREAD = 0.05  # of the barrier from spot to spot
+CEILING_SHARE = 0.9  # of the current at which the converter ends: beyond it nothing is seen
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,6 +131,7 @@ def _lab_toml(campaign: JunctionCampaign) -> str:
     """What the owner declares: nothing of barrier, unrest or latency."""
     one = campaign.junctions[0]
     actuator = one.drive_gain_m_per_V / AMPLIFIER_GAIN_V_per_V
+    ceiling_A = CEILING_SHARE * one.input_range_V / one.current_gain_V_per_A
     text = f"""[rig]
 name = "virtual tip {campaign.seed}"
 
@@ -142,6 +144,7 @@ input_range_V = [{-one.drive_range_V:g}, {one.drive_range_V:g}]
 [tunnelling]
 set_point_A = {one.set_point_A:g}
 floor_A = {one.lost_below_A:g}
+ceiling_A = {ceiling_A:g}
 feedback_ohm = {one.current_gain_V_per_A:g}
 
 [axis.z.amplifier]

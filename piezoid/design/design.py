@@ -1,6 +1,6 @@
 """Design: the record that leaves this floor, and its file ``design.json``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -161,12 +161,14 @@ class Design:
 
     axes           one per axis
     model_digest   of the model the plants were taken from
-    remarks        why axes of the model are not among them, whole sentences
+    remarks        why too little is known of other axes of the model, whole sentences
+    refused        by axis, why no controller of it meets what is asked
     """
 
     axes: tuple[AxisDesign, ...]
     model_digest: str
     remarks: tuple[str, ...] = ()
+    refused: dict[str, str] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
         loops = [

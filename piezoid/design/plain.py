@@ -1,7 +1,7 @@
 """Records to JSON values and back, exactly: the field types say how."""
 
 import types
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -34,18 +34,25 @@ def from_plain(kind: type[Record], value: Any, place: str) -> Record:
     kind   a dataclass; its annotations are followed
     place  the path inside the file, for the message
 
-    Raises ``ParameterFileError`` for a missing or unknown field.
+    A field with a default may be missing: an earlier version did not know it.
+
+    Raises ``ParameterFileError`` for any other missing field, and for an unknown one.
     """
     hints = get_type_hints(kind)
-    known = {field.name for field in fields(kind)}  # type: ignore[arg-type]
-    if not isinstance(value, dict) or set(value) != known:
+    known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
+    needed = {
+        name
+        for name, field in known.items()
+        if field.default is MISSING and field.default_factory is MISSING
+    }
+    if not isinstance(value, dict) or not needed <= set(value) <= set(known):
         found = sorted(value) if isinstance(value, dict) else type(value).__name__
         raise ParameterFileError(
             f"{place}: the fields are {found}",
             needed=f"exactly {sorted(known)}",
             remedy="Write the file again with this version of piezoid.",
         )
-    return kind(**{name: _read(hints[name], value[name], f"{place}.{name}") for name in known})
+    return kind(**{name: _read(hints[name], value[name], f"{place}.{name}") for name in value})
 
 
 def _read(kind: Any, value: Any, place: str) -> Any:

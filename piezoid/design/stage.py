@@ -56,8 +56,10 @@ def design_stage(
     forms             of the observers of X and Y; the inverse one is recommended, the affine one
                       is there to be compared and takes longer
 
-    Raises what stands in the way of the first axis where no axis can be designed, and
-    ``TemplateError`` where what is asked for cannot be met.
+    An axis whose limits no controller meets keeps no other from its own; the design says why.
+
+    Raises what stands in the way of the first axis where no axis can be designed: a
+    ``TemplateError`` before anything that is merely not known.
     """
     declared = lab or Lab()
     tasks, obstacles = _tasks(model, declared, sampling_rate_Hz, forms)
@@ -67,19 +69,28 @@ def design_stage(
     wanted = asked or Asked()
     specifications = specifications_from_toml(wanted.text, defaults, place=wanted.place)
     designed: list[AxisDesign] = []
+    refused: dict[str, TemplateError] = {}
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
-        if specifications[name] is not defaults[name]:
-            designed.append(task.design(specifications[name]))
-            continue
         try:
-            designed.append(at_feasible_bandwidth(task.design, specifications[name]))
-        except TemplateError as obstacle:
-            obstacles[name] = obstacle
+            designed.append(_designed(task, specifications[name]))
+        except TemplateError as refusal:
+            refused[name] = refusal
     if not designed:
-        raise next(iter(obstacles.values()))
-    remarks = tuple(str(obstacle) for obstacle in obstacles.values())
-    return Design(axes=tuple(designed), model_digest=model_digest, remarks=remarks)
+        raise next(iter(refused.values()))
+    return Design(
+        axes=tuple(designed),
+        model_digest=model_digest,
+        remarks=tuple(str(obstacle) for obstacle in obstacles.values()),
+        refused={name: str(refusal) for name, refusal in refused.items()},
+    )
+
+
+def _designed(task: _Task, wanted: Specification) -> AxisDesign:
+    """Design exactly what somebody asks for; a default may give way in its bandwidth."""
+    if wanted is not task.specification:
+        return task.design(wanted)
+    return at_feasible_bandwidth(task.design, wanted)
 
 
 def _tasks(

@@ -38,7 +38,7 @@ be called.
 | axis | index | method | calls per second | plays | dead zones | observer order | states, bytes |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
-
+{unshipped}
 Parameters: {digest}
 Runtime source: {source}
 """
@@ -76,6 +76,7 @@ def bundle(file: ParameterFile) -> Bundle:
             name=inert(file.name),
             samples=SAMPLES,
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
+            unshipped=_unshipped(file),
             digest=digest,
             source=source_digest(),
         ),
@@ -83,6 +84,14 @@ def bundle(file: ParameterFile) -> Bundle:
     content = {name: shipped(name) for name in SHIPPED}
     content.update({name: text.encode() for name, text in made.items()})
     return Bundle(files=MappingProxyType(content), source_digest=source_digest())
+
+
+def _unshipped(file: ParameterFile) -> str:
+    """Say which axes firmware will look for in vain, a paragraph each."""
+    return "".join(
+        f"\nAxis {inert(axis)} is not in here: {inert(reason, length=600)}\n"
+        for axis, reason in file.unshipped.items()
+    )
 
 
 def _row(place: int, axis: AxisParameters) -> str:

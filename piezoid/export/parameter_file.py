@@ -92,14 +92,16 @@ def method_of(values: Values) -> str:
 class ParameterFile:
     """What ships.
 
-    name     of the stage, any text
-    axes     at least one, names all different, every one usable by the runtime in both precisions
-    sources  digests of the records it was made from, by what they are: ``model``, ``design``
+    name       of the stage, any text
+    axes       at least one, names all different, each usable by the runtime in both precisions
+    sources    digests of the records it was made from, by what they are: ``model``, ``design``
+    unshipped  by axis, why the stage's other axes are not among them
     """
 
     name: str
     axes: tuple[AxisParameters, ...]
     sources: Mapping[str, str] = field(default_factory=dict)
+    unshipped: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [axis.axis for axis in self.axes]
@@ -129,6 +131,7 @@ def to_json(file: ParameterFile) -> bytes:
         {
             "name": file.name,
             "sources": dict(file.sources),
+            "unshipped": dict(file.unshipped),
             "axes": [
                 {
                     "axis": a.axis,
@@ -165,6 +168,7 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             for a in record["axes"]
         ]
         name, sources = str(record["name"]), dict(record["sources"])
+        unshipped = dict(record.get("unshipped", {}))
     except (KeyError, TypeError, ValueError) as error:
         raise _incomplete(place, f"no {error}") from error
     try:
@@ -179,6 +183,7 @@ def from_json(content: bytes, place: str) -> ParameterFile:
                 for axis, entries, others in axes
             ),
             sources=sources,
+            unshipped=unshipped,
         )
     except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
         raise _incomplete(place, f"{type(error).__name__}: {error}") from error

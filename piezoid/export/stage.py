@@ -1,6 +1,7 @@
-"""export_stage: a model and a design in, the parameter file of all their axes out."""
+"""export_stage: a model and a design in, the parameter file of all axes that can ship out."""
 
 from piezoid.design.design import AxisDesign, Design
+from piezoid.errors import PiezoidError
 from piezoid.export.from_design import lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.tip_guards import tip_guards
@@ -18,17 +19,30 @@ def export_stage(
 ) -> ParameterFile:
     """Return what ships: each designed axis with its recommended loop, the others to compare.
 
+    An axis that cannot ship keeps no other back; the file says which it is and why.
+
     design_digest  of the design's file, for the chain of digests
     lab            what guards a tip; not needed without a tunnelling axis
 
-    Raises ``LabFileError``, with the line to write, for the design of a tunnelling axis whose
-    guards are not declared: nothing ships without them.
+    Raises what stands in the way of the first axis where none can ship, as ``LabFileError`` with
+    the line to write for a tip whose guards are not declared.
     """
     declared = lab or Lab()
+    shipped: list[AxisParameters] = []
+    refused: dict[str, PiezoidError] = {}
+    for axis in design.axes:
+        try:
+            shipped.append(_axis(model, axis, declared))
+        except PiezoidError as refusal:
+            refused[axis.axis] = refusal
+    if not shipped:
+        raise next(iter(refused.values()))
+    unshipped = {name: str(refusal) for name, refusal in refused.items()}
     return ParameterFile(
         name=model.stage,
-        axes=tuple(_axis(model, axis, declared) for axis in design.axes),
+        axes=tuple(shipped),
         sources={"model": design.model_digest, "design": design_digest},
+        unshipped={**design.refused, **unshipped},
     )
 
 

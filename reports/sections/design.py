@@ -45,6 +45,8 @@ def render(page: Page) -> Section | None:
         parts += _assumed(page, axis)
     for remark in () if page.design is None else page.design.remarks:
         parts.append(Prose(text=f"Not designed: {remark}", tone="middling"))
+    for name, reason in page.unshipped.items():
+        parts.append(Prose(text=f"Axis {name} does not ship: {reason}", tone="bad"))
     if page.undesigned:
         what = "Not designed" if page.design is None else "Designed, but not exported"
         parts.append(Prose(text=f"{what}: {page.undesigned}", tone="middling"))

@@ -1,6 +1,7 @@
 """The verdict in three sentences, and a card for each axis."""
 
 from piezoid.identification.model import AxisModel
+from piezoid.verification.verification import Verification
 from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
@@ -14,7 +15,8 @@ def render(page: Page) -> Section:
     if not page.axes:
         return _of_junction(page)
     tones = [judgement_of(axis, score_of(axis, page.traces[axis.axis]))[0] for axis in page.axes]
-    if page.verification is not None and not page.verification.passed:
+    failed = page.verification is not None and not page.verification.passed
+    if failed or page.unshipped:
         tones.append("bad")
     worst = "bad" if "bad" in tones else "middling" if "middling" in tones else "good"
     return Section(
@@ -56,18 +58,22 @@ def sentences(page: Page) -> tuple[str, str, str]:
 
 
 def _ships(page: Page) -> str:
-    """End the first sentence with what became of the controller, where it was run."""
-    found = page.verification
+    """End the first sentence with what became of the controllers, and which of them is missing."""
+    missing = "".join(f"; axis {name} has no controller" for name in page.unshipped)
+    return f"{_verified(page.verification)}{missing}."
+
+
+def _verified(found: Verification | None) -> str:
     if found is None:
-        return "."
+        return ""
     failed = [verdict for verdict in found.verdicts if not verdict.passed]
     if not failed and found.passed:
-        return f", and the controller that ships passed all {len(found.verdicts)} verdicts."
+        return f", and the controller that ships passed all {len(found.verdicts)} verdicts"
     if not failed:
-        return ", but a rebuild of the controller that ships did not give the same bits."
+        return ", but a rebuild of the controller that ships did not give the same bits"
     return (
         f", but the controller that ships failed {len(failed)} of {len(found.verdicts)} verdicts, "
-        f"{failed[0].name} ({failed[0].scenario}) first."
+        f"{failed[0].name} ({failed[0].scenario}) first"
     )
 
 

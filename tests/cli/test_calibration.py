@@ -7,13 +7,16 @@ from typing import Any
 
 import pytest
 
-from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError
-from piezoid_cli import calibration
+from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
+from piezoid_cli.controllers import controllers_of
 
+PARAMETERS = SimpleNamespace(unshipped={})
 STEPS = {
-    "piezoid.design.stage.design_stage": SimpleNamespace(to_json=lambda: b'{"digest": "d"}'),
-    "piezoid.export.stage.export_stage": "parameters",
-    "piezoid.verification.stage.verify_stage": "verified",
+    "piezoid.design.stage.design_stage": SimpleNamespace(
+        to_json=lambda: b'{"digest": "d"}', refused={}
+    ),
+    "piezoid.export.stage.export_stage": PARAMETERS,
+    "piezoid.verification.stage.verify_stage": SimpleNamespace(passed=True),
 }
 
 
@@ -31,16 +34,37 @@ def controller(patch: pytest.MonkeyPatch, broken: str = "", error: Exception | N
     for name in STEPS:
         patch.setattr(name, step(name))
     model: Any = None
-    return calibration._controller(
-        model, json.dumps({"digest": "m"}).encode(), None, lambda _: None
-    )
+    return controllers_of(model, json.dumps({"digest": "m"}).encode(), None, lambda _: None)
 
 
 def test_a_controller_that_was_verified_ships(monkeypatch: pytest.MonkeyPatch) -> None:
     found = controller(monkeypatch)
-    assert (found.parameters, found.verification) == ("parameters", "verified")
+    assert found.parameters is PARAMETERS
     assert found.reason == ""
-    assert not found.stumbled
+    assert found.passed
+
+
+def test_an_axis_that_does_not_ship_is_told_and_keeps_no_other_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(
+        STEPS,
+        "piezoid.export.stage.export_stage",
+        SimpleNamespace(unshipped={"z": "ceiling_A is missing"}),
+    )
+    found = controller(monkeypatch)
+    assert found.verification is not None
+    assert found.unshipped == {"z": "ceiling_A is missing"}
+    assert not found.passed
+
+
+def test_what_nobody_declared_is_no_failure_but_a_limit_nothing_meets_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said = {"needed": "more", "remedy": "Ask for less."}
+    step = "piezoid.design.stage.design_stage"
+    assert controller(monkeypatch, step, DesignError("no pole is declared", **said)).passed
+    assert not controller(monkeypatch, step, TemplateError("missed by 3 dB", **said)).passed
 
 
 @pytest.mark.parametrize("broken", STEPS)

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.design import design_from_json
+from piezoid.design.design import SCHEMA, design_from_json
 from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_half
 from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
-from piezoid.errors import DesignError, LabFileError, TemplateError
+from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
@@ -18,6 +18,7 @@ from piezoid.identification.model import ActuatorModel, AxisModel, Lag
 from piezoid.numerics.frequency import response
 from piezoid.numerics.polynomial import roots_of
 from piezoid.operators.dead_zone import DeadZones
+from piezoid.provenance import seal, unseal
 from piezoid.records.lab import Acquisition, Lab
 from tests.reports.known_stage import axis_model, stage_model
 
@@ -209,6 +210,26 @@ def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
     asked = Asked(text="[x]\nbandwidth_Hz = 4000\n")
     with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
         design_stage(stage(), model_digest=DIGEST, asked=asked, forms=("inverse",))
+
+
+def test_an_axis_whose_limits_nothing_meets_keeps_no_other_back() -> None:
+    both = stage(axes={"x": rigged(), "y": rigged(axis="y")})
+    asked = Asked(text="[y]\nbandwidth_Hz = 4000\n")
+    found = design_stage(both, model_digest=DIGEST, asked=asked, forms=("inverse",))
+    assert [axis.axis for axis in found.axes] == ["x"]
+    assert "axis y, bandwidth 4000 Hz" in found.refused["y"]
+    assert found.remarks == ()
+    assert design_from_json(found.to_json()).refused == found.refused
+
+
+def test_a_design_of_a_version_that_knew_no_refusals_is_read() -> None:
+    whole = design_stage(stage(), model_digest=DIGEST, forms=("inverse",)).to_json()
+    record = unseal(whole, SCHEMA, "design.json")
+    older = {k: v for k, v in record.items() if k not in ("schema", "digest", "refused")}
+    assert design_from_json(seal(SCHEMA, older)).refused == {}
+    del older["axes"]
+    with pytest.raises(ParameterFileError, match="the fields are"):
+        design_from_json(seal(SCHEMA, older))
 
 
 def test_an_axis_that_is_not_of_the_model_is_refused_by_name() -> None:

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -36,6 +37,13 @@ def test_every_number_comes_back_bit_for_bit():
         for (first, second), parameter in itertools.product(sets, PARAMETERS):
             name = parameter.name
             assert first[name].tobytes() == second[name].tobytes(), name
+
+
+def test_why_an_axis_is_missing_comes_back_and_files_that_never_said_so_are_read():
+    partly = replace(stage(), unshipped={"z": "no ceiling > the set point"})
+    assert from_json(to_json(partly), "params.json").unshipped == partly.unshipped
+    older = rewritten(lambda content: content.pop("unshipped"))
+    assert from_json(older, "params.json").unshipped == {}
 
 
 def test_the_same_parameters_are_the_same_bytes():

@@ -82,6 +82,23 @@ def test_what_cannot_be_met_is_refused_and_nothing_is_written(stage: Path, tmp_p
     assert not (stage / "design.json").exists()
 
 
+def test_where_one_of_two_axes_cannot_be_met_the_other_is_written(
+    stage: Path, tmp_path: Path
+) -> None:
+    both = replace(MODEL, axes={"x": MODEL["x"], "y": replace(MODEL["x"], axis="y")})
+    (stage / "model.json").write_bytes(write_model(both))
+    spec = tmp_path / "design.toml"
+    spec.write_text("[y]\nbandwidth_Hz = 5000\n")
+    status, shown, _ = run(stage, "--spec", spec)
+    assert status == 1
+    assert "axis y does not ship" in shown
+    found = design_from_json((stage / "design.json").read_bytes())
+    assert [axis.axis for axis in found.axes] == ["x"]
+    page = render(MODEL, [recording()], design=found, unshipped=found.refused)
+    assert "Axis y does not ship: axis y, bandwidth 5000 Hz" in page
+    assert "axis y has no controller." in page
+
+
 def test_a_changed_model_is_refused(stage: Path) -> None:
     content = (stage / "model.json").read_bytes()
     (stage / "model.json").write_bytes(content.replace(b"4000.0", b"4001.0"))

@@ -156,10 +156,12 @@ def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, w
     (folder / "model.json").write_bytes(write_model(with_tip[0]))
     (folder / "design.json").write_bytes(with_tip[1].to_json())
     (folder / "lab.toml").write_text(LAB_TOML)
-    refused = called("export", folder)
-    assert isinstance(refused.exception, LabFileError)
-    assert "`ceiling_A = 1e-8` under [tunnelling]" in str(refused.exception)
-    assert not (folder / "params.json").exists()
+    partly = called("export", folder)
+    assert partly.exit_code == 1
+    assert "axis z does not ship" in partly.output
+    assert json.loads((folder / "params.json").read_bytes())["axes"][0]["axis"] == "x"
+    assert b"Axis z is not in here" in (folder / "bundle" / "README.md").read_bytes()
+    assert called("verify", folder).exit_code == 0
     (folder / "lab.toml").write_text(GUARDED)
     assert called("export", folder).exit_code == 0
     done = called("verify", folder)
@@ -170,6 +172,15 @@ def test_x_and_a_tip_over_a_rough_surface_go_to_a_verdict_by_the_verbs(folder, w
     assert 0.0 < current.ln_current_std < 0.5
     assert current.retracted_samples == 0
     assert {"gain x0.5, axis z", "gain x2, axis z"} <= set(record.plants)
+
+
+def test_a_stage_of_which_no_axis_can_ship_is_refused_with_the_line_to_write(with_tip, tmp_path):
+    model, design, _ = with_tip
+    unguarded = tmp_path / "lab.toml"
+    unguarded.write_text(LAB_TOML)
+    tip = replace(design, axes=design.axes[1:])
+    with pytest.raises(LabFileError, match=r"`ceiling_A = 1e-8` under \[tunnelling\]"):
+        export_stage(model, tip, design_digest="sha256:none", lab=read_lab(unguarded))
 
 
 def test_readings_come_in_steps_of_the_declared_converter(with_tip, rng):

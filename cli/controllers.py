@@ -1,0 +1,106 @@
+"""From a model to what ships: designed, exported, and run against the stage it was made from."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from json import loads
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from piezoid.design.design import Design
+    from piezoid.export.parameter_file import ParameterFile
+    from piezoid.identification.model import ActuatorModel
+    from piezoid.records.lab import Lab
+    from piezoid.verification.verification import Verification
+
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Controllers:
+    """What became of the way from a model to what ships.
+
+    reason    why it ended before anything shipped
+    refused   a controller was sought for an axis, and none of it may ship
+    stumbled  a fault of ours ended the way
+    """
+
+    design: "Design | None" = None
+    parameters: "ParameterFile | None" = None
+    verification: "Verification | None" = None
+    reason: str = ""
+    refused: bool = False
+    stumbled: bool = False
+
+    @property
+    def passed(self) -> bool:
+        """Whether every controller that was sought ships, with all its verdicts passed."""
+        verified = self.verification is None or self.verification.passed
+        return verified and not (self.refused or self.stumbled)
+
+    @property
+    def unshipped(self) -> Mapping[str, str]:
+        """By axis, why it has no controller beside the others."""
+        if self.parameters is not None:
+            return self.parameters.unshipped
+        return {} if self.design is None else self.design.refused
+
+
+def controllers_of(
+    model: "ActuatorModel", content: bytes, lab: "Lab | None", told: Told
+) -> Controllers:
+    """Return the controllers and what became of them, or why there are none.
+
+    Whatever stands in their way, model and report are there without them; a controller that could
+    not be verified does not ship.
+    """
+    from piezoid.design.stage import design_stage
+    from piezoid.errors import PiezoidError, TemplateError
+
+    design = None
+    try:
+        digest = loads(content)["digest"]
+        design = design_stage(model, model_digest=digest, lab=lab, progress=told)
+        return _verified(model, design, lab, told)
+    except PiezoidError as refusal:
+        sought = design is not None or isinstance(refusal, TemplateError)
+        return Controllers(design=design, reason=str(refusal), refused=sought)
+    except Exception as error:  # a fault of ours must not cost the lab its model
+        reason = f"a mistake of ours, {type(error).__name__}: {error}"
+        return Controllers(design=design, reason=reason, stumbled=True)
+
+
+def _verified(
+    model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told
+) -> Controllers:
+    """Return what ships of a design, and what its run against the stage showed."""
+    from piezoid.export.stage import export_stage
+    from piezoid.verification.stage import verify_stage
+
+    told("exporting")
+    design_digest = loads(design.to_json())["digest"]
+    parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
+    told("running the compiled controller against the stage")
+    found = verify_stage(parameters, model, lab=lab)
+    return Controllers(
+        design=design,
+        parameters=parameters,
+        verification=found,
+        refused=bool(parameters.unshipped),
+    )
+
+
+def files_of(made: Controllers) -> dict[str, bytes]:
+    """Return name and bytes of everything that came of it, as far as it came."""
+    from piezoid.export.bundle import bundle
+    from piezoid.export.parameter_file import to_json
+
+    files = {}
+    if made.design is not None:
+        files["design.json"] = made.design.to_json()
+    if made.parameters is not None:
+        files["params.json"] = to_json(made.parameters)
+        held = bundle(made.parameters).files
+        files |= {f"bundle/{name}": text for name, text in held.items()}
+    if made.verification is not None:
+        files["verification.json"] = made.verification.to_json()
+    return files
