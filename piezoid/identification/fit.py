@@ -61,6 +61,7 @@ def fit(
                     progress=lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
                 ),
                 recordings,
+                stated_Hz=declared.actuator_of(axis).bandwidth_Hz,
             )
             for axis in axes
         },

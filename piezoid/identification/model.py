@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions.extension import Extension, Where
@@ -67,6 +68,8 @@ class AxisModel:
     dynamics     from the hysteresis' output, as a drive, to the displacement, declared poles
                  included; None where no recording excites them
     joint        what the fit of hysteresis and dynamics together says; None where there is none
+    bandwidth    what limits the stage first, a pole or a resonance; None where no recording
+                 excites dynamics and no bandwidth is stated
     extensions   what a diagnosis added, in the order in which they act
     """
 
@@ -83,6 +86,7 @@ class AxisModel:
     certificate: Certificate
     dynamics: LinearDynamics | None = None
     joint: JointFit | None = None
+    bandwidth: BandwidthVerdict | None = None
     extensions: tuple[Extension, ...] = ()
 
     @property

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.errors import ParameterFileError
+from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import extension_from_json
@@ -72,6 +73,10 @@ def _dynamics_from_json(content: dict[str, Any] | None) -> LinearDynamics | None
     return None if content is None else LinearDynamics.from_json(content)
 
 
+def _bandwidth_from_json(content: Mapping[str, Any] | None) -> BandwidthVerdict | None:
+    return None if content is None else BandwidthVerdict.from_json(content)
+
+
 def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
     return {
         "axis": axis.axis,
@@ -81,6 +86,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         "rig": dataclasses.asdict(axis.rig),
         "dynamics": None if axis.dynamics is None else axis.dynamics.to_json(),
         "joint": None if axis.joint is None else axis.joint.to_json(),
+        "bandwidth": None if axis.bandwidth is None else axis.bandwidth.to_json(),
         "valid_range": {"voltage_V": list(axis.voltage_V)},
         "verdict": {
             "applies": axis.verdict.applies,
@@ -183,7 +189,8 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         certificate=Certificate(**record["certificate"]),
         dynamics=_dynamics_from_json(record["dynamics"]),
         joint=None if record["joint"] is None else JointFit.from_json(record["joint"]),
-        # Files of before there were any have no such entry.
+        # Files of before there were any have no such entries.
+        bandwidth=_bandwidth_from_json(record.get("bandwidth")),
         extensions=tuple(extension_from_json(e) for e in record.get("extensions", ())),
     )
 

@@ -2,7 +2,7 @@
 
     [rig]            name
     [amplifier]      gain_V_per_V, bandwidth_Hz, output_min_V, output_max_V, slew_V_per_s
-    [actuator]       gain_m_per_V
+    [actuator]       gain_m_per_V, bandwidth_Hz
     [sensor]         bandwidth_Hz, gain_V_per_m
     [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
     [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
@@ -47,9 +47,13 @@ class Amplifier(_Table, frozen=True, kw_only=True):
 
 
 class Actuator(_Table, frozen=True, kw_only=True):
-    """``[actuator]``: the data sheet's gain; the fitted one replaces it."""
+    """``[actuator]``: of the data sheet; a fitted gain replaces the gain.
+
+    bandwidth_Hz  as stated, pole or resonance: the fit tells which, and takes nothing out for it
+    """
 
     gain_m_per_V: float | None = None
+    bandwidth_Hz: float | None = None
 
 
 class Sensor(_Table, frozen=True, kw_only=True):

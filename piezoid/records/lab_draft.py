@@ -38,6 +38,9 @@ HEAD = """\
 # output_max_V = 180
 # slew_V_per_s = 20000           # the fastest it can follow
 
+[actuator]
+# bandwidth_Hz = 630             # of the data sheet; the fit tells whether pole or resonance
+
 [sensor]
 # bandwidth_Hz = 8500            # -3 dB
 # gain_V_per_m = 2e5             # needed where a recording holds the sensor's volts

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.dynamics.axis_dynamics import (
+from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
     measure_behind_hysteresis,
 )
@@ -31,13 +31,12 @@ LOOKS = {
 
 def render(page: Page) -> Section | None:
     """Return response and poles of every axis whose dynamics were excited."""
-    known = [(axis, axis.dynamics) for axis in page.axes if axis.dynamics is not None]
-    if not known:
-        return None
     parts: list[Part] = []
-    for axis, dynamics in known:
-        parts += [axis_heading(axis), *_figures(page, axis, dynamics), _poles(axis, dynamics)]
-        parts += [] if axis.joint is None else [*_joint(axis.joint)]
+    for axis in page.axes:
+        of_axis = _of_axis(page, axis)
+        parts += [axis_heading(axis), *of_axis] if of_axis else []
+    if not parts:
+        return None
     return Section(
         anchor="dynamics",
         title="Linear dynamics",
@@ -45,6 +44,17 @@ def render(page: Page) -> Section | None:
         "between that and the displacement is linear and is shown here.",
         parts=tuple(parts),
     )
+
+
+def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
+    parts: list[Part] = []
+    if axis.dynamics is not None:
+        parts += [*_figures(page, axis, axis.dynamics), _poles(axis, axis.dynamics)]
+    if axis.bandwidth is not None:
+        tone = "middling" if axis.bandwidth.kind == "undecided" else "plain"
+        parts.append(Prose(text=axis.bandwidth.text, tone=tone))
+    parts += [] if axis.joint is None else [*_joint(axis.joint)]
+    return parts
 
 
 def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:

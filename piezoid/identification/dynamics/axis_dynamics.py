@@ -1,10 +1,4 @@
-"""The dynamics of a fitted axis: behind its hysteresis, from recordings that excite them.
-
-    u -> H -> v = (H[u] - y_off) / a -> G(s) -> y
-
-H is the static operator found before, so that G sees a drive without hysteresis whatever the
-amplitude; a, the middle of the operator's slope sector, only gives v the unit of a volt.
-"""
+"""The dynamics of a fitted axis: behind its hysteresis, from recordings that excite them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,7 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
+from piezoid.identification.dynamics.bandwidth import (
+    BandwidthVerdict,
+    UNKNOWN_DELAY_s,
+    decide_bandwidth,
+    unseen,
+)
+from piezoid.identification.dynamics.behind_hysteresis import (
+    excites_dynamics,
+    measure_behind_hysteresis,
+)
 from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
@@ -21,14 +24,8 @@ from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Quantity, Recording
+from piezoid.records.recording import Recording
 
-BROAD_dB = -40.0  # of the strongest band: weaker ones are leakage and harmonics of slow drives
-BROAD_DECADES = 1.5  # between harmonics of a triangle there are empty bands
-HIGHEST_Hz = 50.0  # a drive that ends below shows hysteresis and creep, not dynamics
-BANDS_PER_DECADE = 6
-WINDOWS = 5  # a segment is at most this part of the recording: nine half-overlapping windows
 FEWEST_LINES = 20
 MOST_LINES = 150
 MOST_COST = 4.0  # over its expected value: a fit that explains less says nothing
@@ -49,47 +46,94 @@ class DynamicsFound:
 
     dynamics  None where no recording excites them, or none could be fitted
     joint     None where hysteresis and dynamics were not fitted together
+    bandwidth what limits the stage first: pole or resonance; None where nothing excites either
+              and no bandwidth is stated
     remarks   one sentence for every recording that was used, or was tried in vain
     """
 
     dynamics: LinearDynamics | None
     remarks: tuple[str, ...]
     joint: JointFit | None = None
+    bandwidth: BandwidthVerdict | None = None
 
 
-def with_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
+def with_dynamics(
+    axis: AxisModel, recordings: Sequence[Recording], *, stated_Hz: float | None = None
+) -> AxisModel:
     """Return the axis with the dynamics its recordings show, and what is to be said of them."""
-    found = fit_axis_dynamics(axis, recordings)
-    verdict = replace(axis.verdict, remarks=(*axis.verdict.remarks, *found.remarks))
-    return replace(axis, dynamics=found.dynamics, joint=found.joint, verdict=verdict)
+    found = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz)
+    return replace(
+        axis,
+        dynamics=found.dynamics,
+        joint=found.joint,
+        bandwidth=found.bandwidth,
+        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, *found.remarks)),
+    )
 
 
-def fit_axis_dynamics(axis: AxisModel, recordings: Sequence[Recording]) -> DynamicsFound:
-    """Fit the dynamics to the recording that excites them furthest.
+def fit_axis_dynamics(
+    axis: AxisModel, recordings: Sequence[Recording], *, stated_Hz: float | None = None
+) -> DynamicsFound:
+    """Fit the dynamics to the recording that excites them furthest, and name what limits it.
 
     axis        whose hysteresis is known
     recordings  any; those without both channels or with a slow drive are passed over
+    stated_Hz   bandwidth of the data sheet, where the laboratory declares one
     """
     exciting = excites_dynamics(recordings, axis.axis)
-    for recording, highest_Hz in sorted(exciting, key=lambda pair: -pair[1]):
-        try:
-            dynamics = _best(measure_behind_hysteresis(axis, recording), axis)
-        except (ExcitationError, IdentificationError) as refusal:
-            return DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
-        low_Hz, high_Hz = dynamics.band_Hz
-        if not is_determined(dynamics):
-            text = (
-                f"{recording.name} drives up to {highest_Hz:.0f} Hz, but between {low_Hz:.3g} and "
-                f"{high_Hz:.4g} Hz it determines no mode and no pole; only the lag stands. Record "
-                "a chirp or a multisine through the first resonance"
-            )
-            return DynamicsFound(dynamics=None, remarks=(text,))
+    if not exciting:
+        return _with_verdict(None, unseen(stated_Hz, "no recording drives fast enough"))
+    recording, highest_Hz = max(exciting, key=lambda pair: pair[1])
+    try:
+        measured = measure_behind_hysteresis(axis, recording)
+    except ExcitationError as refusal:
+        said = DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
+        return _with_verdict(said, unseen(stated_Hz, f"{recording.name} holds {refusal.found}"))
+    found = _fitted(axis, measured, (recording, highest_Hz), recordings)
+    delay_s = UNKNOWN_DELAY_s
+    if found.dynamics is not None:
+        early_s, late_s = found.dynamics.delay_interval_s().tolist()
+        delay_s = (early_s, late_s)
+    verdict = decide_bandwidth(
+        measured, Declaration(filters=_declared(axis)), delay_s=delay_s, stated_Hz=stated_Hz
+    )
+    return _with_verdict(found, verdict)
+
+
+def _with_verdict(found: DynamicsFound | None, verdict: BandwidthVerdict) -> DynamicsFound:
+    """Add the verdict; it is a remark where it decides, or where a bandwidth was stated."""
+    if found is None and verdict.stated_Hz is None:
+        return DynamicsFound(dynamics=None, remarks=())
+    found = found or DynamicsFound(dynamics=None, remarks=())
+    is_said = verdict.kind != "undecided" or verdict.stated_Hz is not None
+    said = (verdict.text,) if is_said else ()
+    return replace(found, bandwidth=verdict, remarks=(*found.remarks, *said))
+
+
+def _fitted(
+    axis: AxisModel,
+    measured: FrequencyResponse,
+    exciting: tuple[Recording, float],
+    recordings: Sequence[Recording],
+) -> DynamicsFound:
+    recording, highest_Hz = exciting
+    try:
+        dynamics = _best(measured, axis)
+    except (ExcitationError, IdentificationError) as refusal:
+        return DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
+    low_Hz, high_Hz = dynamics.band_Hz
+    if not is_determined(dynamics):
         text = (
-            f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted "
-            f"behind the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
+            f"{recording.name} drives up to {highest_Hz:.0f} Hz, but between {low_Hz:.3g} and "
+            f"{high_Hz:.4g} Hz it determines no mode and no pole; only the lag stands. Record "
+            "a chirp or a multisine through the first resonance"
         )
-        return _jointly(axis, dynamics, recording, recordings, text)
-    return DynamicsFound(dynamics=None, remarks=())
+        return DynamicsFound(dynamics=None, remarks=(text,))
+    text = (
+        f"{recording.name} drives up to {highest_Hz:.0f} Hz: linear dynamics were fitted "
+        f"behind the hysteresis from {low_Hz:.3g} to {high_Hz:.4g} Hz"
+    )
+    return _jointly(axis, dynamics, recording, recordings, text)
 
 
 def _jointly(
@@ -120,54 +164,6 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     poles_known = bool((dynamics.lag_frequency_Hz < 2 * dynamics.band_Hz[1]).all())
     explained = dynamics.cost_ratio <= MOST_COST
     return explained and poles_known and bool(resolved_modes(dynamics).all())
-
-
-def excites_dynamics(
-    recordings: Sequence[Recording], axis: str
-) -> tuple[tuple[Recording, float], ...]:
-    """Return the recordings whose drive is broad and fast, with the highest frequency in it.
-
-    Broad means: neighbouring sixths of a decade, together at least one and a half decades, hold
-    power densities within 40 dB; fast, that they reach 50 Hz.
-    """
-    both = [r for r in recordings if _has_both(r, axis)]
-    bands = [(r, _band_Hz(r.voltage_V(axis), r.sampling_rate_Hz)) for r in both]
-    return tuple(
-        (recording, high_Hz)
-        for recording, (low_Hz, high_Hz) in bands
-        if high_Hz >= HIGHEST_Hz and high_Hz >= 10.0**BROAD_DECADES * low_Hz
-    )
-
-
-def measure_behind_hysteresis(axis: AxisModel, recording: Recording) -> FrequencyResponse:
-    """Return the response from the hysteresis' output, as a drive, to the displacement.
-
-    Lines that the drive did not reach or that are not coherent are marked as rejected.
-    """
-    samples = recording.samples
-    segment = 2 ** int(np.log2(max(samples // WINDOWS, 2)))
-    return estimate_response_by_coherence(
-        voltage_behind_hysteresis(axis, recording),
-        recording.displacement_m(axis.axis),
-        sampling_rate_Hz=recording.sampling_rate_Hz,
-        segment_samples=segment,
-        inputs=(axis.axis,),
-        outputs=(axis.axis,),
-    )
-
-
-def voltage_behind_hysteresis(axis: AxisModel, recording: Recording) -> Array:
-    """Return v, (samples,) V; memory starts as the fit found it, or de-poled."""
-    operator = axis.hysteresis
-    starts = [s for s in axis.starts if s.recording == recording.name]
-    memory_V = starts[0].memory_V if starts else operator.virgin_memory()
-    moved_m, _ = operator.run(recording.voltage_V(axis.axis), memory_V)
-    return np.asarray((moved_m - operator.displacement_offset_m) / middle_slope_m_per_V(axis))
-
-
-def middle_slope_m_per_V(axis: AxisModel) -> float:
-    """Return a, the middle of the slope sector."""
-    return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
 
 
 def _best(measured: FrequencyResponse, axis: AxisModel) -> LinearDynamics:
@@ -206,28 +202,3 @@ def _declared(axis: AxisModel) -> tuple[Filter, ...]:
         ("sensor", axis.rig.sensor_bandwidth_Hz),
     )
     return tuple(Filter(name=name, frequency_Hz=f) for name, f in poles if f is not None)
-
-
-def _has_both(recording: Recording, axis: str) -> bool:
-    wanted = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
-    return all(recording.find(quantity, axis) is not None for quantity in wanted)
-
-
-def _band_Hz(voltage_V: Array, sampling_rate_Hz: float) -> tuple[float, float]:
-    """Return the ends of the broadest band in which the drive is strong throughout."""
-    level = voltage_V - voltage_V.mean()
-    power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
-    frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / sampling_rate_Hz)
-    decades = np.log10(0.5 * sampling_rate_Hz / frequency_Hz[1]) if len(power) > 2 else 0.0
-    count = int(BANDS_PER_DECADE * decades)
-    if count < 2 or not power.any():
-        return 1.0, 0.0
-    edges = np.geomspace(frequency_Hz[1], 0.5 * sampling_rate_Hz, count + 1)
-    place = np.clip(np.searchsorted(edges, frequency_Hz[1:], side="right") - 1, 0, count - 1)
-    total = np.bincount(place, power[1:], count) / np.maximum(
-        np.bincount(place, minlength=count), 1
-    )
-    strong = total >= 10.0 ** (BROAD_dB / 10.0) * total.max()
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], strong, [False]]).astype(int)))
-    first, after = max(zip(runs[::2], runs[1::2], strict=True), key=lambda run: run[1] - run[0])
-    return float(edges[first]), float(edges[after])

@@ -88,7 +88,7 @@ def _start_shape(
     scale = 2 * np.pi * measured.frequency_Hz[-1]
     s = 2j * np.pi * measured.frequency_Hz / scale
     flat, w = measured.response.reshape(size, -1), weight.reshape(size, -1)
-    chain = _chain(measured, declaration)
+    chain = declared_response(measured, declaration)
     poles = start_poles(s[0].imag, 1.0, structure.modes, structure.lags)
     few = slice(None, None, -(-size // START_LINES))
     trials = []
@@ -104,8 +104,8 @@ def _start_shape(
     return np.append(_shape_of_poles(found * scale / (2 * np.pi), structure), delay_s)
 
 
-def _chain(measured: FrequencyResponse, declaration: Declaration) -> ComplexArray:
-    """Response of what is declared; a hold is first seen as the mean over its sample."""
+def declared_response(measured: FrequencyResponse, declaration: Declaration) -> ComplexArray:
+    """Return what is declared, (lines,); a hold is seen as the mean over its sample."""
     f = measured.frequency_Hz
     chain = np.ones(len(f), dtype=np.complex128)
     if declaration.hold == "zero_order":

@@ -6,11 +6,8 @@ import numpy as np
 import pytest
 
 import piezoid_datasets
-from piezoid.identification.dynamics.axis_dynamics import (
-    excites_dynamics,
-    fit_axis_dynamics,
-    with_dynamics,
-)
+from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics, with_dynamics
+from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.model import AxisModel
@@ -100,6 +97,7 @@ def test_the_model_with_dynamics_comes_back_to_the_last_bit(axis: AxisModel) -> 
     content = write_model(stage_model(axis))
     assert write_model(read_model(content)) == content
     assert read_model(content)["x"].dynamics is not None
+    assert read_model(content)["x"].bandwidth == axis.bandwidth
 
 
 def test_the_report_shows_gain_phase_coherence_and_poles(
@@ -108,6 +106,17 @@ def test_the_report_shows_gain_phase_coherence_and_poles(
     page = render(stage_model(axis), [chirped])
     for words in ('id="dynamics"', "Axis x: phase", "Axis x: coherence", "Axis x: poles"):
         assert words in page
+    assert axis.bandwidth is not None
+    assert "a resonance limits the stage" in axis.bandwidth.text
+    assert axis.bandwidth.text in page
+
+
+def test_a_report_without_dynamics_says_that_the_stated_bandwidth_is_open(
+    chirped: Recording,
+) -> None:
+    slow = replace(chirped, sampling_rate_Hz=1.0)
+    page = render(stage_model(with_dynamics(axis_model(), [slow], stated_Hz=630.0)), [slow])
+    assert "A bandwidth of 630 Hz is stated. Pole or resonance is not decidable" in page
 
 
 def test_sines_that_determine_no_mode_are_said_to_determine_none() -> None:

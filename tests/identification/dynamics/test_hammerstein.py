@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.identification.dynamics.axis_dynamics import middle_slope_m_per_V
+from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.hammerstein import Joint, fit_jointly
 from piezoid.identification.dynamics.hammerstein_model import (
     simulate_rows,
