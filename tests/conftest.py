@@ -1,4 +1,4 @@
-"""Fixtures shared by every folder: a seeded generator, and other people's recordings."""
+"""Shared by every folder: a seeded generator, other people's recordings, how laws are tried."""
 
 import os
 from pathlib import Path
@@ -8,6 +8,18 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
+
+# Laws are tried on the same examples in every run, however slow the machine, and nothing is kept.
+settings.register_profile(
+    "same_every_run",
+    derandomize=True,
+    deadline=None,
+    database=None,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("same_every_run")
 
 REALDATA = Path(__file__).resolve().parents[2] / "shared" / "realdata"
 

@@ -1,0 +1,69 @@
+"""The laws of a largest speed, of relaxation beyond a threshold, and of the Bouc-Wen state."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.limits import activated, crept, slewed
+from tests.operators.strategies import GRID, REACH, drives
+
+SIXTEENTHS = st.integers(1, 64).map(lambda steps: steps / GRID)
+PARTS = st.floats(1e-6, 1.0)
+
+
+def running_hull(drive: Array) -> tuple[Array, Array]:
+    return np.minimum.accumulate(drive), np.maximum.accumulate(drive)
+
+
+@given(drives(), SIXTEENTHS)
+def test_a_slewed_signal_keeps_to_its_step_and_takes_all_of_it_while_behind(
+    drive: Array, step: float
+) -> None:
+    found = slewed(drive, step)
+    moved, missing = np.diff(found), drive[1:] - found[:-1]
+    np.testing.assert_array_equal(moved, np.clip(missing, -step, step))
+    assert found[0] == drive[0]
+    np.testing.assert_array_equal(slewed(found, step), found)
+    np.testing.assert_array_equal(slewed(-drive, step), -found)
+    np.testing.assert_array_equal(slewed(drive, 2 * REACH), drive)
+
+
+@given(drives(), PARTS, SIXTEENTHS)
+def test_what_creeps_comes_nearer_and_rests_within_its_threshold(
+    drive: Array, part: float, threshold: float
+) -> None:
+    found = crept(drive, part, threshold)
+    low, high = running_hull(drive)
+    assert ((low <= found) & (found <= high)).all()
+    before, after = drive[:-1] - found[:-1], drive[:-1] - found[1:]
+    assert (np.abs(after) <= np.abs(before)).all()
+    at_rest = np.abs(before) <= threshold
+    np.testing.assert_array_equal(found[1:][at_rest], found[:-1][at_rest])
+    assert (np.abs(after)[~at_rest] >= threshold * (1 - 1e-12)).all()
+    np.testing.assert_array_equal(crept(-drive, part, threshold), -found)
+
+
+@given(drives(), st.floats(1e-3, 1e3), SIXTEENTHS)
+def test_what_is_activated_follows_from_behind_and_settles_at_rest(
+    drive: Array, time_s: float, strain: float
+) -> None:
+    found = activated(drive, time_s, 10.0, strain)
+    low, high = running_hull(drive)
+    slack = 1e-12 * REACH / strain
+    assert ((low - slack <= found) & (found <= high + slack)).all()
+    rest = np.concatenate([drive, np.full(10, drive[-1])])
+    lag = np.abs(rest - activated(rest, time_s, 10.0, strain))[len(drive) - 1 :]
+    assert (np.diff(lag) <= slack).all()
+    np.testing.assert_allclose(activated(-drive, time_s, 10.0, strain), -found, atol=slack)
+
+
+@given(drives(most=15), st.floats(0.1, 3.0), st.floats(0.0, 1.0), st.floats(1.0, 3.0))
+def test_a_bouc_wen_state_stays_within_its_saturation_and_is_odd(
+    drive: Array, beta: float, share: float, exponent: float
+) -> None:
+    gamma = share * beta  # softening: |gamma| <= beta
+    found = bouc_wen_states(drive / 4, beta, gamma, exponent)
+    assert (np.abs(found) <= (beta + gamma) ** (-1.0 / exponent) * (1 + 1e-4)).all()
+    np.testing.assert_array_equal(bouc_wen_states(-drive / 4, beta, gamma, exponent), -found)

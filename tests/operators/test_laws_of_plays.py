@@ -1,0 +1,189 @@
+"""The laws of the play operator, tried on drives and thresholds of every kind."""
+
+import itertools
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import (
+    first_carry,
+    forgetting_sample,
+    is_admissible,
+    play_columns,
+    play_tangents,
+    project_memory,
+)
+from tests.operators.strategies import GRID, REACH, banks, drives, gaps, memories
+
+ANY_SIZE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
+
+
+def end_of(drive: Array, threshold: Array, memory: Array) -> Array:
+    return play_columns(drive, threshold, memory)[1]
+
+
+def dominant(drive: Array) -> Array:
+    """The turning points that no later swing reaches over: swings are struck out as they close."""
+    kept: list[float] = []
+    for value in drive:
+        kept.append(value)
+        while len(kept) > 2 and (kept[-2] - kept[-3]) * (kept[-1] - kept[-2]) >= 0:
+            del kept[-2]
+        while len(kept) > 3 and abs(kept[-1] - kept[-2]) >= abs(kept[-2] - kept[-3]):
+            del kept[-3:-1]
+    return np.array(kept)
+
+
+@given(st.data(), banks(), drives(least=2))
+def test_only_the_path_counts_and_not_how_often_it_is_sampled(
+    data: st.DataObject, threshold: Array, drive: Array
+) -> None:
+    parts = np.frombuffer(data.draw(st.binary(min_size=len(drive), max_size=len(drive))), np.uint8)
+    dense, places = [drive[0]], [0]
+    for (a, b), more in zip(itertools.pairwise(drive), parts % 4, strict=False):
+        dense.extend(np.linspace(a, b, more + 2)[1:])
+        places.append(len(dense) - 1)
+    memory = data.draw(memories(threshold))
+    sparse, after = play_columns(drive, threshold, memory)
+    finer, after_finer = play_columns(np.array(dense), threshold, memory)
+    np.testing.assert_array_equal(finer[places], sparse)
+    np.testing.assert_array_equal(after_finer, after)
+
+
+@given(st.data(), banks())
+def test_a_larger_drive_from_a_larger_memory_never_lies_below(
+    data: st.DataObject, threshold: Array
+) -> None:
+    count = len(threshold)
+    low, rise = data.draw(drives(1, 30)), data.draw(drives(30, 30))
+    memory, more = data.draw(drives(count, count)), data.draw(drives(count, count))
+    below, _ = play_columns(low, threshold, memory)
+    above, _ = play_columns(low + np.abs(rise[: len(low)]), threshold, memory + np.abs(more))
+    assert (above >= below).all()
+
+
+@given(st.data(), banks())
+def test_two_drives_never_part_farther_than_they_are_apart(
+    data: st.DataObject, threshold: Array
+) -> None:
+    count = len(threshold)
+    first, second = data.draw(drives(1, 30)), data.draw(drives(30, 30))
+    starts = [data.draw(drives(count, count)) for _ in range(2)]
+    second = second[: len(first)]
+    one, _ = play_columns(first, threshold, starts[0])
+    two, _ = play_columns(second, threshold, starts[1])
+    away = np.maximum(np.abs(starts[0] - starts[1]), np.abs(first - second).max())
+    assert (np.abs(one - two) <= away).all()
+
+
+@given(banks(), drives())
+def test_inner_swings_are_wiped_out_by_wider_ones(threshold: Array, swings: Array) -> None:
+    # A swing over everything first, so that no starting memory is left to remember.
+    drive = np.concatenate([[REACH, -REACH], swings])
+    virgin = np.zeros(len(threshold))
+    np.testing.assert_array_equal(
+        end_of(dominant(drive), threshold, virgin), end_of(drive, threshold, virgin)
+    )
+
+
+@given(banks(), drives(most=20), st.integers(-64, 64), st.integers(1, 64))
+def test_loops_between_the_same_ends_are_equal_after_every_history(
+    threshold: Array, history: Array, low: int, span: int
+) -> None:
+    ends = np.array([low, low + span]) / GRID
+    loop = np.concatenate([np.linspace(*ends, 9), np.linspace(*ends[::-1], 9)])
+    shapes = []
+    for past in (history, np.zeros(1)):
+        states, _ = play_columns(
+            np.concatenate([past, loop, loop]), threshold, np.zeros(len(threshold))
+        )
+        shapes.append(states[-len(loop) :] - states[-len(loop)])
+    np.testing.assert_array_equal(shapes[0], shapes[1])
+
+
+@given(st.data(), banks(), drives(least=2))
+def test_a_drive_in_parts_is_the_drive_as_a_whole(
+    data: st.DataObject, threshold: Array, drive: Array
+) -> None:
+    cut = data.draw(st.integers(0, len(drive)))
+    memory = data.draw(memories(threshold))
+    whole = play_tangents(drive, threshold, first_carry(memory))
+    first = play_tangents(drive[:cut], threshold, first_carry(memory))
+    second = play_tangents(drive[cut:], threshold, first.carry)
+    for name in ("state", "threshold", "memory"):
+        parts = np.vstack([getattr(first, name), getattr(second, name)])
+        np.testing.assert_array_equal(parts, getattr(whole, name))
+    np.testing.assert_array_equal(second.carry, whole.carry)
+
+
+@given(st.data(), gaps(3), gaps(3), drives())
+def test_a_play_behind_a_play_is_the_play_of_both_gaps(
+    data: st.DataObject, inner: Array, outer: Array, drive: Array
+) -> None:
+    r, s = inner[-1], outer[-1]
+    memory = data.draw(memories(np.array([r, r + s])))
+    between, _ = play_columns(drive, np.array([r]), memory[:1])
+    behind, _ = play_columns(between[:, 0].copy(), np.array([s]), memory[1:])
+    whole, _ = play_columns(drive, np.array([r + s]), memory[1:])
+    np.testing.assert_array_equal(behind, whole)
+
+
+@given(st.data(), banks(), drives())
+def test_a_play_is_odd_and_moves_with_an_offset(
+    data: st.DataObject, threshold: Array, drive: Array
+) -> None:
+    memory = data.draw(memories(threshold))
+    states, _ = play_columns(drive, threshold, memory)
+    mirrored, _ = play_columns(-drive, threshold, -memory)
+    lifted, _ = play_columns(drive + 3.0, threshold, memory + 3.0)
+    np.testing.assert_array_equal(mirrored, -states)
+    np.testing.assert_array_equal(lifted, states + 3.0)
+
+
+@given(st.data(), st.lists(ANY_SIZE, min_size=1, max_size=20), st.integers(-60, 60))
+def test_a_play_of_any_size_stays_in_its_gap_and_scales_with_it(
+    data: st.DataObject, values: list[float], power: int
+) -> None:
+    drive = np.array(values)
+    threshold = np.sort(np.abs(data.draw(st.lists(ANY_SIZE, min_size=1, max_size=12))))
+    memory = np.zeros(len(threshold))
+    states, _ = play_columns(drive, threshold, memory)
+    low, high = drive[:, None] - threshold, drive[:, None] + threshold
+    assert ((low <= states) & (states <= high)).all()
+    if np.abs(np.concatenate([drive, threshold])).min() > 1e-200:  # nothing becomes denormal
+        unit = 2.0**power
+        scaled, _ = play_columns(drive * unit, threshold * unit, memory)
+        np.testing.assert_array_equal(scaled, states * unit)
+
+
+@given(st.data(), gaps())
+def test_clamping_makes_any_memory_admissible_and_an_admissible_one_stays(
+    data: st.DataObject, threshold: Array
+) -> None:
+    count = len(threshold)
+    wild, last = data.draw(drives(count, count)), data.draw(drives(1, 1))[0]
+    clamped = project_memory(wild, last, threshold)
+    assert is_admissible(clamped, last, threshold)
+    np.testing.assert_array_equal(project_memory(clamped, last, threshold), clamped)
+    assert is_admissible(wild, last, threshold) == bool((clamped == wild).all())
+
+
+@given(st.data(), gaps(), drives())
+def test_no_drive_leads_out_of_the_admissible_memories(
+    data: st.DataObject, threshold: Array, drive: Array
+) -> None:
+    states, _ = play_columns(drive, threshold, data.draw(memories(threshold)))
+    assert all(is_admissible(z, u, threshold) for z, u in zip(states, drive, strict=True))
+
+
+@given(banks(), drives())
+def test_from_the_forgetting_sample_on_every_start_gives_the_same_and_not_before(
+    threshold: Array, drive: Array
+) -> None:
+    low, high = (
+        play_columns(drive, threshold, np.full(len(threshold), start))[0] for start in (-99, 99)
+    )
+    index = np.arange(len(drive))[:, None]
+    np.testing.assert_array_equal(low == high, index >= forgetting_sample(drive, threshold))
