@@ -75,6 +75,7 @@ class RawTable:
                       something other than time; empty otherwise
     segment_starts    (count,)  first row of each further segment of a file that holds several
     first_line        line of the first row in a text file, 0 where there are no lines
+    first_row         rows of the file in front of these, where the table is a part of it
     metadata          what the file says beside its table
     problems          what the reader met
     """
@@ -88,6 +89,7 @@ class RawTable:
     independent: str = ""
     segment_starts: tuple[int, ...] = ()
     first_line: int = 0
+    first_row: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
 
@@ -125,4 +127,6 @@ class RawTable:
 
     def place_of_row(self, row: int) -> str:
         """Say where a row stands: its line in a text file, its number elsewhere."""
-        return f"line {self.first_line + row}" if self.first_line else f"row {row + 1}"
+        if self.first_line:
+            return f"line {self.first_line + row}"
+        return f"row {self.first_row + row + 1}"

@@ -119,7 +119,7 @@ def _axis_model(
     scales, theta = ready.scales, fitted.minimum.theta
     stroke_m = abs(scales.displacement_m)
     found = jackknife(theta, fitted.task)
-    starts = _starts(fitted, scales)
+    starts = starts_of(fitted, scales)
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     drives = [recording.voltage_V(axis) for recording in recordings]
     slew = max(
@@ -152,7 +152,8 @@ def _axis_model(
     )
 
 
-def _starts(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
+def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
+    """Return where every piece began: its memory and its zero."""
     coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
     starts = []
     for index, piece in enumerate(fitted.task.pieces):

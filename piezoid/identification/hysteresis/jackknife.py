@@ -85,8 +85,15 @@ class Jackknife:
 def jackknife(theta: Array, task: Task) -> Jackknife:
     """Return the fit without each block of whole cycles in turn."""
     normals, gradients = _grams(theta, task)
+    return left_out(theta, task.coordinates.bounds(task.longest_lag_s), normals, gradients)
+
+
+def left_out(
+    theta: Array, bounds: tuple[Array, Array], normals: Array, gradients: Array
+) -> Jackknife:
+    """Return the fit without each block, from J_c'J_c and J_c'e_c of every block."""
     whole = normals.sum(axis=0)
-    lower, upper = task.coordinates.bounds(task.longest_lag_s)
+    lower, upper = bounds
     free = (theta > lower + 1e-9) & (theta < upper - 1e-9) & (np.diag(whole) > 0)
     replicates = np.repeat(theta[None], len(normals), axis=0)
     for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):

@@ -25,6 +25,15 @@ def remarks_on(
     """Return one sentence for every weakness of a fit."""
     return (
         *_about_data(fitted, transients, choice),
+        *remarks_on_numbers(fitted, found, starts, stroke_m),
+    )
+
+
+def remarks_on_numbers(
+    fitted: Fitted, found: Jackknife, starts: Sequence[PieceStart], stroke_m: float
+) -> tuple[str, ...]:
+    """Return one sentence for every weakness that the fitted numbers alone show."""
+    return (
         *_about_weights(fitted),
         *_about_lag(fitted),
         *_about_zero(starts, stroke_m),

@@ -111,16 +111,16 @@ def rows_of(
     knots = theta[coordinates.offset_slice(index)]
     carry = first_carry(starting_memory(theta, coordinates, index, piece))
     static = Static(operator=operator, slopes=slopes, first=float(piece.drive[0]))
-    behind = _behind(coordinates, static, piece, stride, sensor_pole)
+    further = behind(coordinates, static, piece, stride, sensor_pole)
     for first in range(0, piece.last, CHUNK):
         u = piece.drive[first : min(first + CHUNK, piece.last)]
         tangents = play_tangents(operator.envelope.run(u), operator.threshold, carry)
         carry = tangents.carry
-        kept, sample = behind.run(first, u, tangents)
+        kept, sample = further.run(first, u, tangents)
         yield _assemble(kept, sample, coordinates, knots, piece)
 
 
-def _behind(
+def behind(
     coordinates: Coordinates, static: Static, piece: Piece, stride: int, sensor_Hz: float | None
 ) -> "Behind":
     """Return the cheapest way from static columns to the rows that count."""

@@ -106,21 +106,21 @@ def kuhnen_start(
     """
     if threshold is None:
         threshold = np.arange(shape.plays + 1) / (shape.plays + 1)
-    zones = _placed_zones(pieces, shape)
+    high = max(float(piece.response.max()) for piece in pieces)
+    low = min(float(piece.response.min()) for piece in pieces)
+    zones = placed_zones(low, high, shape)
     optimum = _solve(pieces, shape, threshold, zones, lag_s)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
         threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
     )
     constant = float(np.mean(optimum.x[shape.plays + 1 + len(zones) :]))
-    operator, offset = _recentred(threshold, weight, inverse.inverse(), constant, lag_s)
+    operator, offset = recentred(threshold, weight, inverse.inverse(), constant, lag_s)
     return Start(operator=operator, offset=offset, kkt_gap=optimum.kkt_gap)
 
 
-def _placed_zones(pieces: Sequence[Piece], shape: Shape) -> Array:
+def placed_zones(low: float, high: float, shape: Shape) -> Array:
     """Place the thresholds of Psi' at (j -+ 1/2) / l of the extreme displacement."""
-    high = max(float(piece.response.max()) for piece in pieces)
-    low = min(float(piece.response.min()) for piece in pieces)
     above = (np.arange(1, shape.above + 1) - 0.5) / max(shape.above, 1) * high
     below = (np.arange(-shape.below, 0) + 0.5) / max(shape.below, 1) * -low
     return np.concatenate([below, [0.0], above])
@@ -143,7 +143,7 @@ def _solve(
         rows[:, plays : plays + count] = -unit.columns(shifted)
         rows[:, plays + count + index] = 1.0
         triangle = gather(triangle, rows)
-    constraint, lower, upper = _constraints(threshold, zones, unknowns)
+    constraint, lower, upper = constraints_of(threshold, zones, unknowns)
     return constrained_least_squares(triangle, np.zeros(len(triangle)), constraint, lower, upper)
 
 
@@ -153,7 +153,8 @@ def _advanced(piece: Piece, lag_s: float) -> Array:
     return np.asarray(np.interp(index, np.arange(len(piece.response)), piece.response))
 
 
-def _constraints(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, Array, Array]:
+    """Return A, l and u of the program: weights, then slopes of Psi', then what excludes 0."""
     plays, count = len(threshold), len(zones)
     zero = int(np.flatnonzero(zones == 0.0)[0])
     rows = np.zeros((plays + count + 1, unknowns))
@@ -168,7 +169,7 @@ def _constraints(threshold: Array, zones: Array, unknowns: int) -> tuple[Array, 
     return rows, lower, upper
 
 
-def _recentred(
+def recentred(
     threshold: Array, weight: Array, psi: DeadZones, constant: float, lag_s: float
 ) -> tuple[Scaled, float]:
     """Rewrite Psi(h + c) as offset + Psi_c(h) with Psi_c(0) = 0 and central slope 1."""

@@ -23,15 +23,20 @@ def read(source: Source) -> RawTable:
     with reading(source, "HDF5"):
         check_datasets(source)
         with source.open() as stream:
-            held = _datasets(stream)
-            short = [path.rsplit("/", 1)[-1] for path in held]
-            names = {
-                path: name if short.count(name) == 1 else path
-                for path, name in zip(held, short, strict=True)
-            }
-            arrays = {names[path]: dataset[()] for path, dataset in held.items()}
-            units = {names[path]: _unit(dataset) for path, dataset in held.items()}
+            held = named_datasets(stream)
+            arrays = {name: dataset[()] for name, dataset in held.items()}
+            units = {name: unit_of_dataset(dataset) for name, dataset in held.items()}
     return table_of(source, "HDF5", arrays, units=units)
+
+
+def named_datasets(stream: object) -> dict[str, Any]:
+    """Return the numeric datasets by name; one that two groups share keeps its group before it."""
+    held = _datasets(stream)
+    short = [path.rsplit("/", 1)[-1] for path in held]
+    return {
+        name if short.count(name) == 1 else path: dataset
+        for name, (path, dataset) in zip(short, held.items(), strict=True)
+    }
 
 
 def _datasets(stream: object) -> dict[str, Any]:
@@ -49,7 +54,8 @@ def _datasets(stream: object) -> dict[str, Any]:
     return found
 
 
-def _unit(dataset: Any) -> str:
+def unit_of_dataset(dataset: Any) -> str:
+    """Return the unit among a dataset's attributes, empty where there is none."""
     for key in _UNIT_ATTRIBUTES:
         if key in dataset.attrs:
             value = dataset.attrs[key]

@@ -61,8 +61,11 @@ class Source:
         return self.path.stat().st_size if self.unpacked is None else len(self.unpacked)
 
 
-def open_source(path: Path, *, limit: int = SIZE_LIMIT) -> Source:
-    """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes."""
+def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> Source:
+    """Open a file and decompress it if it is gzip, refusing more than ``limit`` bytes.
+
+    whole  False: of any size, of which only the beginning is decompressed, for reading in blocks
+    """
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD_SIZE)
@@ -75,9 +78,12 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT) -> Source:
             needed="a file that can be read",
             remedy="Check the name and the permissions.",
         ) from error
-    check_size(path.name, size, limit)
-    unpacked = _unpack(path, limit) if head.startswith(b"\x1f\x8b") else None
-    head = head if unpacked is None else unpacked[:HEAD_SIZE]
+    unpacked = None
+    if whole:
+        check_size(path.name, size, limit)
+    if head.startswith(b"\x1f\x8b"):
+        unpacked = _unpack(path, limit if whole else HEAD_SIZE, whole=whole)
+        head = unpacked[:HEAD_SIZE]
     if not head:
         raise unreadable(
             path.name,
@@ -91,7 +97,7 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT) -> Source:
         suffix=Path(inner).suffix.lower(),
         digest=digest,
         head=head,
-        unpacked=unpacked,
+        unpacked=unpacked if whole else None,
     )
 
 
@@ -119,7 +125,7 @@ def check_columns(place: str, columns: int) -> None:
         )
 
 
-def _unpack(path: Path, limit: int) -> bytes:
+def _unpack(path: Path, limit: int, *, whole: bool) -> bytes:
     try:
         with gzip.open(path, "rb") as stream:
             content = _read_to(stream, limit)
@@ -130,7 +136,8 @@ def _unpack(path: Path, limit: int) -> bytes:
             needed="an archive that unpacks",
             remedy="Copy the file again from where it was written.",
         ) from error
-    check_size(path.name, len(content), limit)
+    if whole:
+        check_size(path.name, len(content), limit)
     return content
 
 

@@ -26,21 +26,22 @@ def read(source: Source) -> RawTable:
     body = text.split("\n", start.row)[-1] if start.row else text
     block = parse_block(body, start.layout, source.name, start.row + 1)
     named = names_but_first(start)
-    if named is not None and _are_row_numbers(block.columns[0]):
+    if named is not None and are_row_numbers(block.columns[0]):
         start = replace(start, labels=named, above=start.above[:-1])
     return RawTable(
         name=source.name,
         digest=source.digest,
         format="text table",
-        columns=_columns(start, block),
+        columns=columns_of(start, block),
         # With blank lines between the rows a row's line is not known; its number still is.
         first_line=0 if "\n\n" in body.rstrip("\n") else start.row + 1,
         metadata=metadata_of(start.above),
-        problems=(*_stray_problems(start), *block.problems, *_textual_problems(start, block)),
+        problems=(*stray_problems(start), *block.problems, *textual_problems(start, block)),
     )
 
 
-def _columns(start: Start, block: Block) -> tuple[Column, ...]:
+def columns_of(start: Start, block: Block) -> tuple[Column, ...]:
+    """Return the columns of numbers, each under its heading."""
     return tuple(
         Column(
             number=k + 1,
@@ -55,11 +56,13 @@ def _columns(start: Start, block: Block) -> tuple[Column, ...]:
     )
 
 
-def _are_row_numbers(values: Array) -> bool:
+def are_row_numbers(values: Array) -> bool:
+    """Tell whether a column counts the rows."""
     return bool(values[0] in (0, 1) and (np.diff(values) == 1).all())
 
 
-def _stray_problems(start: Start) -> tuple[Problem, ...]:
+def stray_problems(start: Start) -> tuple[Problem, ...]:
+    """Return what is odd about the lines above the table."""
     if not start.strays:
         return ()
     text = (
@@ -69,7 +72,8 @@ def _stray_problems(start: Start) -> tuple[Problem, ...]:
     return (Problem(kind="rows_above", place=f"line {start.strays[0]}", text=text),)
 
 
-def _textual_problems(start: Start, block: Block) -> tuple[Problem, ...]:
+def textual_problems(start: Start, block: Block) -> tuple[Problem, ...]:
+    """Name the columns of text."""
     return tuple(
         Problem(
             kind="text_column",
