@@ -60,6 +60,7 @@ def fit(
 def summary_of(found: "Calibration") -> dict[str, Any]:
     """Return what a script wants to know of a stage."""
     causes = [] if found.diagnosis is None else found.diagnosis.findings
+    named = {one.axis: list(one.names) for one in found.diagnoses}
     made = found.controllers
     verdicts = () if made.verification is None else made.verification.verdicts
     return {
@@ -74,6 +75,7 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
                 "held_out_rms_percent": axis.quality.held_out_rms_percent,
                 "noise_rms_m": axis.quality.noise_rms_m,
                 "error_bound_m": axis.certificate.bound_m,
+                "causes": named.get(name),
             }
             for name, axis in found.model.axes.items()
         },

@@ -85,7 +85,7 @@ def _page(
     lab: Path | None,
 ) -> str:
     from piezoid.design.design import design_from_json
-    from piezoid.diagnosis.diagnosis import read_diagnosis
+    from piezoid.diagnosis.diagnosis import Diagnosis, read_diagnoses
     from piezoid.export.parameter_file import from_json
     from piezoid.verification.verification import verification_from_json
     from piezoid_cli.stage_files import lab_of, same_model
@@ -94,12 +94,13 @@ def _page(
     def place(name: str) -> str:
         return str(stage / name)
 
-    design = diagnosis = verification = None
+    design = verification = None
+    diagnoses: tuple[Diagnosis, ...] = ()
     if "design.json" in held:
         design = design_from_json(held["design.json"], place("design.json"))
         same_model(held["model.json"], design.model_digest, "design.json", "piezoid design")
     if "diagnosis.json" in held:
-        diagnosis = read_diagnosis(held["diagnosis.json"], place("diagnosis.json"))
+        diagnoses = read_diagnoses(held["diagnosis.json"], place("diagnosis.json"))
     unshipped: Mapping[str, str] = {} if design is None else design.refused
     if "params.json" in held:
         unshipped = from_json(held["params.json"], place("params.json")).unshipped
@@ -113,7 +114,7 @@ def _page(
         recorded.sweeps,
         design,
         "" if design else UNDESIGNED,
-        diagnosis=diagnosis,
+        diagnoses=diagnoses,
         verification=verification,
         unshipped=unshipped,
         files=held,

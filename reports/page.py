@@ -28,7 +28,8 @@ class Page:
     sweeps        Z spectroscopies the junction was fitted to
     design        controllers, where they were designed
     undesigned    why they were not, or empty
-    diagnosis     of one axis, where it was made
+    diagnoses     of every axis that has one
+    undiagnosed   why others have none, whole sentences
     verification  of what ships, where it was run
     unshipped     by axis, why it does not ship beside the others
     lab           what the laboratory declared
@@ -42,7 +43,8 @@ class Page:
     sweeps: tuple[RawTable, ...] = ()
     design: Design | None = None
     undesigned: str = ""
-    diagnosis: Diagnosis | None = None
+    diagnoses: tuple[Diagnosis, ...] = ()
+    undiagnosed: tuple[str, ...] = ()
     verification: Verification | None = None
     unshipped: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)

@@ -44,7 +44,8 @@ def render(
     design: Design | None = None,
     undesigned: str = "",
     *,
-    diagnosis: Diagnosis | None = None,
+    diagnoses: Sequence[Diagnosis] = (),
+    undiagnosed: Sequence[str] = (),
     verification: Verification | None = None,
     unshipped: Mapping[str, str] = MappingProxyType({}),
     files: Mapping[str, bytes] = MappingProxyType({}),
@@ -57,7 +58,8 @@ def render(
     sweeps      Z spectroscopies its junction was fitted to
     design      its controllers
     undesigned  why there are none
-    diagnosis   of one of its axes
+    diagnoses   of its axes
+    undiagnosed  why others have none
     verification  of what ships
     unshipped   by axis, why it does not ship beside the others
     files       of the folder the page belongs to, for their digests
@@ -71,7 +73,8 @@ def render(
         sweeps=tuple(sweeps),
         design=design,
         undesigned=undesigned,
-        diagnosis=diagnosis,
+        diagnoses=tuple(diagnoses),
+        undiagnosed=tuple(undiagnosed),
         verification=verification,
         unshipped=unshipped,
         files=files,
@@ -95,7 +98,7 @@ def render_diagnosis(
         recordings=tuple(recordings),
         traces=all_traces(model, recordings),
         model_digest=_digest(model),
-        diagnosis=diagnosis,
+        diagnoses=(diagnosis,),
     )
     return _written(page, OF_DIAGNOSIS)
 

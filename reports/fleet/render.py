@@ -1,8 +1,9 @@
 """render_fleet: a batch in, one self-contained HTML page out."""
 
-from piezoid_reports.fleet.chapters import failures, outliers, spread, stages, verdict
+from piezoid_reports.fleet.chapters import failures, outliers, stages, verdict
 from piezoid_reports.fleet.findings import distributions
 from piezoid_reports.fleet.records import Fleet
+from piezoid_reports.fleet.spread import spread
 from piezoid_reports.render import html
 
 

@@ -1,11 +1,10 @@
 """What the simulation gets wrong: each cause seen, faked, sized, and what it means for control."""
 
-from statistics import median
-
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of
 from piezoid_reports.effect_words import CONTROL, words
+from piezoid_reports.not_found import last_sentences, tables
 from piezoid_reports.page import Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
 
@@ -15,21 +14,23 @@ NO_PICTURES = (
 
 
 def render(page: Page) -> Section | None:
-    """Return a figure for each finding, and a table of everything that was tested."""
-    found = page.diagnosis
-    if found is None:
+    """Return a figure for each finding of every axis, and tables of all that was tested."""
+    if not page.diagnoses and not page.undiagnosed:
         return None
+    parts: list[Part] = [Prose(text=said, tone="middling") for said in page.undiagnosed]
+    for found in page.diagnoses:
+        parts += diagnosis_parts(found, page)
     return Section(
         anchor="diagnosis",
         title="What the simulation gets wrong, and why",
         lead="The difference between a plain simulation with hysteresis and the recordings, cause "
         "by cause; what could not be found, and how small it would have to be.",
-        parts=diagnosis_parts(found, page),
+        parts=tuple(parts),
     )
 
 
 def diagnosis_parts(found: Diagnosis, page: Page) -> tuple[Part, ...]:
-    """Return the chapter's parts."""
+    """Return the chapter's parts of one axis."""
     axis = page.model.axes.get(found.axis)
     traces = page.traces.get(found.axis, ())
     pictures = {} if axis is None else compared(axis, traces, found)
@@ -39,36 +40,11 @@ def diagnosis_parts(found: Diagnosis, page: Page) -> tuple[Part, ...]:
     if found.findings and not pictures:
         parts.append(Prose(text=NO_PICTURES))
     for finding in found.findings:
-        parts += _chapter(finding, pictures.get(finding.effect, ()))
+        parts += _chapter(found.axis, finding, pictures.get(finding.effect, ()))
     parts += _open_questions(found)
-    if found.not_detected:
-        parts.append(_absent(found))
-    parts.append(Prose(text=last_sentence(found), tone="good" if found.findings else "plain"))
+    parts += tables(found)
+    parts.append(Prose(text=last_sentences(found), tone="good" if found.findings else "plain"))
     return tuple(parts)
-
-
-def last_sentence(found: Diagnosis) -> str:
-    """Return what is explained, and how small anything else must be."""
-    limits = [
-        (absent.detection_limit_m, absent.effect)
-        for absent in found.not_detected
-        if absent.detection_limit_m is not None
-    ]
-    explained = (
-        f"Of the explainable error, {percent(found.explained_fraction)} is explained; "
-        f"the sensor's noise floor is {told(found.noise_floor_rms_m, 'm')} rms."
-    )
-    if not limits:
-        return explained
-    largest_m, effect = max(limits)
-    middle_m = median(limit_m for limit_m, _ in limits)
-    untested = len(found.not_detected) - len(limits)
-    beyond = "" if not untested else f" {untested} more could not be tested with these recordings."
-    return (
-        f"{explained[:-1]}; nothing else that was tested is visible above "
-        f"{told(largest_m, 'm')} rms ({words(effect)} hides best; half of it would show from "
-        f"{told(middle_m, 'm')}).{beyond}"
-    )
 
 
 def _summary(found: Diagnosis) -> Prose:
@@ -115,9 +91,9 @@ def _gains(found: Diagnosis) -> Table:
     )
 
 
-def _chapter(finding: Finding, pictures: tuple[Compared, ...]) -> list[Part]:
+def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> list[Part]:
     parts: list[Part] = [
-        Heading(text=words(finding.effect).capitalize()),
+        Heading(text=f"Axis {axis}: {words(finding.effect)}"),
         Prose(text=finding.explanation),
     ]
     figure = figure_of(finding, pictures)
@@ -142,7 +118,7 @@ def _open_questions(found: Diagnosis) -> list[Part]:
     if not doubtful:
         return []
     return [
-        Heading(text="What these recordings cannot tell apart"),
+        Heading(text=f"Axis {found.axis}: what these recordings cannot tell apart"),
         Listing(
             items=tuple(
                 f"{words(f.effect).capitalize()}, or "
@@ -152,24 +128,3 @@ def _open_questions(found: Diagnosis) -> list[Part]:
             )
         ),
     ]
-
-
-def _absent(found: Diagnosis) -> Table:
-    return Table(
-        caption="What was looked for and not found. Bound: the most it could be (rms, 95 %). "
-        "Limit: from this size on it would have been found in four of five cases.",
-        columns=("effect", "at most", "would show from", "why not"),
-        rows=tuple(
-            (
-                words(absent.effect),
-                _length(absent.upper_bound_m),
-                _length(absent.detection_limit_m),
-                absent.reason,
-            )
-            for absent in found.not_detected
-        ),
-    )
-
-
-def _length(value_m: float | None) -> str:
-    return "not testable" if value_m is None else told(value_m, "m")

@@ -79,22 +79,31 @@ def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick_fit")
-def test_a_diagnosis_that_fails_leaves_model_and_report_and_says_why(
+def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_status_1(
     sweeps: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stumbling(*_: object, axis: str, **__: object) -> Diagnosis:
         if axis == "x":
-            raise ZeroDivisionError("float division by zero")
+            raise RuntimeError("an index too far")
         return replace(SILENT, axis=axis)
 
+    told: dict[str, object] = {}
+
+    def drawing(*_: object, **given: object) -> str:
+        told.update(given)
+        return "a page"
+
     monkeypatch.setattr(engine, "diagnose", stumbling)
+    monkeypatch.setattr(piezoid_reports.render, "render", drawing)
     files = [str(sweeps / f"{axis}.csv") for axis in "xy"]
     lab = str(sweeps / "lab.toml")
     done = CliRunner().invoke(app, ["fit", *files, "--lab", lab, "--out", str(sweeps / "stage")])
-    assert done.exit_code in (0, 1), done.output
-    assert "axis x is not diagnosed: ZeroDivisionError: float division by zero" in done.output
+    assert done.exit_code == 1, done.output
+    said = "axis x is not diagnosed: a mistake of ours, RuntimeError: an index too far"
+    assert said in done.output
     assert set(read_model((sweeps / "stage/model.json").read_bytes()).axes) == {"x", "y"}
-    assert (sweeps / "stage/report.html").exists()
+    assert told["undiagnosed"] == (said,)
+    assert (sweeps / "stage/report.html").read_text() == "a page"
     (other,) = read_diagnoses((sweeps / "stage/diagnosis.json").read_bytes())
     assert other.axis == "y"
 

@@ -1,5 +1,7 @@
 """The chapter on causes: each is seen where it shows, beside a look-alike, with what it means."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,9 @@ from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
 from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of
-from piezoid_reports.effect_words import CONTROL
-from piezoid_reports.render import render_diagnosis
-from piezoid_reports.sections.diagnosis import last_sentence
+from piezoid_reports.effect_words import CONTROL, words
+from piezoid_reports.not_found import FAULTS, last_sentences
+from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -110,8 +112,6 @@ def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
 
 
 def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
-    from dataclasses import replace
-
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
     found = _diagnosis(_finding("lag"))
     (one,) = compared(axis, traces_of(axis, [_with(np.zeros(1))]), found)["lag"]
@@ -122,12 +122,57 @@ def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
 
 
 def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() -> None:
-    said = last_sentence(_diagnosis(_finding("delay"))).replace("\u202f", " ")
+    found = _diagnosis(_finding("delay"))
+    said = last_sentences(found).replace("\u202f", " ")
     assert said.startswith("Of the explainable error, 64.0 % is explained")
-    limits_m = [a.detection_limit_m for a in _diagnosis(_finding("delay")).not_detected]
-    largest_m = max(limit for limit in limits_m if limit is not None)
-    assert f"nothing else that was tested is visible above {1e9 * largest_m:.1f} nm" in said
+    causes = [one for one in found.not_detected if one.effect not in FAULTS]
+    largest_m = max(one.detection_limit_m or 0.0 for one in causes)
+    times = largest_m / found.noise_floor_rms_m
+    assert f"is larger than {1e9 * largest_m:.1f} nm rms, {times:.1f} times" in said
     assert "1 more could not be tested" in said
+
+
+def test_heights_of_spikes_do_not_lead_what_hides() -> None:
+    found = _diagnosis(_finding("delay"))
+    huge = tuple(
+        replace(one, upper_bound_m=1e-3, detection_limit_m=1e-3)
+        if one.effect == "outliers"
+        else one
+        for one in found.not_detected
+    )
+    said = last_sentences(replace(found, not_detected=huge)).replace("\u202f", " ")
+    first, _, faults = said.partition(" Of faults of the data")
+    assert "outliers" not in first
+    assert "outliers from 1.00 mm" in faults
+
+
+def test_what_hides_best_stands_first_and_what_was_not_tested_last() -> None:
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [], _diagnosis(_finding("delay"))))
+    rows = [e.text for e in page.all("tr")]
+    where = {
+        name: k for k, row in enumerate(rows) for name in NAMES if row.startswith(words(name))
+    }
+    known = [one for one in _diagnosis(_finding("delay")).not_detected if one.effect not in FAULTS]
+    tested = sorted(known, key=lambda one: -(one.detection_limit_m or 0.0))
+    places = [where[one.effect] for one in tested]
+    assert places == sorted(places)
+    assert tested[-1].effect == "creep"
+
+
+def test_every_axis_has_its_part_and_why_another_has_none_is_said() -> None:
+    found = _diagnosis(_finding("delay"))
+    other = replace(_diagnosis(_finding("creep")), axis="y")
+    page = Anatomy(
+        render(
+            stage_model(axis_model(), axis_model("y")),
+            [],
+            diagnoses=(found, other),
+            undiagnosed=("axis z is not diagnosed: a mistake of ours, ValueError: 3",),
+        )
+    )
+    headings = [e.text for e in page.all("h3")]
+    assert {"Axis x: delay", "Axis y: creep"} <= set(headings)
+    assert any("axis z is not diagnosed: a mistake of ours" in e.text for e in page.all("p"))
 
 
 def test_what_cannot_be_told_apart_is_listed_with_the_experiment() -> None:
