@@ -1,0 +1,132 @@
+"""The laws of polynomials in q^-1 and of the Bezout equation, on polynomials of every kind."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from piezoid.errors import DesignError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import polynomial_response, unit_circle
+from piezoid.numerics.polynomial import (
+    delayed,
+    from_roots,
+    product,
+    roots_of,
+    solve_bezout,
+    spectral_radius,
+    sylvester,
+    total,
+    trimmed,
+    value_at,
+)
+
+
+def coefficients(least: int = 1, most: int = 8) -> st.SearchStrategy[Array]:
+    """Whole numbers, zeros at both ends among them: sums and products are exact."""
+    return st.binary(min_size=least, max_size=most).map(
+        lambda found: np.frombuffer(found, np.int8).astype(np.float64)
+    )
+
+
+@st.composite
+def stable_roots(draw: st.DrawFn, most: int = 6) -> Array:
+    """Roots within 0.9, complex ones in pairs, apart enough to be found again."""
+    raw = np.frombuffer(draw(st.binary(min_size=2, max_size=most)), np.uint8)
+    found: list[complex] = []
+    for number, byte in enumerate(raw):
+        size = 0.1 + 0.8 * number / most
+        if byte < 128 and len(found) + 2 <= most:
+            root = size * np.exp(1j * (0.1 + byte / 45))
+            found += [root, root.conjugate()]
+        elif len(found) < most:
+            found.append(size if byte % 2 else -size)
+    return np.array(found)
+
+
+POINTS = st.floats(0.5, 2.0).flatmap(
+    lambda size: st.floats(0.0, 3.1).map(lambda turn: complex(size * np.exp(1j * turn)))
+)
+
+
+@given(coefficients(), coefficients(), coefficients())
+def test_polynomials_are_a_ring(a: Array, b: Array, c: Array) -> None:
+    np.testing.assert_array_equal(product(a, b), product(b, a))
+    np.testing.assert_array_equal(product(product(a, b), c), product(a, b, c))
+    np.testing.assert_array_equal(
+        trimmed(product(a, total(b, c))), trimmed(total(product(a, b), product(a, c)))
+    )
+    np.testing.assert_array_equal(trimmed(total(a, -a)), [0.0])
+    np.testing.assert_array_equal(product(a), a)
+
+
+@given(coefficients(), coefficients(), st.integers(0, 5), POINTS)
+def test_values_multiply_add_and_are_delayed(a: Array, b: Array, late: int, z: complex) -> None:
+    at_a, at_b = value_at(a, z), value_at(b, z)
+    size = 128.0**2 * 64 * 2.0**14
+    np.testing.assert_allclose(value_at(product(a, b), z), at_a * at_b, atol=1e-15 * size)
+    np.testing.assert_allclose(value_at(total(a, b), z), at_a + at_b, atol=1e-15 * size)
+    np.testing.assert_allclose(value_at(delayed(a, late), z), at_a / z**late, atol=1e-15 * size)
+
+
+@given(coefficients(), st.floats(0.0, 1e4))
+def test_a_response_is_the_value_on_the_unit_circle(a: Array, frequency_Hz: float) -> None:
+    z = np.exp(2j * np.pi * frequency_Hz / 2e4)
+    found = polynomial_response(a, unit_circle([frequency_Hz], 2e4))
+    np.testing.assert_allclose(found, [value_at(a, z)], atol=1e-10)
+
+
+@given(stable_roots(), st.integers(0, 3))
+def test_roots_come_back_and_tell_stability(roots: Array, late: int) -> None:
+    polynomial = from_roots(roots)
+    assert polynomial[0] == 1.0
+    assert not np.iscomplexobj(polynomial)
+    found = roots_of(delayed(3.0 * polynomial, late))
+    apart = np.abs(found[:, None] - roots)
+    assert apart.min(axis=0).max() < 1e-6
+    assert apart.min(axis=1).max() < 1e-6
+    assert spectral_radius(polynomial) == pytest.approx(np.abs(roots).max(), abs=1e-6)
+
+
+@given(stable_roots(5), stable_roots(4), stable_roots(), st.integers(1, 3), st.integers(-9, 4))
+def test_bezout_places_what_it_is_told_for_gains_of_every_size(
+    poles: Array, zeros: Array, wanted: Array, late: int, power: int
+) -> None:
+    assume(np.abs(poles[:, None] - zeros * 1.05).min() > 0.02)
+    A, P = from_roots(poles), from_roots(wanted)
+    B = delayed(10.0**power * from_roots(zeros * 1.05), late)
+    solution = solve_bezout(A, B, P)
+    size = np.convolve(np.abs(A), np.abs(solution.S)).max()
+    left = total(product(A, solution.S), product(B, solution.R))
+    np.testing.assert_allclose(
+        left, total(P, np.zeros(len(left))), atol=1e-12 * (size + np.abs(P).max())
+    )
+    assert len(solution.R) == len(A) - 1
+    assert solution.residual == pytest.approx(
+        np.abs(total(left, -P)).max() / np.abs(P).max(), abs=1e-13 * size
+    )
+    plain = solve_bezout(A, B * 2.0**-20, P)
+    np.testing.assert_array_equal(plain.S, solution.S)
+    np.testing.assert_array_equal(plain.R * 2.0**-20, solution.R)
+    assert plain.condition == solution.condition >= 1.0
+
+
+@given(stable_roots(4), stable_roots(4), stable_roots(2))
+def test_a_common_root_is_never_divided_by(poles: Array, zeros: Array, common: Array) -> None:
+    A = from_roots(np.concatenate([poles, common]))
+    B = delayed(from_roots(np.concatenate([zeros, common])), 1)
+    with pytest.raises(DesignError, match="nearly cancel"):
+        solve_bezout(A, B, [1.0])
+
+
+@given(coefficients(2, 6), coefficients(1, 6), st.integers(0, 4), st.data())
+def test_the_sylvester_matrix_is_the_product_written_out(
+    A: Array, B: Array, degree_s: int, data: st.DataObject
+) -> None:
+    assume(len(B) <= degree_s + 2)  # deg B R <= deg A S
+    S = data.draw(coefficients(degree_s + 1, degree_s + 1))
+    R = data.draw(coefficients(len(A) - 1, len(A) - 1))
+    np.testing.assert_array_equal(
+        sylvester(A, B, degree_s) @ np.concatenate([S, R]),
+        total(product(A, S), product(B, R), np.zeros(len(A) + degree_s)),
+    )

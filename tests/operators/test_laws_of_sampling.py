@@ -1,0 +1,143 @@
+"""The laws of exact sampling, and the two samplers of the house held against each other.
+
+`numerics.zero_order_hold` and `operators.linear` were written apart, for the design and for the
+simulation; neither may import the other.
+"""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from piezoid.numerics import zero_order_hold
+from piezoid.numerics.arrays import Array
+from piezoid.operators import linear
+from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
+from piezoid.operators.linear import ContinuousSystem, DiscreteSystem
+from tests.operators.strategies import drives
+
+RATE_Hz = 20e3
+CLOSE = 1e-9
+
+
+@st.composite
+def chains(draw: st.DrawFn, delay: bool = True) -> ContinuousSystem:
+    """A pole or a mode or both, from slow to beyond the sampling rate, perhaps late."""
+    parts = []
+    for kind in draw(st.sampled_from(["lag", "mode", "lag mode", "mode mode", "filter"])).split():
+        frequency_Hz = 10.0 ** draw(st.floats(1.0, 4.5))
+        if kind == "lag":
+            parts.append(first_order(frequency_Hz))
+        elif kind == "mode":
+            damping, rate_gain = draw(st.floats(0.005, 2.0)), draw(st.sampled_from([0.0, 1e-5]))
+            parts.append(resonance(frequency_Hz, damping, rate_gain))
+        else:
+            parts.append(butterworth(draw(st.integers(1, 5)), frequency_Hz))
+    whole = cascade(*parts)
+    late = draw(st.floats(0.0, 3.0) | st.sampled_from([0.0, 1.0, 2.0])) if delay else 0.0
+    return ContinuousSystem(A=whole.A, B=whole.B, C=whole.C, D=whole.D, delay_s=late / RATE_Hz)
+
+
+@given(chains())
+def test_both_samplers_give_the_same_samples(system: ContinuousSystem) -> None:
+    one = linear.sample(system, RATE_Hz).impulse_response(40)[:, 0, 0]
+    other = zero_order_hold.sample(
+        system.A, system.B[:, 0], system.C[0], 1 / RATE_Hz, system.delay_s
+    )
+    A, B, C = zero_order_hold.realised(other)
+    two, state = np.zeros(40), B
+    for k in range(1, 40):
+        two[k], state = C @ state, A @ state
+    np.testing.assert_allclose(one, two, atol=CLOSE)
+
+
+@given(chains(delay=False))
+def test_two_short_periods_are_one_long_one(system: ContinuousSystem) -> None:
+    short, long = linear.sample(system, RATE_Hz), linear.sample(system, RATE_Hz / 2)
+    np.testing.assert_allclose(short.A @ short.A, long.A, atol=CLOSE)
+    np.testing.assert_allclose(short.A @ short.B + short.B, long.B, atol=CLOSE)
+
+
+@given(chains(), st.integers(1, 4))
+def test_a_whole_sample_of_delay_only_shifts(system: ContinuousSystem, whole: int) -> None:
+    later = ContinuousSystem(
+        A=system.A, B=system.B, C=system.C, D=system.D, delay_s=system.delay_s + whole / RATE_Hz
+    )
+    plain = linear.sample(system, RATE_Hz).impulse_response(30)[:, 0, 0]
+    shifted = linear.sample(later, RATE_Hz).impulse_response(30)[:, 0, 0]
+    np.testing.assert_allclose(shifted[whole:], plain[:-whole], atol=CLOSE)
+    np.testing.assert_allclose(shifted[:whole], 0.0, atol=CLOSE)
+
+
+@given(chains())
+def test_sampling_keeps_the_gain_at_rest_and_maps_every_pole(system: ContinuousSystem) -> None:
+    sampled = linear.sample(system, RATE_Hz)
+    np.testing.assert_allclose(system.response([0.0]), 1.0, rtol=CLOSE)
+    np.testing.assert_allclose(sampled.response([0.0]), 1.0, rtol=1e-6)
+    poles = np.exp(np.linalg.eigvals(system.A) / RATE_Hz)
+    found = np.linalg.eigvals(sampled.A)
+    assert np.abs(found[:, None] - poles).min(axis=0).max() < 1e-5  # double poles lose half
+    late = len(found) - len(poles)
+    assert late == np.ceil(round(system.delay_s * RATE_Hz, 6))
+    outputs, state = sampled.run(np.zeros(4), np.zeros(len(found)))
+    assert not outputs.any()
+    assert not state.any()
+
+
+@given(chains())
+def test_fraction_samples_and_response_are_one_system(system: ContinuousSystem) -> None:
+    frequency_Hz = np.array([0.0, 3.0, 400.0, 5e3, 9.9e3])
+    q = np.exp(-2j * np.pi * frequency_Hz / RATE_Hz)
+    B, A = linear.fraction(system, RATE_Hz)
+    direct = np.polyval(B[::-1], q) / np.polyval(A[::-1], q)
+    response = linear.sample(system, RATE_Hz).response(frequency_Hz)[:, 0, 0]
+    least = np.abs(np.polyval(A[::-1], q)).min()
+    np.testing.assert_allclose(direct, response, atol=1e-11 / least)
+
+
+@given(chains(delay=False), chains(delay=False))
+def test_the_response_of_a_chain_is_the_product_of_its_parts(
+    first: ContinuousSystem, second: ContinuousSystem
+) -> None:
+    frequency_Hz = np.geomspace(1.0, 1e5, 7)
+    both = cascade(first, second).response(frequency_Hz)[:, 0, 0]
+    parts = first.response(frequency_Hz)[:, 0, 0] * second.response(frequency_Hz)[:, 0, 0]
+    np.testing.assert_allclose(both, parts, rtol=1e-7, atol=1e-12)
+
+
+@given(chains(), drives(most=150), drives(150, 150), st.integers(0, 150))
+def test_running_is_linear_causal_and_may_be_cut_anywhere(
+    system: ContinuousSystem, one: Array, two: Array, cut: int
+) -> None:
+    sampled = linear.sample(system, RATE_Hz)
+    two = two[: len(one)]
+    whole, end = sampled.run(one)
+    np.testing.assert_allclose(
+        sampled.run(2.0 * one - two)[0], 2.0 * whole - sampled.run(two)[0], atol=1e-7
+    )
+    first, state = sampled.run(one[:cut])
+    second, after = sampled.run(one[cut:], state)
+    np.testing.assert_allclose(np.concatenate([first, second]), whole, atol=1e-7)
+    np.testing.assert_allclose(after, end, atol=1e-7)
+    np.testing.assert_allclose(first, whole[:cut], atol=1e-7)
+
+
+@given(st.integers(1, 4), st.integers(1, 3), st.integers(1, 3), st.integers(0, 2**32 - 1))
+def test_two_states_are_transferred_like_any_number(
+    extra: int, inputs: int, outputs: int, seed: int
+) -> None:
+    """Two states have a formula of their own; a third that nothing sees must not change them."""
+    rng = np.random.default_rng(seed)
+    A = rng.uniform(-0.6, 0.6, (2, 2))
+    B, C, D = (rng.normal(size=s) for s in ((2, inputs), (outputs, 2), (outputs, inputs)))
+    small = DiscreteSystem(A=A, B=B, C=C, D=D, interval_s=1 / RATE_Hz)
+    unseen = np.zeros((2 + extra, 2 + extra))
+    unseen[:2, :2] = A
+    large = DiscreteSystem(
+        A=unseen,
+        B=np.vstack([B, np.ones((extra, inputs))]),
+        C=np.hstack([C, np.zeros((outputs, extra))]),
+        D=D,
+        interval_s=1 / RATE_Hz,
+    )
+    f = np.array([10.0, 3e3, 9e3])
+    np.testing.assert_allclose(small.response(f), large.response(f), rtol=1e-9, atol=1e-12)
