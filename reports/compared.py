@@ -18,31 +18,16 @@ from piezoid.diagnosis.planning.playing import driven_recording
 from piezoid.diagnosis.planning.question import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
 from piezoid.diagnosis.planning.tangents import Tangent
-from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.simulation import simulate_recording
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
+from piezoid_reports.carried import carried_part, is_carried
 from piezoid_reports.effect_coordinates import coordinate_of
 from piezoid_reports.traces import Trace, rms
 
 ROWS = 3000  # of each recording
 LEAST_SHARE = 1e-6  # of a recording's stroke, below which nothing is put in
 RECORDINGS = 6  # of those fitted worst
-LAGS = ("delay", "lag")
-KINDS: Mapping[str, tuple[str, ...]] = {
-    "creep": ("creep_ladder", "creep_operator"),
-    "thermal_drift": ("thermal_drift",),
-    "rate_dependence": ("rate_dependence",),
-    "resonance": ("linear_mode",),
-    "delay": ("delay",),
-    "lag": ("first_order_lag",),
-    "cross_coupling": ("cross_axis",),
-    "mains_interference": ("mains_lines",),
-    "sensor_periodic_error": ("periodic_error",),
-    "amplifier_saturation": ("amplifier_limits",),
-    "slew_limit": ("slew_limit",),
-    "gain_change": ("gain_change",),
-}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,7 +54,7 @@ def compared(
     used = traces[:RECORDINGS]
     if not used:
         return {}
-    missing = [f for f in diagnosis.findings if not _carried(axis, f.effect)]
+    missing = [f for f in diagnosis.findings if not is_carried(axis, f.effect)]
     fitted = _linearised(axis, used, missing, diagnosis.stroke_m)
     return {
         finding.effect: _turned(
@@ -84,12 +69,12 @@ def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> C
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
         whole_m = fitted.whole_m.get(finding.effect)
         linear_m = np.zeros(len(rows)) if whole_m is None else whole_m[rows]
-        part_m = linear_m + _carried_part(axis, finding.effect, trace)[rows]
+        part_m = linear_m + carried_part(axis, finding.effect, trace)[rows]
         after_m = trace.residual_m[rows] - linear_m
     else:
         rows, after_m = fitted.rows, fitted.after_m
         own_m = fitted.part_m.get(finding.effect)
-        part_m = _carried_part(axis, finding.effect, trace)[rows] if own_m is None else own_m
+        part_m = carried_part(axis, finding.effect, trace)[rows] if own_m is None else own_m
     return Compared(
         trace=trace,
         rows=rows,
@@ -112,24 +97,6 @@ def _turned(found: Sequence[Compared]) -> tuple[Compared, ...]:
 def _rows(trace: Trace) -> NDArray[np.int_]:
     there = np.flatnonzero(np.isfinite(trace.modelled_m))
     return np.asarray(there[rows_of(len(there), ROWS)])
-
-
-def _carried(axis: AxisModel, effect: str) -> bool:
-    if effect in LAGS and axis.lag.time_s > 0.0:
-        return True
-    kinds = KINDS.get(effect, ())
-    return any(e.kind in kinds for e in axis.extensions)
-
-
-def _carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
-    """Return what the model's extension adds, about its mean."""
-    if not _carried(axis, effect):
-        return np.zeros(len(trace.time_s))
-    others = tuple(e for e in axis.extensions if e.kind not in KINDS[effect])
-    lag = Lag(kind="none", time_s=0.0) if effect in LAGS else axis.lag
-    without_m = simulate_recording(replace(axis, extensions=others, lag=lag), trace.recording)
-    part_m = trace.modelled_m - without_m
-    return np.asarray(part_m - np.nanmean(part_m))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

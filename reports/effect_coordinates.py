@@ -158,6 +158,19 @@ COORDINATES: tuple[Coordinate, ...] = (
 )
 
 
+def over_time(where: Coordinate) -> Coordinate:
+    """Return the course over time, for recordings in which a coordinate hardly occurs."""
+    return Coordinate(
+        effects=where.effects,
+        label="time",
+        unit="s",
+        kind="time",
+        along=_time,
+        reading="Over time, because too few rows of these recordings have a place on the axis "
+        f"where it shows best, the {where.label}.",
+    )
+
+
 def coordinate_of(effect: str) -> Coordinate:
     """Return the coordinate in which an effect shows."""
     return next(one for one in COORDINATES if effect in one.effects)

@@ -8,7 +8,7 @@ from piezoid.diagnosis.diagnosis import Finding
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.compared import Compared
-from piezoid_reports.effect_coordinates import Coordinate, coordinate_of
+from piezoid_reports.effect_coordinates import Coordinate, coordinate_of, over_time
 from piezoid_reports.effect_words import words
 from piezoid_reports.page import Figure
 from piezoid_reports.quantities import percent, told
@@ -34,7 +34,8 @@ def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None
         return _spectrum(finding, where, _clearest(pictures))
     if where.kind == "time":
         return _over_time(finding, where, _clearest(pictures))
-    return _in_classes(finding, where, pictures)
+    drawn = _in_classes(finding, where, pictures)
+    return drawn or _over_time(finding, over_time(where), _clearest(pictures))
 
 
 def _clearest(pictures: tuple[Compared, ...]) -> Compared:

@@ -59,7 +59,7 @@ def last_sentences(found: Diagnosis) -> str:
     beyond = "" if not hidden else f" {hidden} more could not be tested with these recordings."
     return (
         f"{explained}; no other cause that was tested is larger than "
-        f"{told(limits_m[0], 'm')} rms, {_times(limits_m[0], found.noise_floor_rms_m)} "
+        f"{told(limits_m[0], 'm')} rms{_of_noise(limits_m[0], found.noise_floor_rms_m)} "
         f"({words(known[0].effect)} hides best; half of them would show from "
         f"{told(median(limits_m), 'm')}).{beyond}{_about_faults(found)}"
     )
@@ -102,6 +102,10 @@ def _row(one: NotDetected, noise_m: float) -> tuple[str, ...]:
         _times(_hidden_m(one), noise_m) if tested else "",
         one.reason,
     )
+
+
+def _of_noise(size_m: float, noise_m: float) -> str:
+    return f", {_times(size_m, noise_m)} the noise" if noise_m > 0.0 else ""
 
 
 def _times(size_m: float, noise_m: float) -> str:

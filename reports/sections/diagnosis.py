@@ -58,9 +58,20 @@ def _summary(found: Diagnosis) -> Prose:
     names = ", ".join(words(finding.effect) for finding in found.findings)
     return Prose(
         text=f"{change}; with {names} it is {told(after.rms_m, 'm')} "
-        f"({percent(after.rms_percent / 100.0)}).",
+        f"({percent(after.rms_percent / 100.0)}).{_in_it_already(found)}",
         tone="good" if after.rms_m < before.rms_m else "middling",
     )
+
+
+def _in_it_already(found: Diagnosis) -> str:
+    """Name what even the plain simulation has, so that its gain is no part of the change."""
+    held = [f for f in found.findings if f.held_out_rms_before_m > 1.001 * found.baseline.rms_m]
+    if not held:
+        return ""
+    said = ", ".join(
+        f"{words(f.effect)} (without it: {told(f.held_out_rms_before_m, 'm')})" for f in held
+    )
+    return f" Part of the plain simulation already: {said}."
 
 
 def _size(finding: Finding) -> str:

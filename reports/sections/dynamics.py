@@ -15,6 +15,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Axis, Canvas, axis_over
+from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import UNKNOWN, significant, told
 
@@ -54,7 +55,7 @@ def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
         tone = "middling" if axis.bandwidth.kind == "undecided" else "plain"
         parts.append(Prose(text=axis.bandwidth.text, tone=tone))
     parts += [] if axis.joint is None else [*_joint(axis.joint)]
-    return parts
+    return parts + distortion_parts(page, axis)
 
 
 def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part]:

@@ -222,3 +222,19 @@ def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
     assert np.isnan(place[:100]).all()
     assert place[199] == pytest.approx(0.0, abs=0.01)
     assert (way[100:] == 1.0).all()
+
+
+def test_a_memory_that_was_wrong_is_shown_against_that_of_a_drive_cycled_before() -> None:
+    axis = axis_model()
+    found = _diagnosis(_finding("initial_state"))
+    (one,) = compared(axis, traces_of(axis, [recording()]), found)["initial_state"]
+    assert rms(one.after_m) < 2.0 * axis.quality.noise_rms_m
+    assert rms(one.before_m) > 10.0 * rms(one.after_m)
+
+
+def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
+    found = _diagnosis(_finding("creep"))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
+    (figure,) = page.all("figure")
+    assert "residual against time" in figure.text
+    assert "too few rows of these recordings have a place" in figure.text
