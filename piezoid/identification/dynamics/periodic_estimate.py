@@ -1,7 +1,5 @@
 """The response from periodic data, with noise and nonlinear distortion told apart."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv
@@ -9,7 +7,7 @@ from scipy.special import gammainccinv
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
 from piezoid.identification.dynamics.periodic_data import PeriodicData
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array
 
 WANTED_FREEDOM = 30  # smoothed over so many; the weights of a fit must not be random themselves
 LEAST_COHERENCE = 0.5
@@ -143,64 +141,6 @@ def smoothed(variance: Array, width: int) -> Array:
     padded = np.pad(variance, ((half, half), (0, 0)), mode="reflect")
     running = np.cumsum(np.pad(padded, ((1, 0), (0, 0))), axis=0)
     return np.asarray((running[width:] - running[:-width]) / width)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DetectionLines:
-    """What came out at lines nobody drove: the nonlinearity's own handwriting.
-
-    frequency_Hz  (lines,)
-    is_even       (lines,)  even lines carry even distortion (asymmetry), odd ones odd distortion
-    amplitude_m   (lines, outputs)  peak, after removing what leaked through the drive
-    noise_m       (lines, outputs)  one standard deviation of that amplitude
-    """
-
-    frequency_Hz: Array
-    is_even: NDArray[np.bool_]
-    amplitude_m: Array
-    noise_m: Array
-
-    def __post_init__(self) -> None:
-        for name, ndim in (("frequency_Hz", 1), ("amplitude_m", 2), ("noise_m", 2)):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
-
-    def level_m(self, *, even: bool) -> Array:
-        """Return the rms amplitude on even or odd lines beyond noise, (outputs,), m."""
-        chosen = self.is_even if even else ~self.is_even
-        if not chosen.any():
-            return np.zeros(self.amplitude_m.shape[1])
-        excess = self.amplitude_m[chosen] ** 2 - self.noise_m[chosen] ** 2
-        return np.asarray(np.sqrt(np.maximum(excess.mean(axis=0), 0.0)))
-
-
-def detect_distortion(data: PeriodicData) -> DetectionLines:
-    """Read the lines between the excited ones, inside the excited band.
-
-    data  an odd multisine with lines left out; at least two periods
-
-    The response there is interpolated from the excited lines to remove what the drive leaked.
-    """
-    excited = data.excited_lines()
-    inside = np.arange(excited[0], excited[-1] + 1)
-    silent = np.setdiff1d(inside, excited)
-    if not len(silent) or data.voltage_V.shape[3] < 2:
-        raise ExcitationError(
-            f"{len(silent)} lines without drive, {data.voltage_V.shape[3]} periods",
-            needed="lines left out of the multisine, and two periods to know the noise",
-            remedy="Record an odd random-phase multisine with detection lines.",
-        )
-    known = estimate_response(data)
-    frequency_Hz = data.frequency_Hz(silent)
-    G = interpolated(known.response, known.frequency_Hz, frequency_Hz)
-    drive, moved = data.spectra(silent)
-    own = moved - np.einsum("koi,kirp->korp", G, drive)
-    spread = own.var(axis=3, ddof=1).mean(axis=2) / own.shape[3]
-    return DetectionLines(
-        frequency_Hz=frequency_Hz,
-        is_even=silent % 2 == 0,
-        amplitude_m=np.sqrt((np.abs(own.mean(axis=3)) ** 2).mean(axis=2)),
-        noise_m=np.sqrt(spread),
-    )
 
 
 def interpolated(values: ComplexArray, known_Hz: Array, wanted_Hz: Array) -> ComplexArray:

@@ -10,7 +10,7 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_data import PeriodicData, cut_periods
-from piezoid.identification.dynamics.periodic_estimate import detect_distortion, estimate_response
+from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import sample
 from piezoid.records.excitation import DriveLimits, log_chirp
 from piezoid.records.recording import Channel, Quantity, Recording
@@ -51,13 +51,6 @@ def test_mains_on_the_sensor_is_rejected_at_its_line_alone(rng: np.random.Genera
 
 def test_a_sharp_resonance_is_not_taken_for_interference(rng: np.random.Generator) -> None:
     assert not estimate_response(record(rng, cubic=0.02)).is_interference.any()
-
-
-def test_silent_lines_show_odd_and_even_distortion(rng: np.random.Generator) -> None:
-    straight = detect_distortion(record(rng, silent=4, noise_m=1e-10))
-    odd = detect_distortion(record(rng, silent=4, noise_m=1e-10, cubic=0.05))
-    assert odd.level_m(even=False)[0] > 20 * odd.level_m(even=True)[0]
-    assert odd.level_m(even=False)[0] > 20 * straight.level_m(even=False)[0]
 
 
 def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(

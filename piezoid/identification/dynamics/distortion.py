@@ -1,0 +1,171 @@
+"""What comes out at lines nobody drove: even and odd distortion and noise, told apart.
+
+    u of odd lines only:   u^2 answers at even lines, u^3 at odd ones      [Pintelon & Schoukens]
+
+Lines left out of an odd multisine are silent in the drive. What repeats there from period to
+period is the nonlinearity's; what does not is noise. Asymmetry answers at even lines; hysteresis
+that is symmetric, and saturation, at odd ones.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import estimate_response, interpolated
+from piezoid.identification.dynamics.repetition import periodic_recordings
+from piezoid.numerics.arrays import Array, frozen
+from piezoid.records.recording import Recording
+
+FEWEST_DRIVEN = 8  # lines: fewer are a triangle's or a sine's
+FEWEST_SILENT = 3  # odd lines, or an odd level means nothing
+ONE_SIDED_95 = 1.6448536269514722
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectionLines:
+    """Amplitudes at driven and at silent lines, peak; rms over realisations.
+
+    driven_Hz     (driven,)
+    driven_m      (driven, outputs)
+    frequency_Hz  (silent,)
+    is_even       (silent,)
+    amplitude_m   (silent, outputs)  without what leaked through the drive
+    noise_m       (silent, outputs)  one standard deviation of that amplitude
+    drive_rms_V   (inputs,)
+    realisations  how many there were
+    periods       how many of each
+    """
+
+    driven_Hz: Array
+    driven_m: Array
+    frequency_Hz: Array
+    is_even: NDArray[np.bool_]
+    amplitude_m: Array
+    noise_m: Array
+    drive_rms_V: Array
+    realisations: int
+    periods: int
+
+    def __post_init__(self) -> None:
+        for name, ndim in (
+            ("driven_Hz", 1),
+            ("driven_m", 2),
+            ("frequency_Hz", 1),
+            ("amplitude_m", 2),
+            ("noise_m", 2),
+            ("drive_rms_V", 1),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+
+    def driven_level_m(self) -> Array:
+        """Return the rms amplitude of driven lines, (outputs,), m."""
+        return np.asarray(np.sqrt((self.driven_m**2).mean(axis=0)))
+
+    def noise_level_m(self) -> Array:
+        """Return the rms noise of a line's amplitude, after averaging periods, (outputs,), m."""
+        return np.asarray(np.sqrt((self.noise_m**2).mean(axis=0)))
+
+    def level_m(self, *, even: bool) -> Array:
+        """Return the rms amplitude on even or odd silent lines beyond noise, (outputs,), m."""
+        chosen = self._lines(even=even)
+        excess = self.amplitude_m[chosen] ** 2 - self.noise_m[chosen] ** 2
+        return np.asarray(np.sqrt(np.maximum(excess.mean(axis=0), 0.0)))
+
+    def limit_m(self, *, even: bool) -> Array:
+        """Return the level that noise alone stays below in 95 of 100 cases, (outputs,), m.
+
+        A squared amplitude of noise scatters by its own mean, and so does its estimate from
+        periods - 1 differences.
+        """
+        chosen = self._lines(even=even)
+        draws = max(int(chosen.sum()) * self.realisations, 1)
+        spread = np.sqrt((1.0 + 1.0 / (self.periods - 1)) / draws)
+        mean = (self.noise_m[chosen] ** 2).mean(axis=0)
+        return np.asarray(np.sqrt(ONE_SIDED_95 * spread * mean))
+
+    def _lines(self, *, even: bool) -> NDArray[np.bool_]:
+        chosen = self.is_even if even else ~self.is_even
+        if not chosen.any():
+            raise ExcitationError(
+                f"no silent {'even' if even else 'odd'} line in the band",
+                needed="lines of that kind left out of the multisine",
+                remedy="Record an odd random-phase multisine with detection lines.",
+            )
+        return np.asarray(chosen)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistortionFound:
+    """Detection lines of some recordings of an axis.
+
+    recordings  their names, one realisation each
+    lines       what was read
+    """
+
+    recordings: tuple[str, ...]
+    lines: DetectionLines
+
+
+def distortion_of(recordings: Sequence[Recording], axis: str) -> tuple[DistortionFound, ...]:
+    """Return what every odd multisine with detection lines among the recordings shows.
+
+    recordings  any; those that are no such multisine are passed over
+    """
+    groups = periodic_recordings(recordings, axis)
+    return tuple(
+        DistortionFound(recordings=group.names, lines=detect_distortion(group.data))
+        for group in groups
+        if _detects(group.data.excited_lines())
+    )
+
+
+def detect_distortion(data: PeriodicData) -> DetectionLines:
+    """Read the lines between the excited ones, inside the excited band.
+
+    data  an odd multisine with lines left out; at least two periods
+
+    The response there is interpolated from the excited lines to remove what the drive leaked.
+    """
+    excited = data.excited_lines()
+    inside = np.arange(excited[0], excited[-1] + 1)
+    silent = np.setdiff1d(inside, excited)
+    realisations, periods = data.voltage_V.shape[2:]
+    if not len(silent) or periods < 2:
+        raise ExcitationError(
+            f"{len(silent)} lines without drive, {periods} periods",
+            needed="lines left out of the multisine, and two periods to know the noise",
+            remedy="Record an odd random-phase multisine with detection lines.",
+        )
+    known = estimate_response(data)
+    frequency_Hz = data.frequency_Hz(silent)
+    G = interpolated(known.response, known.frequency_Hz, frequency_Hz)
+    drive, moved = data.spectra(silent)
+    own = moved - np.einsum("koi,kirp->korp", G, drive)
+    spread = own.var(axis=3, ddof=1).mean(axis=2) / periods
+    _, answered = data.spectra(excited)
+    return DetectionLines(
+        driven_Hz=known.frequency_Hz,
+        driven_m=_rms_over_realisations(answered),
+        frequency_Hz=frequency_Hz,
+        is_even=silent % 2 == 0,
+        amplitude_m=_rms_over_realisations(own),
+        noise_m=np.sqrt(spread),
+        drive_rms_V=known.drive_rms_V,
+        realisations=realisations,
+        periods=periods,
+    )
+
+
+def _rms_over_realisations(amplitude: NDArray[np.complex128]) -> Array:
+    return np.asarray(np.sqrt((np.abs(amplitude.mean(axis=3)) ** 2).mean(axis=2)))
+
+
+def _detects(excited: NDArray[np.int64]) -> bool:
+    """Whether all driven lines are odd, and odd ones among them are left out."""
+    if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
+        return False
+    return (excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT
