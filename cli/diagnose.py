@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from piezoid.diagnosis.change import Change
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.model import ActuatorModel, AxisModel
-    from piezoid.records.lab import Lab
     from piezoid.records.recording import Recording
 
     _Model = tuple[ActuatorModel, str]  # and the digest of its file
@@ -47,6 +46,7 @@ def diagnose(
 
     piezoid diagnose stage42/model.json today.csv --lab lab.toml --out today42/
     """
+    from piezoid_cli.diagnosis_page import diagnosis_page
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
 
@@ -68,7 +68,7 @@ def diagnose(
         change = None if model is None else _changed(model, recordings, found.axis, told)
         since = None if change is None else change.to_json()
         content = write_diagnosis(found, since=since)
-        page = _page(found, recordings, declared)
+        page = diagnosis_page(found, recordings, declared, content, told)
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
@@ -91,18 +91,6 @@ def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
         raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
     content = files[0].read_bytes()
     return (read_model(content, str(files[0])), str(loads(content)["digest"])), files[1:]
-
-
-def _page(found: "Diagnosis", recordings: "Sequence[Recording]", lab: "Lab | None") -> str:
-    """Return diagnosis.html, without the pictures that need a model fitted to these recordings."""
-    from piezoid.identification.model import ActuatorModel
-    from piezoid_reports.render import render_diagnosis
-
-    stage = (lab.name if lab is not None else "") or recordings[0].name
-    sources = {recording.name: recording.digest for recording in recordings}
-    return render_diagnosis(
-        ActuatorModel(stage=stage, axes={}, sources=sources), recordings, found
-    )
 
 
 def _first(model: "_Model | None") -> str | None:
@@ -140,7 +128,7 @@ def _show(found: "Diagnosis", out: Path) -> None:
             f"the sensor's noise is {1e9 * found.noise_floor_rms_m:.3g} nm"
         )
     )
-    console.print(Text(f"all that was tested: {out / 'diagnosis.json'}"))
+    console.print(Text(f"all that was tested: {out / 'diagnosis.html'}"))
 
 
 def _table(found: "Diagnosis") -> "Table":

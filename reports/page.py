@@ -24,11 +24,12 @@ class Page:
     model         what was found
     recordings    what it was found in
     traces        measurement beside model, by axis, worst fitted first
-    model_digest  of model.json
+    model_digest  of model.json; empty where the model is in no file
     sweeps        Z spectroscopies the junction was fitted to
     design        controllers, where they were designed
     undesigned    why they were not, or empty
     diagnoses     of every axis that has one
+    note          what must be known of their pictures, or empty
     undiagnosed   why others have none, whole sentences
     verification  of what ships, where it was run
     unshipped     by axis, why it does not ship beside the others
@@ -44,6 +45,7 @@ class Page:
     design: Design | None = None
     undesigned: str = ""
     diagnoses: tuple[Diagnosis, ...] = ()
+    note: str = ""
     undiagnosed: tuple[str, ...] = ()
     verification: Verification | None = None
     unshipped: Mapping[str, str] = field(default_factory=dict)

@@ -69,7 +69,7 @@ def render(
         model=model,
         recordings=tuple(recordings),
         traces=all_traces(model, recordings),
-        model_digest=_digest(model),
+        model_digest=_sealed(files) or _digest(model),
         sweeps=tuple(sweeps),
         design=design,
         undesigned=undesigned,
@@ -90,17 +90,35 @@ def render_design(model: ActuatorModel, design: Design) -> str:
 
 
 def render_diagnosis(
-    model: ActuatorModel, recordings: Sequence[Recording], diagnosis: Diagnosis
+    model: ActuatorModel,
+    recordings: Sequence[Recording],
+    diagnosis: Diagnosis,
+    *,
+    note: str = "",
+    written: bytes = b"",
 ) -> str:
-    """Return diagnosis.html: causes in recordings, against a model that was fitted to them."""
+    """Return diagnosis.html: causes in recordings, against a model that was fitted to them.
+
+    model    to draw on; it is in no file
+    note     what must be known of the pictures
+    written  diagnosis.json
+    """
     page = Page(
         model=model,
         recordings=tuple(recordings),
         traces=all_traces(model, recordings),
-        model_digest=_digest(model),
+        model_digest="",
         diagnoses=(diagnosis,),
+        note=note,
+        files={"diagnosis.json": written} if written else {},
     )
     return _written(page, OF_DIAGNOSIS)
+
+
+def _sealed(files: Mapping[str, bytes]) -> str:
+    """Return the digest that the folder's model.json carries, whatever version wrote it."""
+    held = files.get("model.json")
+    return "" if held is None else str(json.loads(held)["digest"])
 
 
 def _digest(model: ActuatorModel) -> str:

@@ -39,6 +39,8 @@ def diagnosis_parts(found: Diagnosis, page: Page) -> tuple[Part, ...]:
         parts.append(_gains(found))
     if found.findings and not pictures:
         parts.append(Prose(text=NO_PICTURES))
+    if pictures and page.note:
+        parts.append(Prose(text=page.note))
     for finding in found.findings:
         parts += _chapter(found.axis, finding, pictures.get(finding.effect, ()))
     parts += _open_questions(found)

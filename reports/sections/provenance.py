@@ -70,12 +70,13 @@ def _agreement(model: ActuatorModel, recording: Recording | RawTable) -> str:
 def _chain(page: Page) -> Table:
     """Return data -> model -> design -> parameter file and runtime source -> verification."""
     model = page.model_digest
-    rows = [
-        ("lab.toml", page.model.lab or "none given", "the laboratory"),
-        ("model.json", model, "the recordings in the model, lab.toml"),
-    ]
+    rows = [("lab.toml", page.model.lab or "none given", "the laboratory")]
+    if model:
+        rows.append(("model.json", model, "the recordings in the model, lab.toml"))
     if "diagnosis.json" in page.files:
-        rows.append(("diagnosis.json", _sealed(page, "diagnosis.json"), "the same recordings"))
+        rows.append(
+            ("diagnosis.json", _sealed(page, "diagnosis.json"), "the recordings, lab.toml")
+        )
     if page.design is not None and "design.json" in page.files:
         made_from = _of("model.json", page.design.model_digest, model)
         rows.append(("design.json", _sealed(page, "design.json"), made_from))

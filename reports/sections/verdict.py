@@ -2,6 +2,7 @@
 
 from piezoid.identification.model import AxisModel
 from piezoid.verification.verification import Verification
+from piezoid_reports.effect_words import words
 from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
@@ -54,7 +55,7 @@ def sentences(page: Page) -> tuple[str, str, str]:
     good = [axis for axis in page.axes if axis.verdict.applies]
     wrong = [axis for axis in page.axes if not axis.verdict.applies]
     applies = _applies(good, wrong).removesuffix(".") + _ships(page)
-    return applies, _how_well(good, wrong), _what_next([*wrong, *good])
+    return applies, _how_well(good, wrong), _what_next(page, [*wrong, *good])
 
 
 def _ships(page: Page) -> str:
@@ -105,14 +106,29 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
     )
 
 
-def _what_next(axes: list[AxisModel]) -> str:
+def _what_next(page: Page, axes: list[AxisModel]) -> str:
     for axis in axes:
         found = weaknesses_of(axis)
         if found:
             whose = f"axis {axis.axis}" if len(axes) > 1 else "it"
-            remedy = _lowered(found[0].remedy)
-            return f"What weakens {whose} most is {found[0].what}; next, {remedy}"
+            causes, remedy = _causes(page, axis.axis)
+            next_ = _lowered(remedy or found[0].remedy)
+            return f"What weakens {whose} most is {found[0].what}{causes}; next, {next_}"
     return "Nothing in this data speaks against using it within its range."
+
+
+def _causes(page: Page, axis: str) -> tuple[str, str]:
+    """Return the causes a diagnosis names, and the experiment for what it cannot tell apart."""
+    found = next((one for one in page.diagnoses if one.axis == axis), None)
+    if found is None or not found.findings:
+        return "", ""
+    doubtful = next((one for one in found.findings if one.not_separable_from), None)
+    named = f", in which the diagnosis finds {' and '.join(map(words, found.names))}"
+    if doubtful is None:
+        return named, ""
+    rivals = " or ".join(map(words, doubtful.not_separable_from))
+    experiment, _, _ = doubtful.next_experiment.partition(". ")
+    return f"{named} ({words(doubtful.effect)} could be {rivals})", f"{experiment.rstrip('.')}."
 
 
 def _card(page: Page, axis: AxisModel) -> Card:

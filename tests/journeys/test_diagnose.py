@@ -15,6 +15,8 @@ from piezoid.diagnosis.diagnosis import Diagnosis, HeldOut, read_diagnoses
 from piezoid.identification.store import read_model, write_model
 from piezoid_cli.main import app
 from tests.journeys.test_fit import LOOP, write_sweep
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import axis_model, stage_model
 
 SILENT = Diagnosis(
@@ -67,6 +69,20 @@ def test_a_model_in_front_of_the_recordings_says_what_changed(
     assert since["refitted_rms_m"] <= since["as_it_was_rms_m"]
     assert since["explanation"] in done.output
     assert read_diagnoses((sweeps / "today/diagnosis.json").read_bytes()) == (SILENT,)
+
+
+def test_without_a_model_the_causes_are_drawn_on_a_quick_fit_of_the_recordings(
+    sweeps: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "diagnose", lambda *_, **__: diagnosed(finding("creep")))
+    files = [str(sweeps / f"{axis}.csv") for axis in "xy"]
+    lab, out = str(sweeps / "lab.toml"), sweeps / "diag"
+    done = CliRunner().invoke(app, ["diagnose", *files, "--lab", lab, "--out", str(out)])
+    assert done.exit_code == 0, done.output
+    page = Anatomy((out / "diagnosis.html").read_text())
+    assert len(page.all("figure")) == 1
+    assert any("a quick fit of eight plays" in e.text for e in page.all("p"))
+    assert not page.all("p", "alarm")
 
 
 def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.diagnosis import write_diagnosis
 from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
@@ -16,51 +15,8 @@ from piezoid_reports.not_found import FAULTS, last_sentences
 from piezoid_reports.render import render, render_diagnosis
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
+from tests.reports.known_diagnosis import NAMES, diagnosed, finding
 from tests.reports.known_stage import axis_model, recording, stage_model
-
-STROKE_m = 2.4e-5
-NAMES = tuple(effect.name for effect in EFFECTS)
-
-
-def _finding(effect: str, share: float = 3e-3, rivals: tuple[str, ...] = ()) -> Finding:
-    return Finding(
-        effect=effect,
-        held_out_gain=0.4,
-        held_out_rms_before_m=5e-8,
-        held_out_rms_after_m=3e-8,
-        p_value=1e-5,
-        share=share,
-        size=Size(value=0.5, unit="<b>percent</b>", ci95=(0.4, 0.6)),
-        not_separable_from=rivals,
-        explanation="What was <i>found</i>.",
-        next_experiment="Record another.",
-        parameters={},
-    )
-
-
-def _diagnosis(*findings: Finding) -> Diagnosis:
-    named = {finding.effect for finding in findings}
-    return Diagnosis(
-        axis="x",
-        stroke_m=STROKE_m,
-        baseline=HeldOut(rms_m=5e-8, rms_percent=0.2),
-        final=HeldOut(rms_m=3e-8, rms_percent=0.12),
-        envelope_rms_m=2e-8,
-        noise_floor_rms_m=5e-9,
-        explained_fraction=0.64,
-        findings=findings,
-        not_detected=tuple(
-            NotDetected(
-                effect=name,
-                upper_bound_m=None if name == "creep" else 1e-9 * (1 + k),
-                detection_limit_m=None if name == "creep" else 2e-9 * (1 + k),
-                reason="It was not there.",
-                next_experiment="Record another.",
-            )
-            for k, name in enumerate(NAMES)
-            if name not in named
-        ),
-    )
 
 
 def _with(added_m: np.ndarray) -> Recording:
@@ -92,7 +48,7 @@ def test_every_effect_has_a_coordinate_and_a_word_for_who_controls() -> None:
 @pytest.mark.parametrize("effect", NAMES)
 def test_every_effect_can_be_told_with_its_size_gain_and_meaning(effect: str) -> None:
     wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
-    found = _diagnosis(_finding(effect))
+    found = diagnosed(finding(effect))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [_with(wave_m)], found))
     text = " ".join(e.text for e in page.all("li"))
     assert CONTROL[effect] in text
@@ -105,7 +61,7 @@ def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
     time_s = np.arange(made.samples) / made.sampling_rate_Hz
     hummed = _with(6e-8 * np.sin(2 * np.pi * 50.0 * time_s))
     axis = axis_model()
-    found = _diagnosis(_finding("mains_interference"))
+    found = diagnosed(finding("mains_interference"))
     (one,) = compared(axis, traces_of(axis, [hummed]), found)["mains_interference"]
     assert rms(one.before_m) > 3e-8
     assert rms(one.after_m) < 0.3 * rms(one.before_m)
@@ -113,7 +69,7 @@ def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
 
 def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
     axis = replace(axis_model(), lag=Lag(kind="first_order", time_s=4e-3))
-    found = _diagnosis(_finding("lag"))
+    found = diagnosed(finding("lag"))
     (one,) = compared(axis, traces_of(axis, [_with(np.zeros(1))]), found)["lag"]
     part_m = one.before_m - one.after_m
     assert rms(part_m) > 1e-8
@@ -122,7 +78,7 @@ def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:
 
 
 def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() -> None:
-    found = _diagnosis(_finding("delay"))
+    found = diagnosed(finding("delay"))
     said = last_sentences(found).replace("\u202f", " ")
     assert said.startswith("Of the explainable error, 64.0 % is explained")
     causes = [one for one in found.not_detected if one.effect not in FAULTS]
@@ -133,7 +89,7 @@ def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() ->
 
 
 def test_heights_of_spikes_do_not_lead_what_hides() -> None:
-    found = _diagnosis(_finding("delay"))
+    found = diagnosed(finding("delay"))
     huge = tuple(
         replace(one, upper_bound_m=1e-3, detection_limit_m=1e-3)
         if one.effect == "outliers"
@@ -147,12 +103,12 @@ def test_heights_of_spikes_do_not_lead_what_hides() -> None:
 
 
 def test_what_hides_best_stands_first_and_what_was_not_tested_last() -> None:
-    page = Anatomy(render_diagnosis(stage_model(axis_model()), [], _diagnosis(_finding("delay"))))
+    page = Anatomy(render_diagnosis(stage_model(axis_model()), [], diagnosed(finding("delay"))))
     rows = [e.text for e in page.all("tr")]
     where = {
         name: k for k, row in enumerate(rows) for name in NAMES if row.startswith(words(name))
     }
-    known = [one for one in _diagnosis(_finding("delay")).not_detected if one.effect not in FAULTS]
+    known = [one for one in diagnosed(finding("delay")).not_detected if one.effect not in FAULTS]
     tested = sorted(known, key=lambda one: -(one.detection_limit_m or 0.0))
     places = [where[one.effect] for one in tested]
     assert places == sorted(places)
@@ -160,8 +116,8 @@ def test_what_hides_best_stands_first_and_what_was_not_tested_last() -> None:
 
 
 def test_every_axis_has_its_part_and_why_another_has_none_is_said() -> None:
-    found = _diagnosis(_finding("delay"))
-    other = replace(_diagnosis(_finding("creep")), axis="y")
+    found = diagnosed(finding("delay"))
+    other = replace(diagnosed(finding("creep")), axis="y")
     page = Anatomy(
         render(
             stage_model(axis_model(), axis_model("y")),
@@ -176,14 +132,14 @@ def test_every_axis_has_its_part_and_why_another_has_none_is_said() -> None:
 
 
 def test_what_cannot_be_told_apart_is_listed_with_the_experiment() -> None:
-    found = _diagnosis(_finding("delay", rivals=("lag",)))
+    found = diagnosed(finding("delay", rivals=("lag",)))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
     said = [e.text for e in page.all("li")]
     assert any(t.startswith("Delay, or lag. Record another.") for t in said)
 
 
 def test_without_recordings_the_chapter_still_says_what_was_found() -> None:
-    found = _diagnosis(_finding("creep"))
+    found = diagnosed(finding("creep"))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [], found))
     assert not page.all("figure")
     assert any("creep" in e.text for e in page.all("th"))
@@ -191,7 +147,7 @@ def test_without_recordings_the_chapter_still_says_what_was_found() -> None:
 
 def test_a_diagnosis_without_a_model_is_told_without_pictures() -> None:
     bare = ActuatorModel(stage="stage", axes={}, sources={"sweep.csv": "sha256:" + "0" * 64})
-    page = Anatomy(render_diagnosis(bare, [recording()], _diagnosis(_finding("creep"))))
+    page = Anatomy(render_diagnosis(bare, [recording()], diagnosed(finding("creep"))))
     assert not page.all("figure")
     assert any("piezoid fit draws them" in e.text for e in page.all("p"))
 
@@ -226,15 +182,32 @@ def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
 
 def test_a_memory_that_was_wrong_is_shown_against_that_of_a_drive_cycled_before() -> None:
     axis = axis_model()
-    found = _diagnosis(_finding("initial_state"))
+    found = diagnosed(finding("initial_state"))
     (one,) = compared(axis, traces_of(axis, [recording()]), found)["initial_state"]
     assert rms(one.after_m) < 2.0 * axis.quality.noise_rms_m
     assert rms(one.before_m) > 10.0 * rms(one.after_m)
 
 
 def test_creep_without_a_hold_is_drawn_over_time_and_says_so() -> None:
-    found = _diagnosis(_finding("creep"))
+    found = diagnosed(finding("creep"))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
     (figure,) = page.all("figure")
     assert "residual against time" in figure.text
     assert "too few rows of these recordings have a place" in figure.text
+
+
+def test_a_note_on_the_pictures_stands_where_there_are_pictures() -> None:
+    found = diagnosed(finding("creep"))
+    drawn = render_diagnosis(stage_model(axis_model()), [recording()], found, note="Quick.")
+    bare = render_diagnosis(stage_model(axis_model()), [], found, note="Quick.")
+    assert [e.text for e in Anatomy(drawn).all("p")].count("Quick.") == 1
+    assert "Quick." not in bare
+
+
+def test_a_diagnosis_drawn_on_a_model_in_no_file_names_no_model_json() -> None:
+    found = diagnosed(finding("creep"))
+    written = write_diagnosis(found)
+    page = render_diagnosis(stage_model(axis_model()), [recording()], found, written=written)
+    rows = [e.text for e in Anatomy(page).all("tr")]
+    assert any(row.startswith("diagnosis.json") for row in rows)
+    assert not any(row.startswith("model.json") for row in rows)

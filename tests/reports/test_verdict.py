@@ -14,6 +14,7 @@ from piezoid_reports.traces import rms, traces_of
 from piezoid_reports.weaknesses import weaknesses_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.conftest import REASON
+from tests.reports.known_diagnosis import diagnosed, finding
 from tests.reports.known_stage import NOISE_m, axis_model, recording, stage_model
 
 
@@ -32,6 +33,25 @@ def test_three_sentences_say_class_error_and_next_experiment(page: str) -> None:
     assert "own noise is 5.00 nm rms" in verdict
     assert "What weakens axis x most is an error 6.0 times the sensor noise; next, " in verdict
     assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+
+
+def test_causes_the_diagnosis_names_and_its_experiment_stand_in_the_third_sentence() -> None:
+    found = diagnosed(finding("creep", rivals=("thermal_drift",)))
+    page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+    verdict = _verdict(page).replace("\u202f", " ")
+    said = (
+        "in which the diagnosis finds creep (creep could be thermal drift); next, record another."
+    )
+    assert said in verdict
+    assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+
+
+def test_an_axis_without_a_controller_is_named_on_top_beside_those_that_ship() -> None:
+    page = render(
+        stage_model(axis_model()), [recording()], unshipped={"z": "ceiling_A is missing"}
+    )
+    assert "axis x; axis z has no controller." in _verdict(page)
+    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose bad"
 
 
 def test_a_class_that_does_not_apply_is_said_on_top_in_words_and_colour(

@@ -1,0 +1,48 @@
+"""A diagnosis known by heart: what is to be found in a page is put in here."""
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.effects import EFFECTS
+
+STROKE_m = 2.4e-5
+NAMES = tuple(effect.name for effect in EFFECTS)
+
+
+def finding(effect: str, share: float = 3e-3, rivals: tuple[str, ...] = ()) -> Finding:
+    return Finding(
+        effect=effect,
+        held_out_gain=0.4,
+        held_out_rms_before_m=5e-8,
+        held_out_rms_after_m=3e-8,
+        p_value=1e-5,
+        share=share,
+        size=Size(value=0.5, unit="<b>percent</b>", ci95=(0.4, 0.6)),
+        not_separable_from=rivals,
+        explanation="What was <i>found</i>.",
+        next_experiment="Record another.",
+        parameters={},
+    )
+
+
+def diagnosed(*findings: Finding) -> Diagnosis:
+    named = {finding.effect for finding in findings}
+    return Diagnosis(
+        axis="x",
+        stroke_m=STROKE_m,
+        baseline=HeldOut(rms_m=5e-8, rms_percent=0.2),
+        final=HeldOut(rms_m=3e-8, rms_percent=0.12),
+        envelope_rms_m=2e-8,
+        noise_floor_rms_m=5e-9,
+        explained_fraction=0.64,
+        findings=findings,
+        not_detected=tuple(
+            NotDetected(
+                effect=name,
+                upper_bound_m=None if name == "creep" else 1e-9 * (1 + k),
+                detection_limit_m=None if name == "creep" else 2e-9 * (1 + k),
+                reason="It was not there.",
+                next_experiment="Record another.",
+            )
+            for k, name in enumerate(NAMES)
+            if name not in named
+        ),
+    )
