@@ -3,8 +3,12 @@
     python benchmarks/night_shift.py FOLDER --stages 200
 
 Each stage is a Preisach ceramic of its own with one short sweep, fitted, diagnosed, designed,
-exported and verified. The sensitivity falls slowly with the serial number, one stage has twice the
-sensor noise of the others, one recording is empty of drive: the summary must say so.
+exported and verified; with --without-controllers fitted and diagnosed. The sensitivity falls
+slowly with the serial number, one stage has four times the sensor noise of the others, one
+recording is empty of drive: the summary must say so.
+
+One run has one worker; another has two, of which one is killed in the middle. With --minutes a run
+is interrupted after so long, and the same command goes on with it: seconds add up.
 """
 
 import argparse
@@ -14,8 +18,9 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,16 +33,19 @@ from piezoid_datasets.virtual_lab.write import lab_toml
 
 RATE_Hz, SWEEP_Hz, CYCLES = 1000.0, 5.0, 4
 FALL_PER_STAGE = 2e-4  # of the stroke, as a tool wears
+RUNS: dict[str, tuple[int, float | None]] = {"killed": (2, 0.4), "one": (1, None)}
 NOISY, DEAD = 0.35, 0.7  # which stages of the night, as a share of it
 
 
-def night(folder: Path, count: int) -> None:
-    """Write one folder for each stage."""
+def night(folder: Path, count: int, *, controllers: bool = True) -> None:
+    """Write one folder for each stage; without the controllers' rate there are none."""
     for serial in range(1, count + 1):
         place = folder / f"stage-{serial:04d}"
         place.mkdir(parents=True, exist_ok=True)
         rig, text = one_stage(serial, count)
-        (place / "lab.toml").write_text(lab_toml(rig))
+        lines = lab_toml(rig).splitlines(keepends=True)
+        kept = [line for line in lines if controllers or not line.startswith("sampling_rate_Hz")]
+        (place / "lab.toml").write_text("".join(kept))
         (place / "sweep.csv").write_text(text)
 
 
@@ -59,20 +67,68 @@ def one_stage(serial: int, count: int) -> tuple[Rig, str]:
     return rig, text
 
 
-def batch(folder: Path, out: Path, workers: int, *, kill_after: float | None = None) -> float:
-    """Run the batch; return the seconds it took. A worker is killed once so many are done."""
-    began = time.perf_counter()
-    command = [sys.executable, "-m", "piezoid_cli.main", "batch", str(folder), "--out", str(out)]
-    process = subprocess.Popen([*command, "--workers", str(workers), "--quiet"])
-    if kill_after is not None:
-        wanted = kill_after * len(list(folder.iterdir()))
-        while process.poll() is None and len(list(out.glob("stages/*"))) < wanted:
+@dataclass(frozen=True, kw_only=True)
+class Shift:
+    """One run of a batch, or a part of one.
+
+    kill_after  share of the stages after which a worker is killed; none: nobody is
+    limit_s     after which it is interrupted; the next run goes on
+    """
+
+    recordings: Path
+    out: Path
+    workers: int
+    kill_after: float | None
+    limit_s: float
+
+    def run(self) -> bool:
+        """Run it, add its seconds to those of earlier parts; return whether it came to its end."""
+        command = [sys.executable, "-m", "piezoid_cli.main", "batch", str(self.recordings)]
+        options = ["--out", str(self.out), "--workers", str(self.workers), "--quiet"]
+        began, killed = time.perf_counter(), self._notes.get("killed", 0)
+        process = subprocess.Popen([*command, *options])
+        while process.poll() is None and time.perf_counter() - began < self.limit_s:
             time.sleep(0.1)
-        victim = worker_of(process.pid)
-        os.kill(victim, signal.SIGKILL)
-        print(f"killed worker {victim} after {len(list(out.glob('stages/*')))} stages")
-    process.wait()
-    return time.perf_counter() - began
+            if self._is_time_to_kill(killed):
+                killed = self._done
+                os.kill(worker_of(process.pid), signal.SIGKILL)
+        ended = process.poll() is not None
+        if not ended:
+            process.send_signal(signal.SIGINT)
+            process.wait()
+        seconds = self._notes.get("seconds", 0.0) + time.perf_counter() - began
+        parts = self._notes.get("parts", 0) + 1
+        notes = {"seconds": seconds, "parts": parts, "killed": killed}
+        self._place.write_text(json.dumps(notes))
+        return ended
+
+    @property
+    def said(self) -> str:
+        """What is known of it so far."""
+        notes = self._notes
+        killed = f", a worker killed after {notes['killed']} stages" if notes["killed"] else ""
+        return (
+            f"{self.workers} workers: {notes['seconds']:.1f} s in {notes['parts']} parts{killed}; "
+            f"{self._done} stages written"
+        )
+
+    def _is_time_to_kill(self, killed: int) -> bool:
+        if self.kill_after is None or killed:
+            return False
+        return self._done >= self.kill_after * len(list(self.recordings.iterdir()))
+
+    @property
+    def _done(self) -> int:
+        return len(list(self.out.glob("stages/*")))
+
+    @property
+    def _place(self) -> Path:
+        return self.out.with_suffix(".json")
+
+    @property
+    def _notes(self) -> dict[str, Any]:
+        notes: dict[str, Any] = json.loads(self._place.read_text()) if self._place.exists() else {}
+        return notes
 
 
 def worker_of(parent: int) -> int:
@@ -90,26 +146,47 @@ def told(out: Path) -> str:
     return ", ".join(f"{states.count(state)} {state}" for state in sorted(set(states)))
 
 
+def same_models(one: Path, other: Path) -> str:
+    """Count the models that two runs made alike, to the last bit."""
+    places = [place.name for place in sorted((one / "stages").iterdir())]
+    pairs = [
+        tuple(run / "stages" / name / "model.json" for run in (one, other)) for name in places
+    ]
+    held = [(a, b) for a, b in pairs if a.exists() or b.exists()]
+    same = sum(a.exists() and b.exists() and a.read_bytes() == b.read_bytes() for a, b in held)
+    return f"{same} of {len(held)} models are the same bytes after the kill"
+
+
 def main() -> None:
-    """Make the night, run it three times, print the figures."""
+    """Make the night, run it twice, print the figures."""
     asked = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     asked.add_argument("folder", type=Path)
     asked.add_argument("--stages", type=int, default=200)
+    asked.add_argument("--without-controllers", action="store_true")
+    asked.add_argument("--minutes", type=float, default=float("inf"))
+    asked.add_argument("--runs", nargs="+", choices=list(RUNS), default=list(RUNS))
     options = asked.parse_args()
     recordings = options.folder / "night"
-    night(recordings, options.stages)
-    runs = {"one": (1, None), "two": (2, None), "killed": (2, 0.4)}
-    for name, (workers, kill_after) in runs.items():
-        out = options.folder / name
-        seconds = batch(recordings, out, workers, kill_after=kill_after)
-        print(f"{name}: {workers} workers, {seconds:.1f} s, {told(out)}", flush=True)
-    same = [
-        (options.folder / "one" / "stages" / place.name / "model.json").read_bytes()
-        == (options.folder / "killed" / "stages" / place.name / "model.json").read_bytes()
-        for place in sorted((options.folder / "one" / "stages").iterdir())
-        if (place / "model.json").exists()
-    ]
-    print(f"{sum(same)} of {len(same)} models are the same bytes after the kill")
+    night(recordings, options.stages, controllers=not options.without_controllers)
+    limit_s = 60.0 * options.minutes
+    for name in options.runs:
+        (workers, kill_after), out = RUNS[name], options.folder / name
+        if (out / "summary.html").exists():
+            continue
+        shift = Shift(
+            recordings=recordings,
+            out=out,
+            workers=workers,
+            kill_after=kill_after,
+            limit_s=limit_s,
+        )
+        ended = shift.run()
+        print(f"{name}: {shift.said}", flush=True)
+        if not ended:
+            return
+        print(f"{name}: {told(out)}", flush=True)
+    if all((options.folder / name / "summary.html").exists() for name in RUNS):
+        print(same_models(options.folder / "one", options.folder / "killed"))
 
 
 if __name__ == "__main__":

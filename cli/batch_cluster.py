@@ -35,7 +35,7 @@ def workers(scheduler: str, count: int | None) -> "Iterator[Client]":
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
-                dashboard_address=None,
+                dashboard_address="127.0.0.1:0",  # any free port: another batch may run here
                 memory_limit=0,
                 silence_logs=logging.CRITICAL,
             ) as cluster,

@@ -1,9 +1,15 @@
-"""The README's example runs as printed, and its map names every floor."""
+"""The README's examples are what they say, and its map names every floor."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
+
+import typer
+
+from piezoid_cli.main import VERBS, app
+from tests.journeys.readme_walk import lines_of
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -20,6 +26,27 @@ def test_the_python_example_runs_from_the_checkout() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert re.search(r"held-out error 0\.[0-3]\d % of the range", done.stdout)
+
+
+def test_every_piezoid_line_is_one_it_accepts() -> None:
+    """The gate runs them all, as printed: ``readme_walk.py``."""
+    shown = [line for line in lines_of(README) if line.startswith("piezoid ")]
+    assert {line.split()[1] for line in shown} == {verb.__name__ for verb in VERBS}
+    command = typer.main.get_command(app)
+    for line in shown:
+        verb, *words = shlex.split(line, comments=True)[1:]
+        command.commands[verb].make_context(verb, words)  # type: ignore[attr-defined]
+
+
+def test_the_calls_of_the_runtime_are_those_of_its_header() -> None:
+    (block,) = re.findall(r"```c\n(.*?)```", README, flags=re.DOTALL)
+    header = (ROOT / "piezoid/runtime/piezoid_runtime.h").read_text(encoding="utf-8")
+    example = (ROOT / "piezoid/runtime/example_main.c").read_text(encoding="utf-8")
+    names = set(re.findall(r"\bpz_\w+", block))
+    assert {"pz_state", "pz_start", "pz_step"} <= names
+    for name in names:
+        assert name in header
+        assert name in example
 
 
 def test_the_map_names_every_folder_of_the_library() -> None:
