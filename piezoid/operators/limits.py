@@ -29,7 +29,7 @@ def crept(signal: Array, part: float, threshold: float) -> Array:
     signal     (samples,)
     part       scalar, 0 to 1: 1 - exp(-T / tau)
     threshold  scalar, r >= 0, in the signal's unit
-    returned   (samples,)                                   [Kuhnen & Krejci 2007]
+    returned   (samples,)                                   [Krejci & Kuhnen 2001]
     """
     given = contiguous(signal)
     found = np.empty_like(given)

@@ -55,6 +55,19 @@ def test_the_map_names_every_folder_of_the_library() -> None:
         assert f"`piezoid/{folder}/`" in README, folder
 
 
+def test_every_work_that_a_docstring_cites_stands_among_the_sources() -> None:
+    _, _, sources = README.partition("## Sources")
+    known = set(re.findall(r"([A-Z]\w+) (\d{4})", sources))
+    for place in sorted((ROOT / "piezoid").rglob("*.py")):
+        text = place.read_text(encoding="utf-8")
+        cited = re.findall(r"\[([A-Z][^]\[]*\b(?:18|19|20)\d\d)[^]]{0,30}\]", text)
+        if place.parent.name == "effects":
+            cited += re.findall(r"([A-Z]\w+) \((\d{4})\)", text)
+        for one in cited:
+            pairs = [one] if isinstance(one, tuple) else re.findall(r"([A-Z]\w+) (\d{4})", one)
+            assert set(pairs) <= known, f"{place.name}: {one}"
+
+
 def test_files_the_readme_names_exist() -> None:
     for name in re.findall(r"benchmarks/\w+\.py|reports/gallery/\w+\.svg", README):
         assert (ROOT / name).is_file(), name
