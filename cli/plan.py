@@ -1,5 +1,6 @@
 """`piezoid plan`: what a diagnosis left open in, the drive of the next experiment out."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +9,9 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.diagnosis.experiment import Plan
+    from piezoid.identification.model import ActuatorModel
 
 
 def plan(
@@ -21,6 +24,9 @@ def plan(
         Path | None, typer.Option(help="Folder for the plan; default: beside model.json.")
     ] = None,
     lab: Annotated[Path | None, typer.Option(help="lab.toml: range, slew and clock.")] = None,
+    axis: Annotated[
+        str | None, typer.Option(help="Which axis; default: the first that was diagnosed.")
+    ] = None,
     effect: Annotated[
         str | None, typer.Option(help="Ask about this one; default: what was left most open.")
     ] = None,
@@ -45,8 +51,6 @@ def plan(
     Every drive stays inside the range that was used before and the limits of lab.toml. Exit
     status 3 means that no drive inside them answers.
     """
-    from json import loads
-
     from piezoid_cli.output_folder import add_to_folder, check_free, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import lab_of
@@ -55,33 +59,23 @@ def plan(
         check_free(out, force=force)
     with shown(quiet=quiet or json) as told:
         told("reading the stage")
-        from piezoid.diagnosis.diagnosis import read_diagnosis
         from piezoid.diagnosis.experiment import plan as choose
-        from piezoid.diagnosis.planning.plan_file import plan_files
-        from piezoid.identification.store import read_model
         from piezoid.records.collection import collect
 
-        model_json = (stage / "model.json").read_bytes()
-        diagnosis_json = (stage / "diagnosis.json").read_bytes()
-        model = read_model(model_json, str(stage / "model.json"))
-        diagnosis = read_diagnosis(diagnosis_json, str(stage / "diagnosis.json"))
+        known = _read(stage, axis)
         declared = lab_of(stage, lab)
         held = collect(files, declared).recordings if files else ()
         told("playing the menu on the model")
         found = choose(
-            model,
-            diagnosis,
+            known.model,
+            known.diagnosis,
             lab=declared,
             recordings=held,
             effect=effect,
             clock_Hz=rate,
             seed=seed,
         )
-        written = plan_files(
-            found,
-            model_digest=loads(model_json)["digest"],
-            diagnosis_digest=loads(diagnosis_json)["digest"],
-        )
+        written = known.files_of(found)
         if out is None:
             add_to_folder(stage, written)
         else:
@@ -90,6 +84,48 @@ def plan(
         typer.echo(written["plan.json"], nl=False)
     elif not quiet:
         _show(found, (out or stage) / "drive.csv")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Known:
+    """What a folder says of a stage, with the bytes that a plan names as its sources."""
+
+    model: "ActuatorModel"
+    diagnosis: "Diagnosis"
+    model_json: bytes
+    diagnosis_json: bytes
+
+    def files_of(self, found: "Plan") -> dict[str, bytes]:
+        """Return drive.csv and plan.json."""
+        from json import loads
+
+        from piezoid.diagnosis.planning.plan_file import plan_files
+
+        return plan_files(
+            found,
+            model_digest=loads(self.model_json)["digest"],
+            diagnosis_digest=loads(self.diagnosis_json)["digest"],
+        )
+
+
+def _read(stage: Path, axis: str | None) -> _Known:
+    """Read model and diagnosis of a stage; the diagnosis of its first axis if none is named."""
+    from piezoid.diagnosis.diagnosis import read_diagnoses
+    from piezoid.identification.store import read_model
+
+    model_json = (stage / "model.json").read_bytes()
+    diagnosis_json = (stage / "diagnosis.json").read_bytes()
+    diagnoses = read_diagnoses(diagnosis_json, str(stage / "diagnosis.json"))
+    found = next((one for one in diagnoses if axis in (None, one.axis)), None)
+    if found is None:
+        there = ", ".join(one.axis for one in diagnoses)
+        raise typer.BadParameter(f"--axis {axis}: {stage / 'diagnosis.json'} holds {there}")
+    return _Known(
+        model=read_model(model_json, str(stage / "model.json")),
+        diagnosis=found,
+        model_json=model_json,
+        diagnosis_json=diagnosis_json,
+    )
 
 
 def _show(found: "Plan", drive: Path) -> None:
