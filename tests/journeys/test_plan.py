@@ -1,4 +1,4 @@
-"""`piezoid plan` on a folder: which axis is asked about, what is written, what it was made from."""
+"""`piezoid plan` on a folder: which axis it is about, what is written, what that was made from."""
 
 import json
 from dataclasses import replace
