@@ -19,6 +19,7 @@ import tempfile
 import time
 import traceback
 import warnings
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import deepcopy
@@ -29,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from piezoid.design.design import design_from_json
+from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.diagnosis.diagnosis import read_diagnoses
 from piezoid.errors import PiezoidError
 from piezoid.export.parameter_file import from_json, to_json
@@ -37,6 +39,8 @@ from piezoid.provenance import seal
 from piezoid.records.inspection import inspect_file
 from piezoid.records.lab import read_lab
 from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.verification import verification_from_json
+from piezoid_reports.fleet.records import stage_from_json
 from tests.export.stage import stage
 from tests.records.formats import SILENT, SPEAKING
 from tests.reports.known_stage import axis_model, stage_model
@@ -46,6 +50,24 @@ ROOM_bytes = 2 << 30
 KEPT = Path("build/fuzz")
 POOL = 300
 REFUSED = "refused:"
+CORPUS = Path(__file__).parents[1] / "tests" / "records" / "corpus.zip"
+LAB_OF_RUN = b"""[acquisition]
+sampling_rate_Hz = 2000
+[[recording]]
+file = "run.csv"
+axis = "x"
+sampling_rate_Hz = 2e3
+start_s = 0.01
+stop_s = 0.08
+columns = { time = "time [s]", voltage = 2, displacement = "displacement" }
+units = { voltage = "mV", displacement = "nm" }
+"""
+ASKED = {
+    "x": Specification(
+        bandwidth_Hz=90.0, delay_margin_s=5e-5, voltage_min_V=-10.0, voltage_max_V=10.0,
+        sensor_noise_rms=1e-9, scan_frequency_Hz=10.0, disturbance_rms=1e-7,
+    )
+}  # fmt: skip
 LAB = Path(__file__).parents[1] / "datasets" / "lab.toml"
 TOKENS = (
     *(b"1e308 -1e308 1e-320 nan inf -inf 1e999 0 -0 99999999999999999999 1,5 0x10".split()),
@@ -111,7 +133,7 @@ def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
     except (ValueError, RecursionError):
         record = None
     if not isinstance(record, dict) or not record.keys() - {"digest"}:
-        return _resealed(mutated_bytes(content, rng))
+        return resealed(mutated_bytes(content, rng))
     for _ in range(1 + int(rng.integers(2))):
         holder, key = _place_in(record, rng)
         match int(rng.integers(4)):
@@ -137,7 +159,8 @@ def _place_in(record: Any, rng: np.random.Generator) -> tuple[Any, Any]:
     return holder, key
 
 
-def _resealed(content: bytes) -> bytes:
+def resealed(content: bytes) -> bytes:
+    """Write the digest that the damaged bytes need; the bytes as they are where there is none."""
     match = re.search(rb'"digest": "sha256:([0-9a-f]{64})"', content)
     if match is None:
         return content
@@ -161,6 +184,8 @@ def sealed_readers() -> dict[str, Callable[[bytes, str], object]]:
         "diagnosis.json": read_diagnoses,
         "design.json": design_from_json,
         "params.json": from_json,
+        "verification.json": verification_from_json,
+        "batch.json": stage_from_json,
     }
 
 
@@ -171,6 +196,16 @@ def targets(folder: Path, given: Path | None) -> dict[str, tuple[bytes, Callable
         write(folder / name)
         found[name] = ((folder / name).read_bytes(), answer_to_recording)
     found["lab.toml"] = (LAB.read_bytes(), lambda place: str(len(read_lab(place).recordings)))
+    found["lab and run.csv"] = (
+        LAB_OF_RUN,
+        lambda place: _answer_with_lab(place, folder / "run.csv"),
+    )
+    wanted = b"[x]\nbandwidth_Hz = 120\n[[x.template]]\nname = 'a'\nfunction = 'Syp'\n"
+    wanted += b"frequency_Hz = [500, 800]\nupper_dB = [3, 3]\n"
+    found["design.toml"] = (
+        wanted,
+        lambda p: str(specifications_from_toml(p.read_text("utf-8"), ASKED)),
+    )
     limits = b"aligned_percent = 0.5\njudged_Hz = 20\n"
     found["limits.toml"] = (limits, lambda p: str(limits_from_toml(p.read_text("utf-8"), p.name)))
     known = {"model.json": write_model(stage_model(axis_model())), "params.json": to_json(stage())}
@@ -178,9 +213,29 @@ def targets(folder: Path, given: Path | None) -> dict[str, tuple[bytes, Callable
         held = known.get(name, b"")
         if given is not None and (given / name).exists():
             held = (given / name).read_bytes()
+        held = held or corpus(name).get("first", b"")
         if held:
             found[name] = (held, _answer_to_sealed(reader))
     return found
+
+
+def _answer_with_lab(place: Path, recording: Path) -> str:
+    """Read a recording as a lab.toml says it is to be read."""
+    given = recording.with_name("lab.toml")
+    given.write_bytes(place.read_bytes())
+    (found, *_) = inspect_file(recording, read_lab(given))
+    if found.refusal:
+        return f"{REFUSED} {found.refusal}"
+    return " ".join(problem.kind for problem in found.problems)
+
+
+def corpus(name: str) -> dict[str, bytes]:
+    """Return the inputs that are kept for a target."""
+    if not CORPUS.exists():
+        return {}
+    with zipfile.ZipFile(CORPUS) as archive:
+        held = [m for m in archive.namelist() if m.startswith(f"{name}/")]
+        return {member.partition("/")[2]: archive.read(member) for member in held}
 
 
 def _answer_to_sealed(reader: Callable[[bytes, str], object]) -> Callable[[Path], str]:
@@ -197,17 +252,17 @@ def attack(name: str, first: bytes, answer: Callable[[Path], str], seconds: floa
     rng = np.random.default_rng([7, *name.encode()])
     mutated = mutated_json if name.endswith(".json") else mutated_bytes
     tally, pool, known = Tally(), [first], set()
-    with tempfile.TemporaryDirectory(dir=_memory_disk()) as folder:
+    with tempfile.TemporaryDirectory(dir=memory_disk()) as folder:
         place = Path(folder) / name
         place.write_bytes(first)
         answer(place)  # loads what is loaded late, before time and memory are watched
-        held_bytes = _used_bytes()
+        held_bytes = used_bytes()
         resource.setrlimit(resource.RLIMIT_AS, (held_bytes + ROOM_bytes,) * 2)
         until = time.monotonic() + seconds
         while time.monotonic() < until:
             content = mutated(pool[int(rng.integers(len(pool)))], rng)
             place.write_bytes(content)
-            way = _tried(answer, place, content, tally)
+            way = tried(answer, place, content, tally)
             if way not in known and len(pool) < POOL:
                 known.add(way)
                 pool.append(content)
@@ -216,14 +271,15 @@ def attack(name: str, first: bytes, answer: Callable[[Path], str], seconds: floa
     return tally
 
 
-def _tried(answer: Callable[[Path], str], place: Path, content: bytes, tally: Tally) -> str:
+def tried(answer: Callable[[Path], str], place: Path, content: bytes, tally: Tally) -> str:
+    """Read one input, count it, keep it where it breaks a rule; return the way of the answer."""
     began_s = time.process_time()
     tally.inputs += 1
     try:
         said = answer(place)
         tally.refused += said.startswith(REFUSED)
     except (PiezoidError, OSError, UnicodeDecodeError) as error:
-        is_ours = isinstance(error, PiezoidError) or place.name == "limits.toml"
+        is_ours = isinstance(error, PiezoidError) or place.name in ("limits.toml", "design.toml")
         tally.refused += is_ours
         said = str(error)
         if not is_ours:
@@ -250,11 +306,13 @@ def _keep(name: str, content: bytes, tally: Tally, what: str) -> None:
     tally.broken[what] += 1
 
 
-def _memory_disk() -> str | None:
+def memory_disk() -> str | None:
+    """Return a folder in memory, None where the system has none."""
     return "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
-def _used_bytes() -> int:
+def used_bytes() -> int:
+    """Return the address space this process has taken."""
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 

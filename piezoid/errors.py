@@ -20,6 +20,22 @@ was needed, what to do next. Wrong types from programmers raise Python's own err
 """
 
 
+_LONGEST = 2000
+
+
+def _said(part: str) -> str:
+    """Return a part as it can be shown: names in it may come from anywhere.
+
+    A megabyte of heading is cut; what would move a cursor, turn the text or break its encoding is
+    shown as a code.
+    """
+    part = part if len(part) <= _LONGEST else f"{part[:_LONGEST]} ..."
+    return "".join(
+        c if c.isprintable() or c in "\n\xa0\u202f" else c.encode("unicode_escape").decode("ascii")
+        for c in part
+    )
+
+
 class PiezoidError(Exception):
     """An answer piezoid cannot give, said in three parts.
 
@@ -32,10 +48,8 @@ class PiezoidError(Exception):
     exit_status = 3
 
     def __init__(self, found: str, *, needed: str, remedy: str, **numbers: object) -> None:
-        super().__init__(f"{found}; {needed}. {remedy}")
-        self.found = found
-        self.needed = needed
-        self.remedy = remedy
+        self.found, self.needed, self.remedy = map(_said, (found, needed, remedy))
+        super().__init__(f"{self.found}; {self.needed}. {self.remedy}")
         self.numbers = numbers
 
 

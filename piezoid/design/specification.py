@@ -1,8 +1,8 @@
 """What is asked of one axis: bandwidth, margins, templates, limits, noise; with defaults."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from reprlib import repr as short
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,15 @@ from piezoid.design.templates import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.polynomial import roots_of
+from piezoid.toml_text import read_toml
 
 AT_BANDWIDTH_dB = -3.0
 _MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
+
+_LARGEST = 1e30  # beyond this nothing on a bench is
+_LAST_HARMONIC = 999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,8 +142,8 @@ def specifications_from_toml(
     Raises ``LabFileError`` for an axis, key or value that cannot be used.
     """
     try:
-        tables = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as fault:
+        tables = read_toml(text)
+    except ValueError as fault:
         raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
     result = dict(defaults)
     for axis, table in tables.items():
@@ -159,15 +163,31 @@ def _asked(default: Specification, table: dict[str, Any], place: str) -> Specifi
     known = {f.name for f in fields(Specification)} - {"templates"}
     for key, value in values.items():
         if key not in known:
-            raise _unusable(place, f"unknown key {key!r}", "one of " + ", ".join(sorted(known)))
+            names = ", ".join(sorted(known))
+            raise _unusable(place, f"unknown key {short(key)}", f"one of {names}")
         if key == "resonant_harmonics":
-            values[key] = tuple(value)
-        elif isinstance(value, bool) or not isinstance(value, int | float):
-            raise _unusable(place, f"{key} is {value!r}", "a number in SI units")
+            values[key] = _harmonics(value, place)
+        elif not _is_number(value):
+            raise _unusable(place, f"{key} is {short(value)}", "a number in SI units")
     try:
         return replace(default, **values, templates=default.templates + further)
     except ValueError as fault:
         raise _unusable(place, str(fault), "a value in its range") from fault
+
+
+def _is_number(value: object) -> bool:
+    """Tell whether a number of TOML, which may have thousands of digits, is one to count with."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= _LARGEST
+
+
+def _harmonics(value: object, place: str) -> tuple[int, ...]:
+    harmonics = value if isinstance(value, list) else [value]
+    if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
+        found = f"resonant_harmonics is {short(value)}"
+        raise _unusable(place, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
+    return tuple(harmonics)
 
 
 def _template(table: Any, place: str) -> Template:

@@ -16,14 +16,14 @@
 Everything is optional. An unknown name is refused: it is a typing error more often than news.
 """
 
-import tomllib
 from dataclasses import dataclass, field
+from os.path import realpath
 from pathlib import Path
 
 import msgspec
 
 from piezoid.provenance import digest_of_bytes
-from piezoid.records.lab_check import check_number, check_range, refusal
+from piezoid.records.lab_check import check_file_name, check_number, check_range, refusal
 from piezoid.records.lab_tables import (
     Acquisition,
     Actuator,
@@ -36,6 +36,8 @@ from piezoid.records.lab_tables import (
     Table,
     Tunnelling,
 )
+from piezoid.records.readers.source import regular_size
+from piezoid.toml_text import read_toml
 
 __all__ = (
     "Acquisition",
@@ -110,19 +112,21 @@ class Lab:
 
     def entries_of(self, path: Path) -> tuple[RecordingEntry, ...]:
         """Return the entries about a file: those of its path, or else those of its bare name."""
-        wanted = path.resolve()
-        held = [e for e in self.recordings if (self.folder / e.file).resolve() == wanted]
+        # Other than Path.resolve, this goes through links that lead back to themselves.
+        wanted = realpath(path)
+        held = [e for e in self.recordings if realpath(self.folder / e.file) == wanted]
         return tuple(held or [e for e in self.recordings if Path(e.file).name == path.name])
 
 
 def read_lab(path: Path) -> Lab:
     """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
     try:
+        regular_size(path)
         content = path.read_bytes()
-        record = tomllib.loads(content.decode("utf-8-sig"))
+        record = read_toml(content.decode("utf-8-sig"))
     except OSError as error:
         raise refusal(path, error.strerror or str(error), "a file that can be read") from error
-    except (ValueError, RecursionError) as error:  # also of numbers with too many digits
+    except ValueError as error:
         raise refusal(path, str(error), "text in TOML, UTF-8") from error
     try:
         contents = msgspec.convert(record, _Contents, strict=True)
@@ -168,8 +172,11 @@ def _check(path: Path, lab: Lab) -> None:
         if isinstance(table, Amplifier):
             check_range(path, place, "output", table.output_min_V, table.output_max_V)
         if isinstance(table, RecordingEntry):
+            check_file_name(path, place, table.file)
             check_range(path, place, "start_s, stop_s", table.start_s, table.stop_s)
     if lab.acquisition.input_range_V is not None:
+        for end_V in lab.acquisition.input_range_V:
+            check_number(path, "[acquisition]", "input_range_V", end_V)
         check_range(path, "[acquisition]", "input_range_V", *lab.acquisition.input_range_V)
     if lab.tunnelling.barrier_range_eV is not None:
         low_eV, high_eV = lab.tunnelling.barrier_range_eV

@@ -1,6 +1,5 @@
 """What the numbers of a lab.toml may be."""
 
-import math
 from pathlib import Path
 
 from piezoid.errors import LabFileError
@@ -28,14 +27,19 @@ _NOT_NEGATIVE = (
 _NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A")
 _SHARES = ("extension_uncertainty",)
 _LARGEST_BITS = 64
+# Beyond this nothing on a bench is, and squares and quotients leave the range of numbers.
+_SMALLEST, _LARGEST = 1e-30, 1e30
 
 
 def check_number(path: Path, place: str, key: str, value: object) -> None:
     """Refuse a number that cannot be what its name says; anything else passes."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
-    if not math.isfinite(value):
-        raise refusal(path, f"{place} {key} is {value}", "a finite number")
+    # Whole numbers of TOML have any length: neither a float nor a text is made of them here.
+    if not (value == 0 or _SMALLEST <= abs(value) <= _LARGEST):
+        found = value if isinstance(value, float) else "a number of very many digits"
+        needed = f"zero, or between {_SMALLEST:.0e} and {_LARGEST:.0e}"
+        raise refusal(path, f"{place} {key} is {found}", f"a number, {needed}")
     if key in _POSITIVE and not value > 0:
         raise refusal(path, f"{place} {key} is {value}", "a number above zero")
     if key in _NOT_NEGATIVE and not value >= 0:
@@ -46,6 +50,12 @@ def check_number(path: Path, place: str, key: str, value: object) -> None:
         raise refusal(path, f"{place} {key} is {value}", "a share from 0 to below 1")
     if key.endswith("_bits") and value > _LARGEST_BITS:
         raise refusal(path, f"{place} {key} is {value}", f"at most {_LARGEST_BITS} bits")
+
+
+def check_file_name(path: Path, place: str, name: str) -> None:
+    """Refuse what no file can be called."""
+    if "\0" in name:
+        raise refusal(path, f"{place} holds a zero character", "the name of a file")
 
 
 def check_range(path: Path, place: str, name: str, low: float | None, high: float | None) -> None:

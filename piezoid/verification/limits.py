@@ -1,11 +1,12 @@
 """Limits that somebody writes down: a file of their own, or ``[verification]`` of lab.toml."""
 
 import sys
-import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from reprlib import repr as short
 
 from piezoid.errors import LabFileError
+from piezoid.toml_text import read_toml
 from piezoid.verification.criteria import Limits
 
 
@@ -18,8 +19,8 @@ def limits_from_toml(text: str, place: str = "limits.toml") -> Limits:
     Raises ``LabFileError`` as ``limits_from`` does, and for text that is not TOML.
     """
     try:
-        table = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as fault:
+        table = read_toml(text)
+    except ValueError as fault:
         raise _unusable(place, f"not TOML: {fault}", "correct TOML") from fault
     return limits_from(table, place)
 
@@ -36,11 +37,11 @@ def limits_from(table: Mapping[str, object], place: str) -> Limits:
     given: dict[str, float] = {}
     for name, value in table.items():
         if name not in known:
-            raise _unusable(place, f"unknown limit {name!r}", "one of " + ", ".join(known))
+            raise _unusable(place, f"unknown limit {short(name)}", "one of " + ", ".join(known))
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise _unusable(place, f"{name} is {value!r}", "a number")
+            raise _unusable(place, f"{name} is {short(value)}", "a number")
         if not 0 < value <= sys.float_info.max:
-            raise _unusable(place, f"{name} is {value!r}", "a finite number above zero")
+            raise _unusable(place, f"{name} is {short(value)}", "a finite number above zero")
         given[name] = float(value)
     return replace(Limits(), **given)
 

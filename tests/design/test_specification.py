@@ -99,3 +99,30 @@ def test_what_cannot_be_used_is_refused_with_its_place(text, message):
 def test_a_specification_without_scan_is_refused():
     with pytest.raises(ValueError, match="scan_frequency_Hz"):
         replace(lateral_specification(), scan_frequency_Hz=0.0)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "bandwidth_Hz" + ".a" * 1000 + " = 1",
+        "bandwidth_Hz = " + "9" * 9000,
+        "bandwidth_Hz = " + "9" * 4000,
+        "bandwidth_Hz = inf",
+        "bandwidth_Hz = nan",
+        "noise_limit_rms = nan",
+        "x" * 1_000_000 + " = 1",
+        "resonant_harmonics = [[]]",
+        "resonant_harmonics = [1, 1.5]",
+        "resonant_harmonics = [100000]",
+        "resonant_harmonics = 'all'",
+        "template = 1",
+        "template = [1]",
+        "template = [{name = 1, function = 2, frequency_Hz = 3, upper_dB = 4}]",
+        "template = [{name = 'a', function = 'Syp', frequency_Hz = [[1]], upper_dB = ['b']}]",
+    ],
+    ids=range(15),
+)
+def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
+    with pytest.raises(LabFileError) as told:
+        specifications_from_toml(f"[x]\n{line}\n", {"x": lateral_specification()})
+    assert len(str(told.value)) < 3000

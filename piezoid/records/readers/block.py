@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _EMPTY = frozenset({"", "nan", "n/a", "na", "null", "none", "-", "--", "#n/a", "-nan", "inf",
                     "-inf", "+inf", "infinity", "-infinity"})  # fmt: skip
 _LONGEST = 400  # characters of a number: 1e308 written out has 309
+_COUNT = re.compile(r"[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
 
 
@@ -66,6 +67,11 @@ def number_of(text: str, decimal: str) -> float | None:
         return None
     value = float(text.replace("D", "e").replace("d", "e"))
     return value if np.isfinite(value) else np.nan
+
+
+def count_of(text: str) -> int | None:
+    """Return the count a field holds, None for anything but up to eighteen digits."""
+    return int(text) if _COUNT.fullmatch(text) else None
 
 
 def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
@@ -194,7 +200,8 @@ def _judge(
     problems = list(_text_problems(texts, first, textual))
     if strange:
         line, found = strange[0]
-        rows[[k for k, (at, _) in enumerate(lines) if at in {s for s, _ in strange}]] = np.nan
+        wide = {at for at, _ in strange}
+        rows[[k for k, (at, _) in enumerate(lines) if at in wide]] = np.nan
         problems.append(
             Problem(
                 kind="field_count",

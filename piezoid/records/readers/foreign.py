@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from piezoid.errors import PiezoidError
-from piezoid.records.readers.source import Source, check_columns, unreadable
+from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
 
@@ -64,6 +64,7 @@ def table_of(
             remedy="Save time, voltage and displacement as vectors with names and units.",
         )
     check_columns(source.name, len(vectors))
+    check_growth(source, 8 * sum(len(values) for _, _, values in vectors))
     lengths = [len(values) for _, _, values in vectors]
     rows = max(sorted(set(lengths)), key=lengths.count)
     for label, _, values in vectors:

@@ -6,12 +6,12 @@ character code, the clock by ``SAMPLE_TIME`` in seconds, the columns by ``NAME0`
 
 import re
 
-from piezoid.records.readers.block import Layout, number_of, parse_block
+from piezoid.records.readers.block import Layout, count_of, number_of, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.table import Column, RawTable
 
-_PAIR = re.compile(r"^\s*#\s*([A-Z_]+\d*)\s*=\s*(.*?)\s*$")
+_KEY = re.compile(r"\s*#\s*([A-Z_]+\d*)\s*")
 
 
 def recognises(source: Source) -> bool:
@@ -23,9 +23,10 @@ def read(source: Source) -> RawTable:
     """Read the array; the file states no units, so they must come from names or lab.toml."""
     lines = text_of(source).rstrip().split("\n")
     end = next(k for k, line in enumerate(lines) if re.fullmatch(r"\s*#\s*END_HEADER\s*", line))
-    pairs = {m.group(1): m.group(2) for m in map(_PAIR.match, lines[:end]) if m}
-    fields = int(pairs["DIM"]) if pairs.get("DIM", "").isdigit() else 0
-    code = int(pairs["SEPARATOR"]) if pairs.get("SEPARATOR", "").isdigit() else 32
+    pairs = _pairs(lines[:end])
+    fields = count_of(pairs.get("DIM", "")) or 0
+    code = count_of(pairs.get("SEPARATOR", ""))
+    code = 32 if code is None else code
     body = "\n".join(line.strip() for line in lines[end + 1 :])
     if not 0 < fields < 1000 or code not in (9, 32, 44, 59) or not body.strip():
         raise unreadable(
@@ -52,6 +53,16 @@ def read(source: Source) -> RawTable:
         metadata=pairs,
         problems=block.problems,
     )
+
+
+def _pairs(lines: list[str]) -> dict[str, str]:
+    found = {}
+    for line in lines:
+        key, parted, value = line.partition("=")
+        named = _KEY.fullmatch(key)
+        if parted and named:
+            found[named.group(1)] = value.strip()
+    return found
 
 
 READER = Reader(name="PI GCS array", suffixes=(".dat", ".txt"), recognises=recognises, read=read)

@@ -4,7 +4,7 @@ from typing import Any
 
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_size
+from piezoid.records.readers.source import MOST_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
@@ -15,7 +15,7 @@ _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
 def check_datasets(source: Source) -> None:
     """Refuse a file whose data would not fit into memory, before any of it is read."""
     with source.open() as stream:
-        check_size(source.name, sum(dataset.nbytes for dataset in _datasets(stream).values()))
+        check_growth(source, 8 * sum(dataset.size for dataset in _datasets(stream).values()))
 
 
 def read(source: Source) -> RawTable:
@@ -47,8 +47,14 @@ def _datasets(stream: object) -> dict[str, Any]:
     def keep(path: str, item: Any) -> None:
         if path.count("/") > _DEEPEST:
             raise ValueError(f"its groups lie more than {_DEEPEST} deep in one another")
-        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf":
-            found[path] = item
+        if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
+            return
+        # No digest of this file would tell that they changed, and a pipe among them never ends.
+        if item.external or item.is_virtual:
+            raise ValueError(f"the numbers of {path} lie in other files")
+        if len(found) == MOST_COLUMNS:
+            raise ValueError(f"it holds more than {MOST_COLUMNS} datasets")
+        found[path] = item
 
     h5py.File(stream, "r").visititems(keep)
     return found

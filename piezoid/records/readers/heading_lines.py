@@ -5,14 +5,18 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 from piezoid.records.readers.block import Layout, number_of, split
-from piezoid.records.readers.source import unreadable
+from piezoid.records.readers.source import check_columns, unreadable
 from piezoid.records.units import unit_of
 
 # Longer preambles than this have their own formats.
 HEAD_LINES = 1000
+# Every layout is tried on every line: what is longer is no row, and so much text decides.
+_LONGEST_LINE = 1 << 18
+_ENOUGH_TEXT = 1 << 20
 _LAYOUTS = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), ("", "."), ("", ","))
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
-_NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\]]*\]|\([^)]*\)))?")
+# No opening bracket inside: a line of those alone would be searched to its end from each of them.
+_NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +46,10 @@ def find_start(lines: list[str], name: str) -> Start:
     the earlier one in the list (a tab is never an accident, a blank often is).
     """
     # Rows of nothing but numbers first; only where there are none, rows with texts among them.
-    best = _best_start(lines, share=1.0) or _best_start(lines, share=0.5)
+    tried = _first_text(lines)
+    best = _best_start(tried, share=1.0) or _best_start(tried, share=0.5)
     if best is None:
+        check_columns(name, max((_widest(x) for x in tried if len(x) > _LONGEST_LINE), default=0))
         raise unreadable(
             name,
             f"its first {len(lines)} lines hold no row of numbers; line 1 is {lines[0][:60]!r}",
@@ -51,7 +57,24 @@ def find_start(lines: list[str], name: str) -> Start:
             remedy="Export the recording as CSV.",
             line=1,
         )
+    if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
+        check_columns(name, _widest(best.above[-1]))
     return best
+
+
+def _first_text(lines: list[str]) -> list[str]:
+    """Return the first lines, those that may be rows no more than a megabyte together."""
+    size = 0
+    for row, line in enumerate(lines):
+        size += len(line) if len(line) <= _LONGEST_LINE else 0
+        if row and size > _ENOUGH_TEXT:
+            return lines[:row]
+    return lines
+
+
+def _widest(line: str) -> int:
+    """Return how many columns a line has by the separator it holds most of."""
+    return 1 + max(line.count(separator) for separator in "\t;, ")
 
 
 def _best_start(lines: list[str], share: float) -> Start | None:
@@ -77,7 +100,9 @@ def _numeric_rows(lines: list[str], separator: str, decimal: str, share: float) 
     """Return the fields of each row in which at least a share of the filled ones are numbers."""
     found = {}
     for row, line in enumerate(lines):
-        if not line.strip() or (separator and separator not in line and separator != ","):
+        if len(line) > _LONGEST_LINE or not line.strip():
+            continue
+        if separator and separator not in line and separator != ",":
             continue
         fields = split(line, separator)
         values = [number_of(field, decimal) for field in fields if field]
@@ -126,6 +151,8 @@ def names_but_first(start: Start) -> tuple[str, ...] | None:
 
 def _cells(line: str, layout: Layout) -> tuple[str, ...] | None:
     """Cut a heading line into as many cells as the rows have, or return None."""
+    if len(line) > _LONGEST_LINE:
+        return None
     bare = _COMMENT.sub("", line)
     cuts = [split(bare, layout.separator)]
     if not layout.separator:

@@ -6,11 +6,12 @@ published description by National Instruments (Writer_Version 0.92 to 2).
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.block import Layout, number_of, parse_block
+from piezoid.records.readers.block import Layout, count_of, number_of, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.readers.text_table import metadata_of
@@ -43,19 +44,18 @@ def read(source: Source) -> RawTable:
     header = metadata_of(tuple(lines[: ends[0]]))
     separator = {"Tab": "\t", "Comma": ","}.get(header.get("Separator", "Tab"), "\t")
     decimal = header.get("Decimal_Separator") or _decimal_of(lines, ends[1], separator)
-    starts = [*(_segment_start(lines, end, ends) for end in ends[1:]), len(lines)]
+    starts = [_segment_start(lines, before, end) for before, end in pairwise(ends)]
     segments = [
         _segment(source.name, lines, begin, end, stop, separator, decimal)
-        for begin, end, stop in zip(starts[:-1], ends[1:], starts[1:], strict=True)
+        for begin, end, stop in zip(starts, ends[1:], [*starts[1:], len(lines)], strict=True)
     ]
     return _joined(source, header, segments)
 
 
-def _segment_start(lines: list[str], end: int, ends: list[int]) -> int:
-    """Return the first row of the header that ends at ``end``."""
+def _segment_start(lines: list[str], before: int, end: int) -> int:
+    """Return the first row of the header that ends at ``end``; the one before it at ``before``."""
     row = end
-    floor = max(other for other in ends if other < end) + 1
-    while row > floor and not lines[row].startswith("Channels"):
+    while row > before + 1 and not lines[row].startswith("Channels"):
         row -= 1
     return row
 
@@ -153,7 +153,8 @@ def _segment_starts(
 
 
 def _declared_samples(segment: _Segment) -> list[int]:
-    return [int(cell) for cell in segment.header.get("Samples", []) if cell.isdecimal()]
+    counts = map(count_of, segment.header.get("Samples", []))
+    return [count for count in counts if count is not None]
 
 
 def _columns(segments: list[_Segment], times: list[int]) -> tuple[Column, ...]:

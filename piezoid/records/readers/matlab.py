@@ -6,8 +6,9 @@ import numpy as np
 
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.hdf5 import SIGNATURE, check_datasets
+from piezoid.records.readers.matlab_growth import check_matlab_growth
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_size, unreadable
+from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 
@@ -40,7 +41,8 @@ def _check_sizes(source: Source) -> None:
         from scipy.io import whosmat
 
         found = whosmat(str(source.path))
-        check_size(source.name, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in found))
+        check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in found))
+        check_matlab_growth(source)
     else:
         check_datasets(source)
 

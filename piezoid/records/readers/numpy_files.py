@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_size, unreadable
+from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 
@@ -51,7 +51,8 @@ def read_npz(source: Source) -> RawTable:
     """Read an archive of named vectors; the names may carry units (``displacement_um``)."""
     with reading(source, "npz"), source.open() as stream:
         with zipfile.ZipFile(stream) as archive:
-            check_size(source.name, sum(item.file_size for item in archive.infolist()))
+            check_columns(source.name, len(archive.infolist()))
+            check_growth(source, sum(item.file_size for item in archive.infolist()))
         stream.seek(0)
         with np.load(stream, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}

@@ -1,8 +1,10 @@
 """Apache Parquet: named columns, units in the names or in a field's metadata."""
 
+from typing import Any
+
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_size
+from piezoid.records.readers.source import Source, check_columns, check_growth
 from piezoid.records.table import RawTable
 
 
@@ -13,15 +15,28 @@ def read(source: Source) -> RawTable:
         from pyarrow.parquet import ParquetFile
 
         file = ParquetFile(stream)
-        check_size(source.name, 8 * file.metadata.num_rows * file.metadata.num_columns)
-        table = file.read()
+        numeric = [
+            field
+            for field in file.schema_arrow
+            if types.is_floating(field.type) or types.is_integer(field.type)
+        ]
+        _check(source, file.metadata, len(numeric))
+        # Only these: a text of a megabyte that every row repeats is a small file as well.
+        table = file.read(columns=[field.name for field in numeric])
         arrays, units = {}, {}
-        for field in table.schema:
-            if types.is_floating(field.type) or types.is_integer(field.type):
-                column = table.column(field.name).combine_chunks()
-                arrays[field.name] = column.to_numpy(zero_copy_only=False)
-                units[field.name] = (field.metadata or {}).get(b"unit", b"").decode("utf-8")
+        for field in numeric:
+            column = table.column(field.name).combine_chunks()
+            arrays[field.name] = column.to_numpy(zero_copy_only=False)
+            units[field.name] = (field.metadata or {}).get(b"unit", b"").decode("utf-8")
     return table_of(source, "Parquet", arrays, units=units)
+
+
+def _check(source: Source, metadata: Any, numeric: int) -> None:
+    """Refuse by the footer what would not fit into memory, before anything is read."""
+    check_columns(source.name, metadata.num_columns)
+    check_growth(source, 8 * metadata.num_rows * numeric)
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    check_growth(source, sum(group.total_byte_size for group in groups))
 
 
 READER = Reader(

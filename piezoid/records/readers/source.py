@@ -1,7 +1,10 @@
 """A file on its way in: bounded, decompressed, decoded, and every failure of it named."""
 
+import errno
 import gzip
 import io
+import os
+import stat
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +16,9 @@ from piezoid.provenance import digest_of_file
 # A recording of an hour at 20 kHz with six doubles a row is 3.5 GB; nothing this toolkit is for
 # comes near a whole one, and a hostile archive of a few kilobytes must not fill the memory.
 SIZE_LIMIT = 1 << 31
+# Of measured numbers half the bits are noise, which no archive packs; 64 MB may be anything.
+MOST_GROWTH = 200
+FREE_SIZE = 1 << 26
 HEAD_SIZE = 1 << 16
 # Everything that is tried on columns is tried on each; recorders have some hundred.
 MOST_COLUMNS = 4096
@@ -45,8 +51,8 @@ class Source:
 
     @property
     def name(self) -> str:
-        """The file's name without its folder."""
-        return self.path.name
+        """The file's name without its folder; bytes that are no text as ``\\xff``."""
+        return os.fsencode(self.path.name).decode("utf-8", "backslashreplace")
 
     def open(self) -> BinaryIO:
         """Open the content as a binary stream."""
@@ -67,9 +73,9 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
     whole  False: of any size, of which only the beginning is decompressed, for reading in blocks
     """
     try:
+        size = regular_size(path)
         with path.open("rb") as stream:
             head = stream.read(HEAD_SIZE)
-        size = path.stat().st_size
         digest = digest_of_file(path)
     except OSError as error:
         raise unreadable(
@@ -82,7 +88,9 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
     if whole:
         check_size(path.name, size, limit)
     if head.startswith(b"\x1f\x8b"):
-        unpacked = _unpack(path, limit if whole else HEAD_SIZE, whole=whole)
+        unpacked = _unpack(
+            path, min(limit, growth_limit(size)) if whole else HEAD_SIZE, whole=whole
+        )
         head = unpacked[:HEAD_SIZE]
     if not head:
         raise unreadable(
@@ -101,6 +109,26 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
     )
 
 
+def regular_size(path: Path) -> int:
+    """Return the bytes of a file; ``OSError`` for a pipe or a device, which may never end."""
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):
+        kind = errno.EISDIR if stat.S_ISDIR(status.st_mode) else errno.EINVAL
+        found = "Is a directory" if kind == errno.EISDIR else "It is a pipe or a device"
+        raise OSError(kind, found, str(path))
+    return status.st_size
+
+
+def growth_limit(size: int) -> int:
+    """Return how many bytes a file of this size may hold once it is unpacked."""
+    return min(SIZE_LIMIT, max(FREE_SIZE, MOST_GROWTH * size))
+
+
+def check_growth(source: "Source", unpacked: int) -> None:
+    """Refuse content of which so little is in the file that it can be no measurement."""
+    check_size(source.name, unpacked, growth_limit(source.path.stat().st_size))
+
+
 def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
     """Refuse content that would hold more than ``limit`` bytes once it is in memory."""
     if size > limit:
@@ -108,7 +136,8 @@ def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
             place,
             f"it holds {size} bytes once unpacked",
             needed=f"at most {limit} bytes",
-            remedy="Cut the recording into several files, or keep only the columns that matter.",
+            remedy="Fit it with --stream, cut the recording into several files, or keep only the "
+            "columns that matter.",
             size=size,
         )
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, check_size, unreadable
+from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 
@@ -12,7 +12,7 @@ def read(source: Source) -> RawTable:
     """Read every channel; ``wf_increment`` is the sampling interval in seconds."""
     with reading(source, "TDMS"), source.open() as stream, opened(stream) as file:
         channels = named_channels(file)
-        check_size(source.name, 8 * sum(len(channel) for channel in channels.values()))
+        check_growth(source, 8 * sum(len(channel) for channel in channels.values()))
         arrays = {name: channel[:] for name, channel in channels.items()}
         units = {name: unit_of_channel(channel) for name, channel in channels.items()}
         rate_Hz = stated_rate_Hz(source, list(channels.values()))
@@ -32,6 +32,7 @@ def opened(stream: object) -> Any:
 def named_channels(file: Any) -> dict[str, Any]:
     """Return the channels by name; one that two groups share keeps its group before it."""
     channels = [channel for group in file.groups() for channel in group.channels()]
+    check_columns("the file", len(channels))
     names = [channel.name for channel in channels]
     return {
         channel.name if names.count(channel.name) == 1 else _long_name(channel): channel
