@@ -22,6 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
+from piezoid.diagnosis.friction import FRICTION, friction_states, rubbed
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
@@ -33,7 +34,6 @@ FORGETTING = 4  # groups of plays whose first states each track may correct
 PASTS = 16
 ONCE, TWICE = 9, 5  # places of turns to try
 CHUNK = 65536
-FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
 
 FINE = 6  # plays below TURN_AT, by equal ratios; the others by equal steps
 TURN_AT = 0.15
@@ -50,12 +50,6 @@ def past(drive: Array, turns: Sequence[float]) -> Array:
     """Return the memory a drive leaves that turned at these values before the first sample."""
     way = np.array([*turns, float(drive[0])])
     return play_columns(way, THRESHOLD, np.zeros(PLAYS))[1]
-
-
-def rubbed(drive: Array, turns: Sequence[float]) -> Array:
-    """Return the friction states after the same history."""
-    way = np.array([*turns, float(drive[0])])
-    return np.asarray(friction_states(way, np.zeros(len(FRICTION)))[-1])
 
 
 def pasts(drive: Array) -> tuple[Turns, ...]:
@@ -116,30 +110,6 @@ def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
         c, of_bias = rub[:3, j], rub[3, j] + u * rub[4, j]
         total += x[:, j] * (c[0] + u * of_bias + x[:, j] * (c[1] + x[:, j] * c[2]))
     return np.asarray(total)
-
-
-def friction_states(drive: Array, start: Array) -> Array:
-    """Follow the friction states along a drive, (samples, states); the first sample is the start.
-
-    Over a straight part of the drive x goes to r sgn(du) by exp(-|du| / r): a sum of weighted
-    parts, rescaled before the weights leave the range of numbers.
-    """
-    step = np.diff(drive)
-    way = np.concatenate([[0.0], np.cumsum(np.abs(step))])
-    states = np.empty((len(drive), len(FRICTION)), order="F")
-    for j, r in enumerate(FRICTION):
-        states[0, j] = start[j]
-        first = 0
-        while first < len(step):
-            last = int(np.searchsorted(way, way[first] + 600.0 * r, side="right")) - 1
-            last = min(max(last, first + 1), len(step))
-            grown = np.exp((way[first + 1 : last + 1] - way[first]) / r)
-            earned = np.sign(step[first:last]) * r * -np.expm1(-np.abs(step[first:last]) / r)
-            states[first + 1 : last + 1, j] = (
-                states[first, j] + np.cumsum(grown * earned)
-            ) / grown
-            first = last
-    return states
 
 
 def knee_columns(state: Array, drive: Array) -> Array:
@@ -211,7 +181,7 @@ class Envelope:
                 track.drive[track.place],
             )
             if self.knee:
-                state = self.bent(k, track.drive)[track.place]
+                state = self.bent(self.turns[k], track.drive)[track.place]
                 columns[rows, SHARED : self.shared] = knee_columns(state, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
@@ -224,23 +194,26 @@ class Envelope:
 
     def static(self, k: int, weight: Array) -> Array:
         """Return what the shared columns make of a track's drive, (samples,)."""
-        track = self.tracks[k]
-        memory = past(track.drive, self.turns[k])
-        friction = friction_states(track.drive, rubbed(track.drive, self.turns[k]))
+        return self.along(self.tracks[k].drive, self.turns[k], weight)
+
+    def along(self, drive: Array, turns: Turns, weight: Array) -> Array:
+        """Return what the shared columns make of any drive that turned before, (samples,)."""
+        memory = past(drive, turns)
+        friction = friction_states(drive, rubbed(drive, turns))
         parts = []
-        for first in range(0, len(track.drive), CHUNK):
-            drive = np.asarray(track.drive[first : first + CHUNK])
-            states, memory = play_columns(drive, THRESHOLD, memory)
-            parts.append(shape(states, friction[first : first + CHUNK], drive, weight[:SHARED]))
+        for first in range(0, len(drive), CHUNK):
+            part = np.asarray(drive[first : first + CHUNK])
+            states, memory = play_columns(part, THRESHOLD, memory)
+            parts.append(shape(states, friction[first : first + CHUNK], part, weight[:SHARED]))
         total = np.concatenate(parts)
         if self.knee:
-            total += knee_columns(self.bent(k, track.drive), track.drive) @ weight[SHARED:]
+            total += knee_columns(self.bent(turns, drive), drive) @ weight[SHARED:]
         return np.asarray(total)
 
-    def bent(self, k: int, drive: Array) -> Array:
-        """Return the Bouc-Wen state along a drive with a track's past, (samples,)."""
+    def bent(self, turns: Turns, drive: Array) -> Array:
+        """Return the Bouc-Wen state along a drive that turned before, (samples,)."""
         assert self.knee is not None
-        way = np.array([*self.turns[k], float(drive[0])])
+        way = np.array([*turns, float(drive[0])])
         start = float(bouc_wen_states(way, *self.knee)[-1])
         return bouc_wen_states(drive, *self.knee, start)
 
@@ -251,5 +224,9 @@ class Envelope:
         friction = friction_states(drive, rubbed(drive, self.turns[k]))
         rows = shape_columns(states[place], friction[place], drive[place]) @ weight[:SHARED]
         if self.knee:
-            rows = rows + knee_columns(self.bent(k, drive)[place], drive[place]) @ weight[SHARED:]
+            rows = (
+                rows
+                + knee_columns(self.bent(self.turns[k], drive)[place], drive[place])
+                @ weight[SHARED:]
+            )
         return np.asarray(rows)

@@ -15,18 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.envelope import (
-    FRICTION,
     SHARED,
     THRESHOLD,
     Turns,
-    friction_states,
     knee_columns,
     past,
     pasts,
-    rubbed,
     shape,
 )
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.friction import FRICTION, friction_states, rubbed
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states

@@ -22,19 +22,15 @@ from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.rivals import Rivals, told_apart
 from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.view import (
-    View,
-    with_free_memory,
-    with_knee,
-    with_pasts,
-)
+from piezoid.diagnosis.slips_instead import Instead, slips_instead, stand_better
+from piezoid.diagnosis.view import View, with_free_memory, with_knee, with_pasts
 
 MOST_CAUSES = 5
+SLIP = "timestamp_fault"
 WORTH = 0.02  # of the rms: what removing a cause must lose
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
 NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
-BESIDE_CAUSES = 0.15  # of the error: what structure must take off where causes were found
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
@@ -70,7 +66,7 @@ class Outcome:
 def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
     clean, faults = repaired(view, progress)
-    clean, accepted, silent = _grown(clean, progress)
+    clean, accepted, silent = _grown(clean, faults, progress)
     accepted = _pruned(clean, accepted, progress)
     causes, rivals = told_apart(clean, accepted, progress)
     accepted = [cause.accepted for cause in causes]
@@ -110,7 +106,8 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
     """
     if final.rms >= structure.effect.quiet * final.noise:
         return False
-    return not beside or (structure.held.gain > BESIDE_CAUSES and final.rms < QUIET * final.noise)
+    enough = structure.held.gain > structure.effect.beside_causes
+    return not beside or (enough and final.rms < QUIET * final.noise)
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
@@ -124,10 +121,11 @@ def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
 Grown = tuple[View, list[Accepted], dict[str, Screened]]
 
 
-def _grown(clean: View, progress: Progress) -> Grown:
-    """Accept one effect after another; other pasts or a knee first, where those leave less.
+def _grown(clean: View, faults: dict[str, Fault], progress: Progress) -> Grown:
+    """Accept one effect after another; slips, other pasts or a knee first, where those leave less.
 
-    Return the view with these pasts, the effects, and the last word on all others.
+    Return the view with these pasts, the effects, and the last word on all others; slips that are
+    found go to the faults.
     """
     accepted: list[Accepted] = []
     for _ in range(MOST_CAUSES + 2):
@@ -137,15 +135,50 @@ def _grown(clean: View, progress: Progress) -> Grown:
         least = best.view.rms if best else np.inf
         own = with_own_pasts(view)
         bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
-        if bent.rms < min(KNEE * view.rms, least, own.rms):
+        slips = _slips(clean, accepted, view, best, again=SLIP in faults)
+        if slips is not None and slips.view.rms < min(own.rms, bent.rms):
+            clean = slips.clean
+            faults[SLIP] = slips.fault.after(faults.get(SLIP))
+        elif bent.rms < min(KNEE * view.rms, least, own.rms):
             clean = with_knee(clean, bent.envelope.knee)
         elif own.rms < min(OTHER_PASTS * view.rms, least):
             clean = with_free_memory(with_pasts(clean, own.envelope.turns))
         elif best is None:
-            break
+            found = _in_place_of_one(clean, accepted, view, again=SLIP in faults)
+            if found is None:
+                break
+            slips, accepted = found
+            clean = slips.clean
+            faults[SLIP] = slips.fault.after(faults.get(SLIP))
         else:
             accepted = _settled(clean, [*accepted, best.accepted])
     return clean, accepted, silent
+
+
+def _slips(
+    clean: View, accepted: Sequence[Accepted], view: View, best: Judged | None, *, again: bool
+) -> Instead | None:
+    """Return slips where they stand better than a filter, or than nothing."""
+    if view.rms < NOISY * view.noise or (best and best.effect.passes is None):
+        return None
+    slips = slips_instead(clean, accepted, view)
+    cause = best.view if best else None
+    return slips if slips and stand_better(slips, view, cause, again=again) else None
+
+
+def _in_place_of_one(
+    clean: View, accepted: Sequence[Accepted], view: View, *, again: bool
+) -> tuple[Instead, list[Accepted]] | None:
+    """Return slips that stand better than a filter accepted before, and all others accepted."""
+    for one in accepted:
+        if one.effect.passes is None:
+            continue
+        rest = [other for other in accepted if other is not one]
+        without = extended(clean, rest)
+        slips = slips_instead(clean, rest, without)
+        if slips and stand_better(slips, without, view, again=again):
+            return slips, rest
+    return None
 
 
 def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, Screened]:

@@ -18,7 +18,7 @@ from piezoid.numerics.arrays import Array
 
 WHOLE = 0.4  # how far beta may be from one
 # gain above, standard errors of the step among stretches of equal speed above, beta that near one
-EVIDENCE = ((0.27, 6.0, WHOLE),)
+EVIDENCE = ((0.33, 6.0, WHOLE),)
 EVIDENCE_AGAIN = ((0.1, 8.0, WHOLE),)
 # where no speed was met on both sides, or the stage moved one way only
 EVIDENCE_UNEQUAL = ((0.6, 6.0, 0.25),)

@@ -6,7 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.hysteresis.pieces import Rig, Scales, behind_pole, pieces_of
+from piezoid.diagnosis.hold import held, is_held
+from piezoid.identification.hysteresis.pieces import (
+    Piece,
+    Rig,
+    Scales,
+    behind_pole,
+    pieces_of,
+)
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.records.recording import Quantity, Recording
 
@@ -52,8 +59,10 @@ class Track:
         object.__setattr__(self, "response", frozen(self.response, "response"))
 
     def read(self, command: Array) -> Array:
-        """Return a command behind the sensor's pole."""
-        return behind_pole(command, self.sensor_Hz, self.rate_Hz)
+        """Return another command behind the sensor's pole, the change straight between samples."""
+        if command is self.command:
+            return self.drive
+        return self.drive + behind_pole(command - self.command, self.sensor_Hz, self.rate_Hz)
 
     @property
     def measured(self) -> Array:
@@ -82,30 +91,28 @@ def tracks_of(
     """Cut recordings of one axis into tracks with some ``ROWS`` rows in all.
 
     clock_Hz  of the converter, where it is declared: it holds every value for one period, which
-              is half a period of delay
+              is half a period of delay in recordings that are slower
     """
     pieces = pieces_of(recordings, axis, scales, rig)
+    asked = pieces_of(recordings, axis, scales, Rig())
     share = ROWS // len(pieces)
     starts: dict[int, int] = {}
     tracks = []
-    for piece in pieces:
+    for piece, plain in zip(pieces, asked, strict=True):
         recording = recordings[piece.recording]
         first = _first(recording, len(piece.drive), starts.get(piece.recording, 0))
         starts[piece.recording] = first + len(piece.drive)
         bridged = np.array(recording.bridged, dtype=int) - first
         bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
         place = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
-        command = piece.drive
-        if clock_Hz is not None:
-            command = later(command, 0.5 * piece.sampling_rate_Hz / clock_Hz)
-        sensor_Hz = rig.sensor_bandwidth_Hz
+        command, drive = _reaching(piece, plain, rig, clock_Hz)
         tracks.append(
             Track(
                 name=piece.name,
                 rate_Hz=piece.sampling_rate_Hz,
                 command=command,
-                drive=behind_pole(command, sensor_Hz, piece.sampling_rate_Hz),
-                sensor_Hz=sensor_Hz,
+                drive=drive,
+                sensor_Hz=rig.sensor_bandwidth_Hz,
                 response=piece.response,
                 others=_others(recording, axis, first, len(piece.drive)),
                 place=place,
@@ -114,6 +121,22 @@ def tracks_of(
             )
         )
     return tuple(tracks)
+
+
+def _reaching(piece: Piece, asked: Piece, rig: Rig, clock_Hz: float | None) -> tuple[Array, Array]:
+    """Return what reaches the ceramic, and the same behind the sensor's pole.
+
+    piece  behind the amplifier's pole as a line between samples
+    asked  in front of it
+    """
+    rate_Hz = piece.sampling_rate_Hz
+    amplifier_Hz, sensor_Hz = rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz
+    if is_held(rate_Hz, clock_Hz, rig):
+        ceramic = held(asked.drive, (amplifier_Hz,), rate_Hz)
+        return ceramic, held(asked.drive, (amplifier_Hz, sensor_Hz), rate_Hz)
+    delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
+    command = later(piece.drive, delay) if delay else piece.drive
+    return command, behind_pole(command, sensor_Hz, rate_Hz)
 
 
 def later(signal: Array, samples: float) -> Array:

@@ -8,9 +8,10 @@ import pytest
 
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effects import delay, lag
-from piezoid.diagnosis.envelope import FRICTION, PLAYS, SHARED, shape, shape_columns
+from piezoid.diagnosis.envelope import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null, surely
+from piezoid.diagnosis.friction import FRICTION
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined

@@ -21,6 +21,8 @@ from piezoid.diagnosis.signals import scaled_to, with_displacement
 from piezoid.diagnosis.view import View, cycled, with_free_memory
 from piezoid.records.recording import Recording
 
+CHANGE = 1e-6  # of half the stroke: pasts that differ by less are one
+
 
 def _against(view: View) -> Null:
     """Return the envelope as it would be had every drive been cycled before."""
@@ -36,7 +38,7 @@ def _trials(view: View) -> list[Trial]:
         columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
     memory = free.envelope.columns[:, list(free.envelope.memory_columns)]
     both = np.column_stack([*columns, memory])
-    return [Trial(columns=both[:, np.abs(both).max(axis=0) > 0.0])]
+    return [Trial(columns=both[:, np.abs(both).max(axis=0) > CHANGE])]
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -59,6 +61,7 @@ EFFECT = Effect(
     trials=_trials,
     against=_against,
     sure=4.0,
+    quiet=1.6,
     worth=0.1,
     inject=inject,
 )

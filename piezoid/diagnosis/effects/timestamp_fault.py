@@ -22,14 +22,14 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.slip_evidence import Judged, hidden, judged_of
-from piezoid.diagnosis.slips import INSTANTS, Slip, beside, late, strongest
-from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.slip_placing import in_step, placed, undone, width_of
+from piezoid.diagnosis.slips import Slip, beside, strongest
 from piezoid.diagnosis.view import View, with_tracks
-from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 MOST = 8  # slips
-ROUNDS = 4  # of placing one and fitting the static response again
+CLEAR = 0.6  # of a track's squared residual: so much a slip takes that is clear by itself
+KEPT = 0.6  # of what the tangent promised
 LOOK = 0.05  # of a track's squared residual, to look closer
 
 
@@ -46,9 +46,8 @@ def _fault(view: View) -> Fault | None:
         judged = _next(calm, bool(found))
         if judged is None:
             break
-        better = _repaired(calm, judged.slip)
-        # one that is none takes its share of the tangent's error, and makes the true one larger
-        if better.rms >= calm.rms:
+        better = undone(calm, judged.slip)
+        if not _believed(calm, better, judged):
             break
         found.append(judged)
         calm = better
@@ -56,7 +55,7 @@ def _fault(view: View) -> Fault | None:
         return None
     tracks = list(view.tracks)
     for one in found:
-        tracks[one.slip.track] = _in_step(tracks[one.slip.track], one.slip)
+        tracks[one.slip.track] = in_step(tracks[one.slip.track], one.slip)
     # what was placed too long or too short while others were in the way is put right later
     same = [one for one in found if _near(one.slip, found[0].slip, view)]
     last = same[-1]
@@ -68,15 +67,25 @@ def _fault(view: View) -> Fault | None:
     )
 
 
+def _believed(calm: View, better: View, judged: Judged) -> bool:
+    """Tell whether less is left with a slip put right; one that is none makes the true one larger.
+
+    Where other tracks slip as well, less may be left only beside all that looks like a delay: then
+    as much must go as the tangent promised.
+    """
+    if better.rms < calm.rms:
+        return True
+    before, after = beside(calm), beside(better)
+    track = slice(*calm.envelope.edges[judged.slip.track : judged.slip.track + 2])
+    promised = judged.slip.gain * float(np.sum(before.residual[track] ** 2))
+    gone = float(np.sum(before.residual**2) - np.sum(after.residual**2))
+    return judged.slip.gain > CLEAR and gone > KEPT * promised
+
+
 def _near(one: Slip, other: Slip, view: View) -> bool:
     """Tell whether two slips are one, found in two goes."""
-    width = _width(len(view.tracks[other.track].drive))
+    width = width_of(len(view.tracks[other.track].drive))
     return one.track == other.track and abs(one.instant - other.instant) <= width
-
-
-def _width(samples: int) -> int:
-    """Return how far from where it was found the instant of a slip may be."""
-    return int(2.5 * samples / INSTANTS) + 2
 
 
 def _next(view: View, again: bool) -> Judged | None:
@@ -85,81 +94,14 @@ def _next(view: View, again: bool) -> Judged | None:
     for slip in strongest(view, null):
         if slip.gain < LOOK:
             break
-        judged = judged_of(view, null, _placed(view, slip))
+        judged = judged_of(view, null, placed(view, slip))
         if judged is not None and abs(judged.step - judged.slip.samples) > 2.0 * judged.deviation:
             # fitted in the midst of other slips: stretches of equal speed know the length better
             length = round(judged.step) or int(np.sign(slip.samples))
-            judged = judged_of(
-                view, null, _placed(view, replace(slip, samples=length), fixed=True)
-            )
+            judged = judged_of(view, null, placed(view, replace(slip, samples=length), fixed=True))
         if judged is not None and judged.speaks(again=again):
             return judged
     return None
-
-
-def _placed(view: View, slip: Slip, *, fixed: bool = False) -> Slip:
-    """Return the slip at the sample and of the whole length that fit best, all samples compared.
-
-    fixed  the length is known, the instant is not
-
-    The static response is fitted again with the slip undone; what tracks have of their own (zero,
-    memory) is carried from rows to all samples.
-    """
-    k, samples = slip.track, round(slip.samples) or int(np.sign(slip.samples))
-    slip = replace(slip, samples=samples)
-    width = _width(len(view.tracks[k].drive))
-    for _ in range(ROUNDS):
-        again = _repaired(view, slip)
-        track, static = again.tracks[k], again.static[k]
-        here = again.null.residual[slice(*again.envelope.edges[k : k + 2])]
-        own = track.response[track.place] - here - static[track.place]
-        place = np.arange(len(static))
-        measured = view.tracks[k].response - np.interp(place, track.place, own)
-        better = _best(measured, static, slip, width, 0 if fixed else max(2, abs(samples) // 6))
-        if better == slip:
-            break
-        slip = better
-    return slip
-
-
-def _best(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
-    """Return the neighbour in place, and in length up to a reach, that leaves least squares."""
-    n, samples = len(static), int(slip.samples)
-    place = np.arange(n)
-    first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
-    before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
-    best = (np.inf, slip)
-    for length in range(samples - reach, samples + reach + 1):
-        if length == 0:
-            continue
-        missed = measured - static - late(static, place, length)
-        total = before[first:last] + np.cumsum((missed**2)[::-1])[::-1][first:last]
-        j = int(np.argmin(total))
-        if total[j] < best[0]:
-            best = (float(total[j]), replace(slip, instant=first + j, samples=length))
-    return best[1]
-
-
-def _repaired(view: View, slip: Slip) -> View:
-    tracks = list(view.tracks)
-    tracks[slip.track] = _in_step(tracks[slip.track], slip)
-    return with_tracks(view, tracks)
-
-
-def _in_step(track: Track, slip: Slip) -> Track:
-    """Put the readings behind an instant back in step; rows that have no reading are left out."""
-    samples, count = int(slip.samples), len(track.response)
-    place = np.arange(count)
-    source = np.where(place >= slip.instant, np.clip(place + samples, 0, count - 1), place)
-    reach = 2 + max(-samples, 0)
-    lost = (track.place > slip.instant - 3) & (track.place < slip.instant + reach)
-    kept = ~lost & (track.place + max(samples, 0) < count)
-    return replace(
-        track,
-        response=track.response[source],
-        place=track.place[kept],
-        block=track.block[kept],
-    )
 
 
 def inject(recording: Recording, share: float) -> Recording:

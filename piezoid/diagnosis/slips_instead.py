@@ -1,0 +1,138 @@
+"""Slips in the place of a delay, a lag, or what nothing else explains.
+
+A slip in the fast half of a chirp looks like a delay of all of the chirp: nothing slow can tell.
+So slips are tried once more against what was found instead. Each must leave no more of its track
+than a delay of the track's own with lags and relaxations beside it could,
+
+    rms_k(slips) <= A rms_k(envelope, all that looks like a delay),
+
+and together they must leave surely less, block by block, than the cause that stands there.
+
+Source: Vuong, Econometrica 57 (1989).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.folds import Null, surely
+from piezoid.diagnosis.slip_placing import placed, tracks_without
+from piezoid.diagnosis.slips import Slip, beside, late, strongest
+from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.view import View, with_tracks
+from piezoid.numerics.arrays import Array
+
+ENOUGH = 1.1  # times what all that looks like a delay leaves of the track
+TAKES = 0.3  # of the track's squared residual: what a slip must take to be tried
+WHOLE = 0.4  # how far beta may be from one
+ROUNDED = 12.0**-0.5  # samples: the spread of what is a whole number
+ALONE = 0.75  # of the error: what slips must leave where nothing else speaks
+ALONE_AGAIN = 0.97  # the same where a clock has slipped elsewhere
+SURE = 3.0  # standard errors by which slips must be better than a cause
+SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instead:
+    """Slips that stand better than what stood there.
+
+    clean  the tracks with these put back in step
+    view   the same with what was accepted at work
+    fault  what they are
+    """
+
+    clean: View
+    view: View
+    fault: Fault
+
+
+def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> Instead | None:
+    """Return the slips that follow the tracks as well as all that looks like a delay would.
+
+    without  the view with everything accepted
+    """
+    null = beside(without)
+    could = _rms_of_tracks(without, null)
+    found: dict[int, Slip] = {}
+    best = clean, without
+    for slip in strongest(without, without.null):
+        if slip.gain < TAKES:
+            break
+        there = _put_right(best, accepted, slip)
+        if there is not None and there[1].rms < best[1].rms:
+            found[slip.track], best = there[2], there[:2]
+    kept = {k: s for k, s in found.items() if _follows(best[1], k, could[k])}
+    if not kept:
+        return None
+    if len(kept) < len(found):
+        repaired = with_tracks(clean, tracks_without(clean, *kept.values()))
+        best = repaired, extended(repaired, accepted)
+    return Instead(
+        clean=best[0], view=best[1], fault=_fault(without, list(kept.values()), best[0])
+    )
+
+
+def stand_better(instead: Instead, without: View, cause: View | None, *, again: bool) -> bool:
+    """Tell whether slips explain surely more than a cause, or much where none speaks.
+
+    cause  the view with the best cause at work
+    again  whether a clock has slipped elsewhere
+    """
+    if cause is None:
+        return instead.view.rms < (ALONE_AGAIN if again else ALONE) * without.rms
+    there, here = _of_blocks(cause.null), _of_blocks(instead.view.null)
+    both = sorted(there.keys() & here.keys())
+    clear = surely(np.array([there[b] for b in both]), np.array([here[b] for b in both]))
+    return instead.view.rms < cause.rms and clear > (SURE_AGAIN if again else SURE)
+
+
+def _put_right(
+    before: tuple[View, View], accepted: Sequence[Accepted], slip: Slip
+) -> tuple[View, View, Slip] | None:
+    """Return the tracks with a slip put right, the view of it, the slip where it is."""
+    clean, view = before
+
+    def again(tracks: Sequence[Track]) -> View:
+        return extended(with_tracks(clean, tracks), accepted)
+
+    there = placed(view, slip, again=again)
+    if abs(slip.samples / there.samples - 1.0) > WHOLE:
+        return None
+    repaired = with_tracks(clean, tracks_without(clean, there))
+    return repaired, extended(repaired, accepted), there
+
+
+def _follows(view: View, k: int, could: float) -> bool:
+    return _rms_of_tracks(view, view.null)[k] < ENOUGH * could
+
+
+def _rms_of_tracks(view: View, null: Null) -> list[float]:
+    edges = view.envelope.edges
+    parts = [null.residual[a:b] for a, b in pairwise(edges)]
+    return [float(np.sqrt(np.mean(part**2))) for part in parts]
+
+
+def _of_blocks(null: Null) -> dict[int, float]:
+    return {int(b): float(e) for b, e in zip(null.block[null.edges], null.energy, strict=True)}
+
+
+def _fault(without: View, slips: Sequence[Slip], clean: View) -> Fault:
+    first = max(slips, key=lambda slip: slip.gain)
+    column = _column(without, first)
+    spread = abs(first.samples) * float(np.sqrt(without.null.doubt(column[:, None])[0, 0]))
+    return Fault(
+        tracks=clean.tracks,
+        value=first.samples,
+        spread=float(np.hypot(spread, ROUNDED)),
+        p_value=without.null.held(column[:, None]).p_value,
+    )
+
+
+def _column(view: View, slip: Slip) -> Array:
+    place = view.tracks[slip.track].place
+    change = late(view.static[slip.track], place, int(slip.samples))
+    return view.of_track(slip.track, np.where(place >= slip.instant, change, 0.0))
