@@ -42,11 +42,18 @@ def _counted(fleet: Fleet) -> str:
 def _odd(found: tuple[Distribution, ...]) -> str:
     if not found:
         return f"Fewer than {FEWEST} stages can be compared, so nothing is said of the spread."
-    odd = {one.stages[k] for one in found for k in one.outliers}
+    far = sorted(
+        ((abs(float(one.away[k])), one.stages[k]) for one in found for k in one.outliers),
+        reverse=True,
+    )
+    odd = list(dict.fromkeys(name for _, name in far))
     if not odd:
         return "No stage stands out from the others in anything that was compared."
-    shown = ", ".join(sorted(odd)[:3]) + (", ..." if len(odd) > 3 else "")
-    return f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out from the others: {shown}."
+    shown = ", ".join(odd[:3])
+    more = f" most, and {len(odd) - 3} more" if len(odd) > 3 else ""
+    return (
+        f"{len(odd)} {'stands' if len(odd) == 1 else 'stand'} out from the others: {shown}{more}."
+    )
 
 
 def _drifting(found: tuple[Distribution, ...]) -> str:
@@ -85,9 +92,10 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
     )
     limit = min((one.limit for one in found), default=0.0)
     lead = (
-        f"At least {limit:.1f} robust standard deviations from the others, a limit that knows how "
-        "often was looked and how well the spread is known: in a batch where nothing is wrong, "
-        f"chance alone names {FALSE_ALARMS:g} stages at most."
+        f"At least {limit:.1f} robust standard deviations from the others, of the logarithm where "
+        "a quantity has a long tail. The limit knows how often was looked and how well the spread "
+        "is known: in a batch where nothing is wrong, chance alone names "
+        f"{FALSE_ALARMS:g} stages at most."
     )
     if not rows:
         return Section(

@@ -3,6 +3,7 @@
 Every look at a stage is a chance to be wrong, so the thresholds know how often was looked.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,8 +29,10 @@ class Distribution:
     stages   (count,)  names
     serials  (count,)  NaN where a name holds no number
     values   (count,)  SI
-    away     (count,)  in robust standard deviations; from the trend, where there is one
+    away     (count,)  in robust standard deviations; from the trend, where there is one; of the
+             logarithm where ratios count
     limit    beyond which a stage stands out
+    normal   the values between which none does, about the middle of all
     trend    over serial numbers, its p-value corrected for all that were looked at
     """
 
@@ -41,6 +44,7 @@ class Distribution:
     spread: Spread
     away: Array
     limit: float
+    normal: tuple[float, float]
     trend: Trend | None
     trend_p: float
 
@@ -74,6 +78,7 @@ def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
     )
 
 
+Scale = Callable[[Array], Array]
 _Held = tuple[str, Quantity, tuple[str, ...], Array, Array]
 
 
@@ -94,16 +99,21 @@ def _distribution(held: _Held, limit: float, trend: Trend | None, p_value: float
     axis, quantity, stages, values, serials = held
     drifts = trend is not None and p_value < TREND_P
     level = values - trend.slope * (serials - trend.about) if trend and drifts else values
-    spread = spread_of(values)
+    scale: Scale = np.log if quantity.ratio and level.min() > 0.0 else np.asarray
+    compared = spread_of(scale(level))
+    reach = limit * (1.0 + WIDENED / len(values))
+    ends = compared.median + reach * compared.sigma * np.array([-1.0, 1.0])
+    low, high = np.exp(ends) if scale is np.log else ends
     return Distribution(
         axis=axis,
         quantity=quantity,
         stages=stages,
         serials=serials,
         values=values,
-        spread=spread,
-        away=deviations(level, spread_of(level)),
-        limit=limit * (1.0 + WIDENED / len(values)),
+        spread=spread_of(values),
+        away=deviations(scale(level), compared),
+        limit=reach,
+        normal=(float(low), float(high)),
         trend=trend,
         trend_p=p_value,
     )

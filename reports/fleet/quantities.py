@@ -16,6 +16,8 @@ class Quantity:
     unit    SI
     of      takes it from an axis and its design; None where there is none
     means   what a stage that stands out in it may be
+    ratio   stages are told apart by how many times, not by how much: an error that cannot fall
+            below zero has a long tail upwards
     """
 
     name: str
@@ -23,6 +25,7 @@ class Quantity:
     unit: str
     of: Callable[[AxisModel, AxisDesign | None], float | None]
     means: str
+    ratio: bool = False
 
 
 def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
@@ -63,6 +66,7 @@ QUANTITIES = (
         unit="%",
         of=lambda axis, _: axis.quality.held_out_rms_percent,
         means="something that the model does not know: read the diagnosis of that stage",
+        ratio=True,
     ),
     Quantity(
         name="noise_rms_m",
@@ -70,6 +74,7 @@ QUANTITIES = (
         unit="m",
         of=lambda axis, _: axis.quality.noise_rms_m,
         means="a sensor that is misaligned, a cable, a ground loop",
+        ratio=True,
     ),
     Quantity(
         name="lag_s",
@@ -84,6 +89,7 @@ QUANTITIES = (
         unit="m",
         of=lambda axis, _: axis.certificate.bound_m,
         means="too little data of that stage, or a large remainder",
+        ratio=True,
     ),
     Quantity(
         name="bandwidth_Hz",

@@ -7,6 +7,7 @@ from piezoid_reports.fleet.findings import TREND_P, Distribution
 from piezoid_reports.page import Figure, Heading, Part, Section, Table
 from piezoid_reports.quantities import Scale, significant, told
 
+NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
 LOOK_SPREAD = (
     "Good: one hump, no stage outside the dashed lines. Bad: two humps (two batches of ceramics, "
     "two operators), a long tail, single stages far away."
@@ -63,8 +64,9 @@ def _drift(one: Distribution) -> str:
     if one.trend is None:
         return "not known"
     low, high = (100.0 * end for end in one.trend.ci95)
-    unit = one.quantity.unit
-    return f"{told(100.0 * one.trend.slope, unit)} ({told(low, unit)} to {told(high, unit)})"
+    unit, slope = one.quantity.unit, 100.0 * one.trend.slope
+    middle = slope if abs(slope) > NEGLIGIBLE * (high - low) else 0.0
+    return f"{told(middle, unit)} ({told(low, unit)} to {told(high, unit)})"
 
 
 def _histogram(one: Distribution) -> Figure:
@@ -74,7 +76,7 @@ def _histogram(one: Distribution) -> Figure:
     counts, _ = np.histogram(one.values, edges)
     across = np.repeat(edges, 2)
     up = np.concatenate([[0.0], np.repeat(counts, 2), [0.0]]).astype(float)
-    limits = one.spread.median + one.limit * one.spread.sigma * np.array([-1.0, 1.0])
+    limits = np.array(one.normal)
     inside = limits[(limits >= edges[0]) & (limits <= edges[-1])]
     y = Axis(label="stages", scale=Scale(factor=1.0, unit=""), low=0.0, high=1.08 * counts.max())
     canvas = Canvas(
@@ -90,13 +92,17 @@ def _histogram(one: Distribution) -> Figure:
         title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
         numbers=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
         f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
-        f"{len(one.outliers)} beyond {one.limit:.1f} of them.",
+        f"{len(one.outliers)} beyond {one.limit:.1f} of them{_counted_as(one)}.",
         look=LOOK_SPREAD,
         x=canvas.x,
         y=canvas.y,
         height=canvas.height,
         layers=tuple(layers),
     )
+
+
+def _counted_as(one: Distribution) -> str:
+    return ", counted in the logarithm" if one.quantity.ratio else ""
 
 
 def _course(one: Distribution) -> Figure:

@@ -58,6 +58,29 @@ def test_where_nothing_is_wrong_chance_names_as_few_as_the_page_says(count: int)
     assert np.mean(named) < FALSE_ALARMS * 1.2
 
 
+def test_a_long_tail_of_errors_names_no_more_stages_than_the_page_says() -> None:
+    named = 0
+    for seed in range(60):
+        rng = np.random.default_rng([9, seed])
+        made = [
+            stage(k, rng, error_bound_m=float(2e-6 * np.exp(0.6 * rng.standard_normal())))
+            for k in range(40)
+        ]
+        found = distributions(Fleet(name="night", stages=tuple(made)))
+        named += sum(len(one.outliers) for one in found)
+    assert named / 60 < FALSE_ALARMS * 1.2
+
+
+def test_the_farthest_stage_leads_the_verdict_and_the_rest_are_counted() -> None:
+    rng = np.random.default_rng(3)
+    made = [stage(k, rng) for k in range(60)]
+    for k, noise_m in ((4, 2e-8), (17, 3e-8), (30, 8e-8), (51, 4e-8)):
+        made[k] = stage(k, rng, noise_rms_m=noise_m)
+    page = Anatomy(render_fleet(Fleet(name="night", stages=tuple(made))))
+    said = page.all("p", "prose")[0].text
+    assert "4 stand out from the others: unit 030, unit 051, unit 017 most, and 1 more." in said
+
+
 def test_a_drift_over_the_serial_numbers_is_seen_and_the_drifted_are_no_outliers() -> None:
     rng = np.random.default_rng(2)
     stages = tuple(
