@@ -10,7 +10,7 @@ from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions.extension import Extension, Where
-from piezoid.identification.hysteresis.filters import filter_columns, first_order, lag_of
+from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.identification.tunnelling.model import TunnellingModel
@@ -122,13 +122,10 @@ class AxisModel:
         moved_m = self.polarity * (output_m - self.hysteresis.displacement_offset_m)
         for extension in self.extensions:
             moved_m = extension.response(moved_m, where)
-        lag = lag_of(self.lag.kind, self.lag.time_s, where.rate_Hz)
-        lagged, _ = lag.run(moved_m[:, None])
+        total_m = lagged(moved_m, self.lag.kind, self.lag.time_s, where.rate_Hz)
         if self.rig.sensor_bandwidth_Hz is not None:
             time_s = 1.0 / (2 * np.pi * self.rig.sensor_bandwidth_Hz)
-            state = np.repeat(lagged[:1], 2, axis=0)
-            lagged = filter_columns(lagged, first_order(time_s, where.rate_Hz), state)
-        total_m: Array = lagged[:, 0]
+            total_m = relaxed(total_m, time_s, where.rate_Hz)
         for extension in self.extensions:
             total_m = total_m + extension.added(where)
         return total_m

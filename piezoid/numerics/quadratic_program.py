@@ -5,11 +5,15 @@ from typing import Any
 
 import numpy as np
 from scipy import optimize, sparse
+from scipy.linalg import lapack
 
 from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.bounded import bounded_minimum
 
 _TOLERANCE = 1e-10
+JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
+ROUNDING = 1e-11
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,8 +48,7 @@ def constrained_least_squares(
     """
     import osqp
 
-    scale = np.linalg.norm(triangle, axis=0)
-    scale[scale == 0.0] = 1.0
+    scale = _column_norms(triangle)
     factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
     rows, unknowns = factor.shape
     solver: Any = osqp.OSQP()
@@ -72,8 +75,14 @@ def constrained_least_squares(
     return Optimum(
         x=x,
         cost=float(np.sum((triangle @ x - target) ** 2)),
-        kkt_gap=_stationarity(factor, x * scale, target, constraint / scale, (lower, upper)),
+        kkt_gap=stationarity(triangle, x, target, constraint, (lower, upper)),
     )
+
+
+def _column_norms(triangle: Array) -> Array:
+    scale = np.linalg.norm(triangle, axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.asarray(scale)
 
 
 def _equations(factor: Array, constraint: Array) -> sparse.csc_matrix:
@@ -85,49 +94,77 @@ def _equations(factor: Array, constraint: Array) -> sparse.csc_matrix:
     )
 
 
-def _stationarity(
-    factor: Array, x: Array, target: Array, constraint: Array, limits: tuple[Array, Array]
+def stationarity(
+    triangle: Array, x: Array, target: Array, constraint: Array, limits: tuple[Array, Array]
 ) -> float:
-    """Return the part of the gradient that no active constraint can balance, relative to it."""
-    gradient = factor.T @ (factor @ x - target)
+    """Return the part of the gradient at x that no active constraint can balance, over its size.
+
+    As in ``constrained_least_squares``, the columns scaled to norm 1; 0 at an exact optimum.
+    """
+    scale = _column_norms(triangle)
+    gradient = triangle.T @ (triangle @ x - target) / scale
     value = constraint @ x
     slack = 1e-7 * (1.0 + np.abs(constraint) @ np.abs(x))
     at_lower, at_upper = value <= limits[0] + slack, value >= limits[1] - slack
-    equal = at_lower & at_upper
-    normals = np.vstack(
-        [constraint[at_lower & ~equal], -constraint[at_upper & ~equal], constraint[equal]]
-    )
-    bound = np.zeros(len(normals))
-    bound[len(normals) - int(equal.sum()) :] = -np.inf
-    size = float(np.linalg.norm(factor.T @ target)) or 1.0
+    # An equation is among both: it pushes either way.
+    normals = np.vstack([constraint[at_lower], -constraint[at_upper]]) / scale
+    size = float(np.linalg.norm(triangle.T @ target / scale)) or 1.0
     if len(normals) == 0:
         return float(np.linalg.norm(gradient)) / size
-    balance = optimize.lsq_linear(normals.T, gradient, (bound, np.inf), tol=1e-14)
-    return float(np.linalg.norm(normals.T @ balance.x - gradient)) / size
+    return float(optimize.nnls(normals.T, gradient)[1]) / size
 
 
 def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> Array:
-    """Minimise |R x - c|^2 subject to l <= x <= u by an active-set method, exactly.
+    """Minimise |R x - c|^2 subject to l <= x <= u, exactly.
 
     R, c   (rows, unknowns), (rows,)
     l, u   (unknowns,)  l <= u; equal bounds fix the unknown
 
-    Unknowns on a bound are freed when their gradient points inwards, one wave at a time, so the
-    result satisfies the Karush-Kuhn-Tucker conditions to rounding.
+    Which unknowns lie on a bound is found from R'R, fast but with the square of R's condition.
+    The others are then solved from R itself, and where the Karush-Kuhn-Tucker conditions do not
+    hold to rounding, an active-set method on R decides.
     """
+    scale = _column_norms(triangle)
+    factor, below, above = triangle / scale, lower * scale, upper * scale
+    found = _guessed(factor, target, below, above)
+    if found is None:
+        found = _decided(factor, target, below, above)
+    return np.asarray(np.clip(found / scale, lower, upper))
+
+
+def _guessed(factor: Array, target: Array, lower: Array, upper: Array) -> Array | None:
+    """Return the minimum, or None where R'R does not tell it."""
+    gram = factor.T @ factor + JITTER * np.eye(len(lower))
+    try:
+        x = bounded_minimum(gram, factor.T @ target, lower, upper)
+    except np.linalg.LinAlgError:
+        return None
+    free = (x > lower) & (x < upper)
+    if free.any():
+        x[free] = 0.0
+        x[free] = _least_squares(factor[:, free], target - factor @ x)
+    slope = factor.T @ (factor @ x - target)
+    slack = ROUNDING * (float(np.linalg.norm(target)) or 1.0)
+    outwards = np.where(x <= lower, slope >= -slack, np.abs(slope) <= slack)
+    outwards |= (x >= upper) & (slope <= slack)
+    held = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
+    return x if bool((outwards & held).all()) else None
+
+
+def _least_squares(rows: Array, target: Array) -> Array:
+    _, found, _ = lapack.dgels(rows, target)
+    return np.asarray(found[: rows.shape[1]])
+
+
+def _decided(factor: Array, target: Array, lower: Array, upper: Array) -> Array:
     movable = upper > lower
     x = np.clip(np.zeros_like(lower), lower, upper)
-    if not movable.any():
-        return np.asarray(x)
-    reduced = target - triangle[:, ~movable] @ x[~movable]
-    scale = np.linalg.norm(triangle[:, movable], axis=0)
-    scale[scale == 0.0] = 1.0
-    found = optimize.lsq_linear(
-        triangle[:, movable] / scale,
-        reduced,
-        (lower[movable] * scale, upper[movable] * scale),
-        method="bvls",
-        tol=1e-12,
-    )
-    x[movable] = np.clip(found.x / scale, lower[movable], upper[movable])
+    if movable.any():
+        x[movable] = optimize.lsq_linear(
+            factor[:, movable],
+            target - factor[:, ~movable] @ x[~movable],
+            (lower[movable], upper[movable]),
+            method="bvls",
+            tol=1e-12,
+        ).x
     return np.asarray(x)

@@ -13,21 +13,32 @@ from scipy.linalg import lapack
 
 from piezoid.numerics.arrays import Array
 
+BLOCK = 16  # columns reflected together
+
 
 def empty_triangle(columns: int) -> Array:
-    """Return the factor of no rows at all, (0, columns)."""
-    return np.empty((0, columns), order="F")
+    """Return the factor of no rows at all, (columns, columns), zero."""
+    return np.zeros((columns, columns), order="F")
 
 
-def gather(triangle: Array, rows: Array) -> Array:
+def gather(triangle: Array, rows: Array, *, spend: bool = False) -> Array:
     """Return the triangular factor of the rows seen so far and these.
 
-    triangle  (<= columns, columns)  from ``empty_triangle`` or ``gather``
+    triangle  (columns, columns)  from ``empty_triangle`` or ``gather``
     rows      (samples, columns)
-    returned  (min(seen, columns), columns), upper triangular
+    spend     whether column-major rows may be overwritten: nobody needs them again
+    returned  (columns, columns), upper triangular
+
+    The rows are reflected onto the triangle, whose zeros are never touched.
     """
-    stacked = np.empty((len(triangle) + len(rows), rows.shape[1]), order="F")
-    stacked[: len(triangle)] = triangle
-    stacked[len(triangle) :] = rows
-    factored = cast(Array, lapack.dgeqrf(stacked, overwrite_a=1)[0])
-    return np.asfortranarray(np.triu(factored[: rows.shape[1]]))
+    columns = len(triangle)
+    if triangle.shape != (columns, columns):
+        raise ValueError(f"{triangle.shape} is no triangle: gather these rows as rows")
+    if not columns or not len(rows):
+        return triangle
+    block = np.asfortranarray(rows)
+    own = spend or block is not rows
+    found = lapack.dtpqrt(
+        0, min(BLOCK, columns), np.asfortranarray(triangle), block, overwrite_b=own
+    )
+    return cast(Array, found[0])

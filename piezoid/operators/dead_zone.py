@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,17 +47,19 @@ class DeadZones:
         if 0.0 not in self.threshold:
             raise ValueError("threshold has no 0: the central dead zone is missing")
 
-    @property
+    @cached_property
     def zero(self) -> int:
         """Index of the central dead zone, r = 0."""
-        return int(np.flatnonzero(self.threshold == 0.0)[0])
+        return int(self.threshold.tolist().index(0.0))
 
-    @property
+    @cached_property
     def slope(self) -> Array:
-        """Slopes below, between and above the thresholds, (zones + 1,)."""
+        """Slopes below, between and above the thresholds, (zones + 1,), read-only."""
         above = np.cumsum(self.weight[self.zero :])
         below = np.cumsum(self.weight[self.zero :: -1])[::-1]
-        return np.concatenate([below, above])
+        slope = np.concatenate([below, above])
+        slope.setflags(write=False)
+        return slope
 
     @property
     def is_invertible(self) -> bool:
@@ -65,27 +68,31 @@ class DeadZones:
 
     def run(self, h: Array) -> Array:
         """Return Psi(h), sample by sample."""
-        return self.run_with_slope(h)[0]
+        return self._run(h, None)
 
     def run_with_slope(self, h: Array) -> tuple[Array, Array]:
         """Return Psi(h) and the local slope Psi'(h), both (samples,)."""
+        local = np.empty(len(h))
+        return self._run(h, local), local
+
+    def _run(self, h: Array, local: Array | None) -> Array:
         source = contiguous(h)
-        output, local = np.empty_like(source), np.empty_like(source)
+        output = np.empty_like(source)
         KERNELS.pk_piecewise_linear(
             len(source),
             address(source),
             len(self.threshold),
             address(self.threshold),
-            address(contiguous(self.slope)),
+            address(self.slope),
             self.zero,
             address(output),
             address(local),
         )
-        return output, local
+        return output
 
     def kernel_map(self) -> KernelMap:
         """Return the map as a kernel takes it."""
-        knot, slope = self.threshold, contiguous(self.slope)
+        knot, slope = self.threshold, self.slope
         found = KernelMap(len(knot), address(knot), address(slope), self.zero)
         found.arrays = (knot, slope)
         return found
@@ -124,7 +131,7 @@ def from_slopes(threshold: Array, slope: Array) -> DeadZones:
     threshold  (zones,)      strictly increasing, containing 0
     slope      (zones + 1,)  the two slopes that meet at 0 must be equal
     """
-    zero = int(np.flatnonzero(threshold == 0.0)[0])
+    zero = threshold.tolist().index(0.0)
     weight = np.empty_like(threshold)
     weight[zero + 1 :] = np.diff(slope[zero + 1 :])
     weight[:zero] = -np.diff(slope[: zero + 1])

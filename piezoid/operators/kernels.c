@@ -119,8 +119,11 @@ void pk_play_sum(size_t samples, const double *input_V, size_t plays, const doub
     }
 }
 
-static double piecewise(double x, size_t knots, const double *knot, const double *slope,
-                        size_t zero, double *local) {
+double pk_mapped(double x, const pk_map *map, double *local) {
+    const double *knot = map->knot;
+    const double *slope = map->slope;
+    const size_t knots = map->knots;
+    const size_t zero = map->zero;
     double y = 0.0;
     size_t segment;
     if (x >= 0.0) {
@@ -148,9 +151,10 @@ static double piecewise(double x, size_t knots, const double *knot, const double
 
 void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
                          const double *slope, size_t zero, double *output, double *local) {
+    const pk_map map = {.knots = knots, .knot = knot, .slope = slope, .zero = zero};
     double at = 0.0;
     for (size_t k = 0; k < samples; ++k) {
-        output[k] = piecewise(input[k], knots, knot, slope, zero, &at);
+        output[k] = pk_mapped(input[k], &map, &at);
         if (local != NULL) {
             local[k] = at;
         }
@@ -159,7 +163,7 @@ void pk_piecewise_linear(size_t samples, const double *input, size_t knots, cons
 
 static double mapped(double x, const pk_map *map) {
     double unused = 0.0;
-    return piecewise(x, map->knots, map->knot, map->slope, map->zero, &unused);
+    return pk_mapped(x, map, &unused);
 }
 
 void pk_inverse_resynchronised(size_t samples, const double *desired, size_t plays,

@@ -47,6 +47,9 @@ typedef struct {
     size_t zero;
 } pk_map;
 
+/* Its value at x, and in *local its slope there. */
+double pk_mapped(double x, const pk_map *map, double *local);
+
 /* Online inverse of dead zones after plays after an envelope, with clipping, rounding and
  * re-synchronised memory.
  *   desired                 (samples,)  output asked of the plant

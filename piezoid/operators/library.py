@@ -26,6 +26,12 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         *[_POINTER] * 3,
     ),
     "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),
+    "pk_chain_rows": (
+        *(_INT, _SIZE),
+        *[_POINTER] * 3,
+        *(_SIZE, *[_POINTER] * 3),
+        *(_SIZE, *[_POINTER] * 2),
+    ),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_creep": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
@@ -56,7 +62,7 @@ def address(array: Array | None) -> int | None:
     """Return where a contiguous float64 array begins, for a kernel; None stays NULL."""
     if array is None:
         return None
-    if array.dtype != np.float64 or not (array.flags.c_contiguous or array.flags.f_contiguous):
+    if array.dtype != np.float64 or not array.flags.forc:
         raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
     return int(array.ctypes.data)
 

@@ -60,6 +60,20 @@ def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Gene
     np.testing.assert_allclose(program.x, other, atol=1e-8)
 
 
+def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
+    rng: np.random.Generator,
+) -> None:
+    """R'R cannot tell the columns apart; what is free or held must come from R."""
+    columns = rng.normal(size=(300, 1)) + 1e-9 * rng.normal(size=(300, 12))
+    factor, right = reduced(columns, columns @ rng.uniform(-1, 1, 12))
+    lower, upper = np.full(12, -0.3), np.full(12, 0.3)
+    x = bounded_step(factor, right, lower, upper)
+    slope = factor.T @ (factor @ x - right) / np.linalg.norm(right)
+    assert ((x >= lower) & (x <= upper)).all()
+    assert (slope[x < upper] > -1e-9).all()
+    assert (slope[x > lower] < 1e-9).all()
+
+
 def test_contradicting_constraints_are_refused() -> None:
     constraint = np.array([[1.0], [1.0]])
     with pytest.raises(InfeasibleFitError, match="infeasible"):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.signals import later
+from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
 
 

@@ -6,7 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.signals import relaxed
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 
 MOST = 0.5

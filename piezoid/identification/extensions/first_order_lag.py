@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
-from piezoid.identification.extensions.signals import relaxed
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 
 LONGEST_s = 10.0

@@ -4,24 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array
-
-
-def relaxed(moved: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal behind a first-order lag, straight between samples."""
-    columns = moved if moved.ndim == 2 else moved[:, None]
-    state = np.repeat(columns[:1], 2, axis=0)
-    return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(moved.shape)
-
-
-def later(moved: Array, samples: float) -> Array:
-    """Return a signal that many samples later, straight between samples."""
-    whole = int(np.floor(samples))
-    part = samples - whole
-    held = np.repeat(moved[:1], min(whole + 1, len(moved) + 1), axis=0)
-    joined = np.concatenate([held, moved])
-    return np.asarray((1.0 - part) * joined[1 : 1 + len(moved)] + part * joined[: len(moved)])
 
 
 def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:

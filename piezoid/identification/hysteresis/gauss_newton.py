@@ -8,15 +8,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.identification.hysteresis.coordinates import Coordinates
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.rows import rows_of, simulate
+from piezoid.identification.hysteresis.rows import column_places, rows_of, simulate
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step
 from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.operators.chain import Samples
 
-BATCH = 2048  # rows factorised together
 CONVERGED = 1e-5  # relative fall of the cost that is not worth another iteration
 
 
@@ -70,26 +71,62 @@ def rms_of(theta: Array, task: Task) -> float:
     return float(np.sqrt(total / count))
 
 
-def triangle_of(theta: Array, task: Task) -> Array:
-    """Return the triangular factor of [J | e] over all pieces, (<= total + 1, total + 1)."""
-    coordinates = task.coordinates
-    whole = empty_triangle(coordinates.total + 1)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Factor:
+    """All that a step needs to know of the rows.
+
+    triangle  (places + 1, places + 1)  triangular factor of [J | e] over all pieces
+    place     (places,)                 which numbers of the vector the columns belong to
+    """
+
+    triangle: Array
+    place: Samples
+
+
+def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Factor:
+    """Return the factor of the columns of those numbers that may move.
+
+    What only one piece knows is eliminated there: each piece hands on no more than a triangle of
+    what all share.
+    """
+    shared = np.flatnonzero(moving[: task.coordinates.shared])
+    common = empty_triangle(len(shared) + 1)
+    locals_, places = [], []
     for index in range(len(task.pieces)):
-        part = _piece_triangle(theta, task, index)
-        local = coordinates.local_slice(index)
-        wide = np.zeros((len(part), coordinates.total + 1), order="F")
-        wide[:, : coordinates.shared] = part[:, : coordinates.shared]
-        wide[:, local] = part[:, coordinates.shared : -1]
-        wide[:, -1] = part[:, -1]
-        whole = gather(whole, wide)
+        part, place = _piece_triangle(theta, task, index, moving)
+        own = len(part) - len(common)
+        locals_.append(part[:own])
+        places.append(place[:own])
+        common = gather(common, part[own:, own:])
+    return Factor(triangle=_assembled(locals_, common), place=np.concatenate([*places, shared]))
+
+
+def _assembled(locals_: Sequence[Array], common: Array) -> Array:
+    """Put the rows of the pieces above those of what they share."""
+    own = sum(map(len, locals_))
+    whole = np.zeros((own + len(common), own + len(common)), order="F")
+    first = 0
+    for part in locals_:
+        last = first + len(part)
+        whole[first:last, first:last] = part[:, : len(part)]
+        whole[first:last, own:] = part[:, len(part) :]
+        first = last
+    whole[own:, own:] = common
     return whole
 
 
-def _piece_triangle(theta: Array, task: Task, index: int) -> Array:
-    """Return the factor of one piece; thinned chunks wait until a factorisation is worth it."""
-    local = task.coordinates.local_slice(index)
-    part = empty_triangle(task.coordinates.shared + local.stop - local.start + 1)
-    waiting: list[Array] = []
+def _piece_triangle(
+    theta: Array, task: Task, index: int, moving: NDArray[np.bool_]
+) -> tuple[Array, Samples]:
+    """Return the factor of one piece and the numbers its columns belong to.
+
+    Once every play has moved, a row knows nothing of the memory: it needs the other columns only.
+    """
+    places = column_places(task.coordinates, index)
+    wanted = np.append(moving[places], True)
+    memory = int(np.count_nonzero(wanted[: task.coordinates.shape.plays]))
+    columns = int(np.count_nonzero(wanted))
+    early, later = empty_triangle(columns), empty_triangle(columns - memory)
     for rows in rows_of(
         theta,
         task.coordinates,
@@ -98,11 +135,13 @@ def _piece_triangle(theta: Array, task: Task, index: int) -> Array:
         sensor_pole=task.sensor_pole_Hz,
         stride=task.stride,
     ):
-        waiting.append(np.hstack([rows.tangent, rows.residual[:, None]]))
-        if sum(map(len, waiting)) >= BATCH:
-            part = gather(part, np.vstack(waiting))
-            waiting.clear()
-    return gather(part, np.vstack(waiting)) if waiting else part
+        block = rows.block.T[wanted].T
+        aware = np.flatnonzero(block[:, :memory].any(axis=1))
+        end = int(aware[-1]) + 1 if len(aware) else 0
+        early = gather(early, block[:end], spend=True)
+        later = gather(later, block[end:, memory:], spend=True)
+    early[memory:, memory:] = gather(later, early[memory:, memory:])
+    return early, places[wanted[:-1]]
 
 
 def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
@@ -117,29 +156,30 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
     )
     damping = 1e-3
     while state.iterations < iterations and not state.converged:
-        triangle = triangle_of(state.theta, task)
-        state, damping = _iterate(state, triangle, (lower, upper), task, damping)
+        factor = factor_of(state.theta, task, upper > lower)
+        state, damping = _iterate(state, factor, (lower, upper), task, damping)
     return state
 
 
 def _iterate(
-    state: Minimum, triangle: Array, bounds: tuple[Array, Array], task: Task, damping: float
+    state: Minimum, found: Factor, bounds: tuple[Array, Array], task: Task, damping: float
 ) -> tuple[Minimum, float]:
     """Try steps of growing damping until one lowers the cost, or none does."""
-    lower, upper = bounds
-    factor, residual = triangle[:, :-1], triangle[:, -1]
+    theta, (lower, upper), place = state.theta, bounds, found.place
+    factor, residual = found.triangle[:, :-1], found.triangle[:, -1]
+    room = lower[place] - theta[place], upper[place] - theta[place]
     scale = np.linalg.norm(factor, axis=0)
     scale[scale == 0.0] = 1.0
-    gradient = _free_gradient(factor.T @ residual / scale, state.theta, lower, upper)
+    gradient = _free_gradient(factor.T @ residual / scale, *room)
     size = gradient / max(float(np.linalg.norm(residual)), 1e-300)
     for _ in range(12):
-        step = bounded_step(
+        step = np.zeros_like(theta)
+        step[place] = bounded_step(
             np.vstack([factor, np.sqrt(damping) * np.diag(scale)]),
             np.concatenate([-residual, np.zeros(len(scale))]),
-            lower - state.theta,
-            upper - state.theta,
+            *room,
         )
-        trial = task.coordinates.within_reach(np.clip(state.theta + step, lower, upper))
+        trial = task.coordinates.within_reach(np.clip(theta + step, lower, upper))
         rms = rms_of(trial, task)
         if rms < state.rms:
             gain = 1.0 - (rms / state.rms) ** 2
@@ -158,7 +198,7 @@ def _iterate(
     )
 
 
-def _free_gradient(gradient: Array, theta: Array, lower: Array, upper: Array) -> float:
-    """Return the largest derivative along which the vector may still move downhill."""
-    held = ((theta <= lower) & (gradient > 0)) | ((theta >= upper) & (gradient < 0))
+def _free_gradient(gradient: Array, down: Array, up: Array) -> float:
+    """Return the largest derivative along which there is still room to move downhill."""
+    held = ((down >= 0) & (gradient > 0)) | ((up <= 0) & (gradient < 0))
     return float(np.abs(np.where(held, 0.0, gradient)).max(initial=0.0))

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from piezoid.identification.hysteresis.gauss_newton import Task
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.rows import rows_of
+from piezoid.identification.hysteresis.rows import column_places, rows_of
 from piezoid.numerics.arrays import Array
 
 BLOCKS = 24
@@ -118,7 +118,7 @@ def _grams(theta: Array, task: Task) -> tuple[Array, Array]:
     gradients = np.zeros((blocks, coordinates.total))
     before = 0
     for index, piece in enumerate(task.pieces):
-        place = np.r_[0 : coordinates.shared, coordinates.local_slice(index)]
+        place = column_places(coordinates, index)
         for rows in rows_of(
             theta,
             coordinates,

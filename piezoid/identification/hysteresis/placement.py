@@ -38,20 +38,18 @@ def group_centres(place: Array, weight: Array, groups: int) -> Array:
     """
     tiny = weight + 1e-6 * (weight.sum() + 1e-300) / len(weight)
     sums = [np.concatenate([[0.0], np.cumsum(tiny * place**k)]) for k in range(3)]
-
-    def cost(a: int, b: int) -> float:
-        mass, first, second = (float(s[b] - s[a]) for s in sums)
-        return second - first * first / mass
-
     count = len(place)
+    mass, first, second = (s - s[:, None] for s in sums)
+    group = np.triu(np.ones((count + 1, count + 1), dtype=bool), 1)
+    cost = np.full((count + 1, count + 1), np.inf)
+    cost[group] = second[group] - first[group] ** 2 / mass[group]
     best = np.full((groups + 1, count + 1), np.inf)
     cut = np.zeros((groups + 1, count + 1), dtype=int)
     best[0, 0] = 0.0
     for g in range(1, groups + 1):
-        for b in range(g, count + 1):
-            options = [best[g - 1, a] + cost(a, b) for a in range(g - 1, b)]
-            cut[g, b] = g - 1 + int(np.argmin(options))
-            best[g, b] = min(options)
+        options = best[g - 1, :, None] + cost
+        cut[g] = options.argmin(axis=0)
+        best[g] = options.min(axis=0)
     centres, end = np.empty(groups), count
     for g in range(groups, 0, -1):
         start = cut[g, end]

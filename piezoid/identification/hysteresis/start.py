@@ -11,15 +11,21 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Scaled, Shape
-from piezoid.identification.hysteresis.filters import lag_of
+from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quadratic_program import Optimum, constrained_least_squares
+from piezoid.numerics.quadratic_program import (
+    Optimum,
+    bounded_step,
+    constrained_least_squares,
+    stationarity,
+)
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.dead_zone import DeadZones, from_slopes
 from piezoid.operators.play import play_columns
 
 ROWS = 6000  # rows of a recording that suffice for a start
+LEAST_INVERSE_SLOPE = 0.02  # of Psi'
 _POLYNOMIAL = (2, 3)
 
 
@@ -79,9 +85,8 @@ def _quick_error(
 ) -> float:
     total = 0.0
     for piece, column in zip(pieces, columns, strict=True):
-        lagged, _ = lag_of(kind, lag_s, piece.sampling_rate_Hz).run(column)
         keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
-        rows = lagged[keep]
+        rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz)[keep]
         free = rows[:, -len(_POLYNOMIAL) :]
         signed = np.hstack([rows, -free, np.ones((len(rows), 1)), -np.ones((len(rows), 1))])
         triangle = gather(
@@ -109,7 +114,7 @@ def kuhnen_start(
     high = max(float(piece.response.max()) for piece in pieces)
     low = min(float(piece.response.min()) for piece in pieces)
     zones = placed_zones(low, high, shape)
-    optimum = _solve(pieces, shape, threshold, zones, lag_s)
+    optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
         threshold=zones, weight=optimum.x[shape.plays + 1 : shape.plays + 1 + len(zones)]
@@ -126,10 +131,9 @@ def placed_zones(low: float, high: float, shape: Shape) -> Array:
     return np.concatenate([below, [0.0], above])
 
 
-def _solve(
-    pieces: Sequence[Piece], shape: Shape, threshold: Array, zones: Array, lag_s: float
-) -> Optimum:
-    plays, count = shape.plays + 1, len(zones)
+def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: float) -> Array:
+    """Return the triangle of the rows [z | -s(y) | offsets], one offset for each piece."""
+    plays, count = len(threshold), len(zones)
     unit = DeadZones(threshold=zones, weight=np.ones(count))
     unknowns = plays + count + len(pieces)
     triangle = empty_triangle(unknowns)
@@ -143,8 +147,45 @@ def _solve(
         rows[:, plays : plays + count] = -unit.columns(shifted)
         rows[:, plays + count + index] = 1.0
         triangle = gather(triangle, rows)
-    constraint, lower, upper = constraints_of(threshold, zones, unknowns)
-    return constrained_least_squares(triangle, np.zeros(len(triangle)), constraint, lower, upper)
+    return triangle
+
+
+def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
+    """Solve the program on the triangle of its rows, the offsets' columns last."""
+    limits = constraints_of(threshold, zones, triangle.shape[1])
+    nothing = np.zeros(len(triangle))
+    x = within_bounds(triangle, threshold, zones)
+    if x[0] < LEAST_SLOPE:
+        return constrained_least_squares(triangle, nothing, *limits)
+    constraint, lower, upper = limits
+    return Optimum(
+        x=x,
+        cost=float(np.sum((triangle @ x) ** 2)),
+        kkt_gap=stationarity(triangle, x, nothing, constraint, (lower, upper)),
+    )
+
+
+def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
+    """Return the optimum without the limit of w_0, by a search that knows only bounds.
+
+    Slopes instead of weights of Psi' make their limits bounds, and w_0 follows from the others:
+    w_0 = 1 - sum_(i>0) (1 - r_i) w_i in scaled units, r_0 = 0.
+    """
+    plays, count = len(threshold), len(zones)
+    zero = int(np.flatnonzero(zones == 0.0)[0])
+    free = np.eye(len(triangle.T))
+    free[0, :plays] = threshold - 1.0
+    for place in range(count):
+        if place != zero:
+            free[plays + place, plays + place + (1 if place < zero else -1)] = -1.0
+    lower = np.full(len(free) - 1, -np.inf)
+    lower[: plays - 1], lower[plays - 1 : plays - 1 + count] = 0.0, LEAST_INVERSE_SLOPE
+    step = bounded_step(
+        triangle @ free[:, 1:], -triangle[:, 0], lower, np.full(len(lower), np.inf)
+    )
+    x = free[:, 1:] @ step
+    x[0] += 1.0
+    return np.asarray(x)
 
 
 def _advanced(piece: Piece, lag_s: float) -> Array:
@@ -162,7 +203,7 @@ def constraints_of(threshold: Array, zones: Array, unknowns: int) -> tuple[Array
     for i in range(count):
         rows[plays + i, plays + min(i, zero) : plays + max(i, zero) + 1] = 1.0
     rows[-1, :plays] = 1.0 - threshold
-    lower = np.concatenate([np.zeros(plays), np.full(count, 0.02), [1.0]])
+    lower = np.concatenate([np.zeros(plays), np.full(count, LEAST_INVERSE_SLOPE), [1.0]])
     lower[0] = LEAST_SLOPE
     upper = np.full(len(rows), np.inf)
     upper[-1] = 1.0

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.extensions.signals import later, relaxed
+from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.joint.parts import Part
 from piezoid.identification.joint.vector import State
 from piezoid.numerics.arrays import Array
@@ -81,11 +81,8 @@ def passed(state: State, part: Part, moved: Array, *, instant: bool = False) -> 
     for extension in state.extensions:
         if extension.instant or not instant:
             moved = extension.response(moved, part.where)
-    lag_s, rate_Hz = state.operator.lag_s, part.where.rate_Hz
-    if state.coordinates.shape.lag == "delay":
-        moved = later(moved, lag_s * rate_Hz)
-    elif state.coordinates.shape.lag == "first_order":
-        moved = relaxed(moved, lag_s, rate_Hz)
+    rate_Hz = part.where.rate_Hz
+    moved = lagged(moved, state.coordinates.shape.lag, state.operator.lag_s, rate_Hz)
     pole_Hz = state.rig.sensor_bandwidth_Hz
     return moved if pole_Hz is None else relaxed(moved, 1.0 / (2.0 * np.pi * pole_Hz), rate_Hz)
 

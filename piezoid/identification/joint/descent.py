@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.joint.bounded import bounded_minimum
 from piezoid.identification.joint.chain import follow, residual
 from piezoid.identification.joint.parts import FOLDS, Part
 from piezoid.identification.joint.tangents import tangents_of
 from piezoid.identification.joint.vector import State
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.bounded import bounded_minimum
 
 CONVERGED = 1e-4
 TRIES = 8

@@ -9,10 +9,8 @@ by the true error anyway. What extensions add enters exactly, their other number
 import numpy as np
 
 from piezoid.identification.extensions.extension import Samples
-from piezoid.identification.hysteresis.static import Static
 from piezoid.identification.joint.chain import (
     Followed,
-    first_memory,
     follow,
     late_s,
     passed,
@@ -20,9 +18,9 @@ from piezoid.identification.joint.chain import (
 from piezoid.identification.joint.parts import Part
 from piezoid.identification.joint.vector import State
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import PlayTangents, first_carry, play_tangents
+from piezoid.operators.chain import Chain, Following
+from piezoid.operators.dead_zone import from_slopes
 
-CHUNK = 8192
 SLOW = 0.004  # of the motion: what a delay may miss of the filters
 LARGEST = 16_000_000  # numbers in one array of columns
 LAG_STEP = 1e-3  # samples
@@ -31,7 +29,7 @@ LAG_STEP = 1e-3  # samples
 def tangents_of(state: State, index: int, part: Part, followed: Followed) -> Array:
     """Return d reading / d vector, (rows, numbers)."""
     coordinates = state.coordinates
-    rows = np.zeros((len(part.place), len(state.vector)))
+    rows = np.zeros((len(part.place), len(state.vector)), order="F")
     static = _behind(state, index, part, followed)
     plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
     rows[:, : lag.start] = static[:, : lag.start]
@@ -48,23 +46,19 @@ def _behind(state: State, index: int, part: Part, followed: Followed) -> Array:
     """Return the columns of the hysteresis behind the filters, at the rows that count."""
     rate_Hz = part.where.rate_Hz
     late = late_s(state, rate_Hz) * rate_Hz
-    place = np.maximum(part.place - late, 0.0)
-    lower = np.minimum(np.floor(place).astype(int), len(followed.drive) - 1)
-    upper = np.minimum(lower + 1, len(followed.drive) - 1)
-    share = (place - lower)[:, None]
-    shifted = (1.0 - share[:, 0]) * followed.static[lower] + share[:, 0] * followed.static[upper]
+    whole = int(np.floor(late))
+    share = late - whole
+    source = np.maximum(part.place - whole, 0)
+    newer, older = followed.static[source], followed.static[np.maximum(source - 1, 0)]
+    shifted = (1.0 - share) * newer + share * older
     true = passed(state, part, followed.static, instant=True)[part.place]
     width = state.coordinates.slices["lag"].start + state.coordinates.shape.plays
     wide = len(followed.drive) * (width + 1) > LARGEST
     if wide or np.std(true - shifted) < SLOW * np.std(true):
-        needed = np.unique(np.concatenate([lower, upper]))
-        columns = _columns(state, index, followed.drive, needed)
-        before = columns[np.searchsorted(needed, lower)]
-        after = columns[np.searchsorted(needed, upper)]
-        columns = (1.0 - share) * before + share * after
+        columns = _columns(state, index, part, followed.drive, source, share)
     else:
         every = np.arange(int(part.place[-1]) + 1)
-        columns = _columns(state, index, followed.drive, every)
+        columns = _columns(state, index, part, followed.drive, every, None)
         columns = passed(state, part, columns, instant=True)[part.place]
     gain = np.ones(len(followed.drive))
     for extension in state.extensions:
@@ -72,31 +66,24 @@ def _behind(state: State, index: int, part: Part, followed: Followed) -> Array:
     return np.asarray(columns * gain[part.place, None])
 
 
-def _columns(state: State, index: int, drive: Array, samples: Samples) -> Array:
+def _columns(
+    state: State, index: int, part: Part, drive: Array, source: Samples, share: float | None
+) -> Array:
     """Return the static columns at some samples, in the order of the vector, memory last."""
     operator = state.operator
-    slopes = state.theta[state.coordinates.memory_slice(index)]
-    static = Static(operator=operator, slopes=slopes, first=float(drive[0]))
-    carry = first_carry(first_memory(state, index, drive))
-    parts = []
-    for first in range(0, int(samples[-1]) + 1, CHUNK):
-        u = np.ascontiguousarray(drive[first : first + CHUNK])
-        tangents = play_tangents(operator.envelope.run(u), operator.threshold, carry)
-        carry = tangents.carry
-        a, b = np.searchsorted(samples, [first, first + CHUNK])
-        picked = samples[a:b] - first
-        if len(picked):
-            parts.append(static.columns(u[picked], _taken(tangents, picked))[:, 1:])
-    return np.concatenate(parts)
-
-
-def _taken(tangents: PlayTangents, picked: Samples) -> PlayTangents:
-    return PlayTangents(
-        state=tangents.state[picked],
-        threshold=tangents.threshold[picked],
-        memory=tangents.memory[picked],
-        carry=tangents.carry,
+    chain = Chain(
+        gap=operator.gap,
+        weight=operator.weight,
+        memory_slope=state.theta[state.coordinates.memory_slice(index)],
+        zones=from_slopes(operator.knot, operator.slope),
+        envelope=operator.envelope,
+        share=share,
+        rate_Hz=part.where.rate_Hz,
     )
+    following = Following(chain, float(drive[0]))
+    rows = np.empty((len(source), chain.plays + chain.columns), order="F")
+    following.rows(drive[: int(source[-1]) + 1], source, rows)
+    return np.asfortranarray(np.hstack([rows[:, chain.plays : -2], rows[:, : chain.plays]]))
 
 
 def _by_lag(state: State, index: int, part: Part, followed: Followed) -> Array:

@@ -4,8 +4,16 @@ import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
-from piezoid.identification.hysteresis.start import find_lag, kuhnen_start
+from piezoid.identification.hysteresis.start import (
+    constraints_of,
+    find_lag,
+    kuhnen_start,
+    placed_zones,
+    triangle_of,
+    within_bounds,
+)
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -53,3 +61,21 @@ def test_a_lag_that_is_not_removed_corrupts_the_weights() -> None:
     without = kuhnen_start(pieces, Shape(plays=4, below=0, above=0), 0.0).operator.weight
     true = WEIGHT * scales.voltage_V / abs(scales.displacement_m)
     assert np.abs(with_lag - true).max() < 0.2 * np.abs(without - true).max()
+
+
+def test_weights_that_only_know_bounds_are_those_of_the_general_program(
+    rng: np.random.Generator,
+) -> None:
+    drive = decaying()
+    bent = made(drive) + 0.02 * (made(drive) ** 2) / np.ptp(made(drive))
+    one = recording(drive, bent + 1e-9 * rng.normal(size=len(drive)))
+    pieces = pieces_of([one], "x", scales_of([one], "x"), Rig())
+    shape, threshold = Shape(plays=12, below=2, above=2), np.arange(13) / 13
+    zones = placed_zones(-1.0, 1.0, shape)
+    triangle = triangle_of(pieces, threshold, zones, 0.0)
+    limits = constraints_of(threshold, zones, len(triangle))
+    nothing = np.zeros(len(triangle))
+    bounded = within_bounds(triangle, threshold, zones)
+    general = constrained_least_squares(triangle, nothing, *limits)
+    np.testing.assert_allclose(bounded, general.x, atol=1e-5)
+    assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9

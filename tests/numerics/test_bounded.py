@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from piezoid.identification.joint.bounded import bounded_minimum
+from piezoid.numerics.bounded import bounded_minimum
 
 
 @pytest.mark.parametrize("seed", range(20))

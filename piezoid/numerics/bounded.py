@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from piezoid.numerics.arrays import Array
 
@@ -53,10 +54,12 @@ def _outside(x: Array, lower: Array, upper: Array, held: Chosen) -> tuple[Chosen
 
 
 def _solved(gram: Array, right: Array, bound: Array, free: Chosen) -> Array:
-    from scipy.linalg import cho_factor, cho_solve
-
     x = np.where(free, 0.0, bound)
-    if free.any():
-        against = right[free] - gram[np.ix_(free, ~free)] @ x[~free]
-        x[free] = cho_solve(cho_factor(gram[np.ix_(free, free)]), against)
+    place = np.flatnonzero(free)
+    if len(place):
+        against = right[place] - gram[place] @ x
+        _, found, wrong = lapack.dposv(gram[place[:, None], place], against)
+        if wrong:
+            raise np.linalg.LinAlgError("the quadratic form is not definite to rounding")
+        x[place] = found
     return np.asarray(x)

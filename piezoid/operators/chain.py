@@ -1,0 +1,197 @@
+"""Plays behind an envelope, dead zones, a lag and a sensor, with all derivatives of the reading.
+
+y = Psi(h),  h = w_0 gamma(u) + sum_i w_i z_i,  sigma = Psi'(h),  a_i = dz_i/dz_i(0)
+
+dy/ds_j     = sigma d_j sum_(i>=j) w_i a_i
+dy/dd_j     = sigma sum_(i>=j) w_i (dz_i/dr_i + a_i s_j)
+dy/dw_i     = sigma z_i
+dy/dknot_k  = the change of slope there, where h is beyond it
+dy/dslope_k = the part of h inside segment k
+dy/dg_k     = sigma (w_0 c_k(u) + sum_i w_i c_k(u where play i last moved)), c_k the part of
+              the drive inside segment k of gamma
+
+Kinks are told by the gaps between them, outwards from 0: a change of one moves all behind it.
+"""
+
+import ctypes
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.dead_zone import LINEAR, DeadZones
+from piezoid.operators.library import KERNELS, address, contiguous
+
+TILE = 32  # PK_CHAIN_TILE of chain.h
+
+Samples = NDArray[np.int_]
+
+
+class _Filter(ctypes.Structure):
+    _fields_ = tuple(
+        (name, ctypes.c_double) for name in ("p", "b0", "b1", "p_by_s", "b0_by_s", "b1_by_s")
+    )
+
+
+class _Chain(ctypes.Structure):
+    _fields_ = (
+        ("plays", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("threshold", "weight", "gap", "memory_slope")),
+        ("zones", ctypes.c_void_p),
+        ("bends", ctypes.c_size_t),
+        ("bend", ctypes.c_void_p),
+        ("late", ctypes.c_int),
+        ("share", ctypes.c_double),
+        ("rate_Hz", ctypes.c_double),
+        ("lag", ctypes.c_void_p),
+        ("sensor", ctypes.c_void_p),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FirstOrder:
+    """A first-order lag of a signal that is straight between its samples, exactly.
+
+        y[k] = p y[k-1] + b0 x[k] + b1 x[k-1]
+        p = exp(-T/tau),  b0 = 1 - (tau/T)(1 - p),  b1 = (tau/T)(1 - p) - p
+
+    tau = 0 passes everything.
+    """
+
+    time_s: float
+    rate_Hz: float
+
+    @property
+    def coefficients(self) -> tuple[float, float, float]:
+        """Return p, b0, b1."""
+        ratio = self.time_s * self.rate_Hz
+        if ratio < 1e-9:
+            return 0.0, 1.0, 0.0
+        pole = float(np.exp(-1.0 / ratio))
+        held = -ratio * float(np.expm1(-1.0 / ratio))
+        return pole, 1.0 - held, held - pole
+
+    @property
+    def by_time(self) -> tuple[float, float, float]:
+        """Return how the three change with tau, 1/s."""
+        ratio = self.time_s * self.rate_Hz
+        if ratio < 1e-9:
+            return 0.0, -self.rate_Hz, self.rate_Hz
+        pole = float(np.exp(-1.0 / ratio)) / ratio**2
+        held = -float(np.expm1(-1.0 / ratio)) - ratio * pole
+        return pole * self.rate_Hz, -held * self.rate_Hz, (held - pole) * self.rate_Hz
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chain:
+    """From the drive to the reading, in any units that fit together.
+
+    gap           (plays,)      d: r_i = d_1 + ... + d_i are the thresholds of the moving plays
+    weight        (plays + 1,)  w, that of the play of threshold 0 first
+    memory_slope  (plays,)      s: z_i(0) = gamma(u(0)) + sum_(j<=i) d_j s_j
+    zones         Psi
+    envelope      gamma, in front of the plays, its kinks as far below 0 as above
+    share         of the sample before, in every reading: what is left of a delay; None: no delay
+    lag, sensor   first-order filters behind everything, or None
+    rate_Hz       samples per second
+    """
+
+    gap: Array
+    weight: Array
+    memory_slope: Array
+    zones: DeadZones
+    envelope: DeadZones = LINEAR
+    share: float | None = None
+    lag: FirstOrder | None = None
+    sensor: FirstOrder | None = None
+    rate_Hz: float = 1.0
+
+    @property
+    def plays(self) -> int:
+        """How many moving plays there are."""
+        return len(self.gap)
+
+    @property
+    def columns(self) -> int:
+        """How many columns ``Following.rows`` writes besides those of the memory."""
+        zones, bends = len(self.zones.threshold) - 1, self.envelope.zero
+        return 2 * self.plays + 1 + 2 * zones + 2 * bends + 2
+
+
+class Following:
+    """One piece followed through a chain, chunk by chunk; its state is the only thing kept."""
+
+    def __init__(self, chain: Chain, first_drive: float) -> None:
+        """Begin at rest at the first drive, with the memory the chain tells."""
+        plays, every = chain.plays, chain.plays + chain.columns
+        self.chain = chain
+        self._carry = np.zeros(4 * plays + 5 * every)
+        self._carry[2 * plays : 3 * plays] = 1.0
+        self._carry[3 * plays : 4 * plays] = first_drive
+        inner = float(chain.envelope.run(np.array([first_drive]))[0])
+        self._carry[:plays] = inner + np.cumsum(chain.gap * chain.memory_slope)
+        self._tile = np.empty((TILE + 2) * every)
+        self._begun = False
+        self._kept = _kept(chain)
+
+    def rows(self, drive: Array, wanted: Samples, out: Array) -> None:
+        """Write [memory | anything | gaps, weights, zones, envelope, lag, reading], row by row.
+
+        drive   (samples,)  the next ones of the piece
+        wanted  (rows,)     which of them, in order; one may come more than once
+        out     (rows, >= plays + columns)  column-major; the first and the last are written
+        """
+        chain = self.chain
+        u = contiguous(drive)
+        bent = u if chain.envelope is LINEAR else chain.envelope.run(u)
+        picked = np.ascontiguousarray(wanted, dtype=np.uintp)
+        rows = len(picked)
+        if rows and (picked[-1] >= len(u) or (picked[1:] < picked[:-1]).any()):
+            raise TypeError("rows are written of samples of this chunk, in order")
+        if out.dtype != np.float64 or not out.flags.f_contiguous or len(out) != rows:
+            raise TypeError("rows are written into float64 columns of as many rows")
+        if out.shape[1] < chain.plays + chain.columns:
+            raise TypeError(f"rows have {chain.plays + chain.columns} columns")
+        first = out.ctypes.data
+        KERNELS.pk_chain_rows(
+            int(self._begun),
+            len(u),
+            address(u),
+            address(bent),
+            ctypes.addressof(self._kept[0]),
+            rows,
+            picked.ctypes.data,
+            address(self._carry),
+            address(self._tile),
+            rows,
+            first,
+            first + 8 * rows * (out.shape[1] - chain.columns),
+        )
+        self._begun = True
+
+
+def _kept(chain: Chain) -> tuple[_Chain, tuple[object, ...]]:
+    """Return the kernel's view of a chain, and in the same tuple all that it points to."""
+    arrays = [
+        contiguous(values)
+        for values in (np.cumsum(chain.gap), chain.weight, chain.gap, chain.memory_slope)
+    ]
+    bend = contiguous(chain.envelope.threshold[chain.envelope.zero + 1 :])
+    zones = chain.zones.kernel_map()
+    filters = [
+        None if one is None else _Filter(*one.coefficients, *one.by_time)
+        for one in (chain.lag, chain.sensor)
+    ]
+    view = _Chain(
+        chain.plays,
+        *(address(values) for values in arrays),
+        ctypes.addressof(zones),
+        len(bend),
+        address(bend),
+        int(chain.share is not None),
+        chain.share or 0.0,
+        chain.rate_Hz,
+        *(None if one is None else ctypes.addressof(one) for one in filters),
+    )
+    return view, (arrays, bend, zones, filters)
