@@ -85,7 +85,8 @@ class Shift:
         """Run it, add its seconds to those of earlier parts; return whether it came to its end."""
         command = [sys.executable, "-m", "piezoid_cli.main", "batch", str(self.recordings)]
         options = ["--out", str(self.out), "--workers", str(self.workers), "--quiet"]
-        began, killed = time.perf_counter(), self._notes.get("killed", 0)
+        began, before = time.perf_counter(), _children(os.times())
+        killed = self._notes.get("killed", 0)
         process = subprocess.Popen([*command, *options])
         while process.poll() is None and time.perf_counter() - began < self.limit_s:
             time.sleep(0.1)
@@ -96,9 +97,12 @@ class Shift:
         if not ended:
             process.send_signal(signal.SIGINT)
             process.wait()
-        seconds = self._notes.get("seconds", 0.0) + time.perf_counter() - began
-        parts = self._notes.get("parts", 0) + 1
-        notes = {"seconds": seconds, "parts": parts, "killed": killed}
+        notes = {
+            "seconds": self._notes.get("seconds", 0.0) + time.perf_counter() - began,
+            "cpu": self._notes.get("cpu", 0.0) + _children(os.times()) - before,
+            "parts": self._notes.get("parts", 0) + 1,
+            "killed": killed,
+        }
         self._place.write_text(json.dumps(notes))
         return ended
 
@@ -108,8 +112,9 @@ class Shift:
         notes = self._notes
         killed = f", a worker killed after {notes['killed']} stages" if notes["killed"] else ""
         return (
-            f"{self.workers} workers: {notes['seconds']:.1f} s in {notes['parts']} parts{killed}; "
-            f"{self._done} stages written"
+            f"{self.workers} workers: {notes['seconds']:.1f} s, of processors {notes['cpu']:.0f} s, "
+            f"in {notes['parts']} parts{killed}; {self._done} stages written; load "
+            f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
 
     def _is_time_to_kill(self, killed: int) -> bool:
@@ -129,6 +134,10 @@ class Shift:
     def _notes(self) -> dict[str, Any]:
         notes: dict[str, Any] = json.loads(self._place.read_text()) if self._place.exists() else {}
         return notes
+
+
+def _children(used: os.times_result) -> float:
+    return used.children_user + used.children_system
 
 
 def worker_of(parent: int) -> int:
