@@ -112,7 +112,7 @@ class Shift:
         notes = self._notes
         killed = f", a worker killed after {notes['killed']} stages" if notes["killed"] else ""
         return (
-            f"{self.workers} workers: {notes['seconds']:.1f} s, of processors {notes['cpu']:.0f} s, "
+            f"{self.workers} workers: {notes['seconds']:.1f} s, processors {notes['cpu']:.0f} s, "
             f"in {notes['parts']} parts{killed}; {self._done} stages written; load "
             f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
         )
