@@ -1,10 +1,6 @@
-"""Faults of the data are named where they are, sized with an interval, and nowhere else.
-
-The stage is a sum of plays; the faults are put in here, by no code of the library.
-"""
+"""Faults of the data are named where they are, sized with an interval, and nowhere else."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -19,86 +15,21 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.screening import screen
-from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.slip_evidence import judged_of
-from piezoid.diagnosis.slips import beside, strongest
-from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
-from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Channel, Problem, Quantity, Recording
 
-STROKE_m = 30e-6
-NOISE_m = 5e-4 * STROKE_m
+from .play_stage import (
+    NOISE_m,
+    STROKE_m,
+    clean,
+    healthy,
+    moved,
+    recording,
+    view_with,
+    within,
+)
+
 FAULTS = (timestamp_fault, outliers, quantisation)
-
-
-def drive(kind: str) -> tuple[float, Array]:
-    rate_Hz = {"sweep": 1000.0, "walk": 500.0, "waves": 4000.0}[kind]
-    time_s = np.arange(9000) / rate_Hz
-    if kind == "sweep":
-        turn = np.arcsin(np.sin(2 * np.pi * (1.1 * time_s - 0.25)))
-        return rate_Hz, np.linspace(1.0, 0.3, 9000) * 2 / np.pi * turn
-    if kind == "walk":
-        levels = np.random.default_rng(5).uniform(-0.9, 0.9, 31)
-        place = np.linspace(0, 29.999, 9000)
-        part = 0.5 - 0.5 * np.cos(np.pi * (place % 1.0))
-        at = place.astype(int)
-        return rate_Hz, levels[at] + (levels[at + 1] - levels[at]) * part
-    return rate_Hz, 0.6 * np.sin(2 * np.pi * 2.7 * time_s) + 0.3 * np.sin(2 * np.pi * 17 * time_s)
-
-
-def moved(field: Array) -> Array:
-    """Return the displacement over the stroke, of plays and a little Bouc-Wen."""
-    state, rub, out = np.zeros(6), 0.0, np.empty(len(field))
-    width = np.linspace(0.05, 0.6, 6)
-    for i, (u, step) in enumerate(zip(field, np.diff(field, prepend=field[0]), strict=True)):
-        state = np.clip(state, u - width, u + width)
-        rub += 0.8 * step - 2.0 * abs(step) * rub
-        out[i] = 0.3 * u + 0.025 * state.sum() + 0.1 * rub + 0.01 * u * u
-    return out
-
-
-@cache
-def clean(kind: str) -> tuple[float, Array, Array]:
-    rate_Hz, field = drive(kind)
-    noise = np.random.default_rng(len(kind)).normal(0.0, NOISE_m, len(field))
-    return rate_Hz, field, STROKE_m * moved(field) + noise
-
-
-def recording(kind: str, reading_m: Array | None = None, field: Array | None = None) -> Recording:
-    rate_Hz, own, measured_m = clean(kind)
-    values = {
-        Quantity.VOLTAGE: 50.0 + 40.0 * (own if field is None else field),
-        Quantity.DISPLACEMENT: measured_m if reading_m is None else reading_m,
-    }
-    channels = tuple(
-        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
-        for quantity, signal in values.items()
-    )
-    return Recording(name=kind, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
-
-
-def view_with(**readings_m: Array):
-    kinds = ("sweep", "walk", "waves")
-    recordings = [recording(kind, readings_m.get(kind)) for kind in kinds]
-    return view_on(recordings, axis="x", lab=Lab())
-
-
-@cache
-def healthy():
-    return view_with()
-
-
-def slipped(reading_m: Array, at: int, samples: int) -> Array:
-    """Return readings that come so many samples late from a place on, or early where negative."""
-    place = np.arange(len(reading_m))
-    source = np.where(place >= at, np.maximum(place - samples, at if samples > 0 else 0), place)
-    return reading_m[np.minimum(source, len(reading_m) - 1)]
-
-
-def within(fault, value: float) -> bool:
-    return abs(fault.value - value) <= 1.96 * fault.spread
 
 
 @pytest.mark.parametrize("effect", FAULTS, ids=[f.EFFECT.name for f in FAULTS])
@@ -110,50 +41,6 @@ def test_no_hum_and_no_ripple_is_seen_in_healthy_recordings():
     for effect in (mains_interference.EFFECT, sensor_periodic_error.EFFECT):
         found = screen(effect, healthy())
         assert found is None or found.held.gain < 0.03
-
-
-@pytest.mark.parametrize(("kind", "samples"), [("sweep", 4), ("walk", -3), ("waves", 60)])
-def test_a_slip_is_found_sized_and_undone(kind, samples):
-    view = view_with(**{kind: slipped(clean(kind)[2], 4100, samples)})
-    fault = timestamp_fault.EFFECT.fault(view)
-    assert fault is not None
-    assert within(fault, samples)
-    assert fault.p_value < 0.01
-    again = with_tracks(view, fault.tracks)
-    assert again.rms < min(1.6 * healthy().rms, 0.9 * view.rms)
-    assert timestamp_fault.EFFECT.fault(again) is None
-
-
-def test_two_recordings_may_slip_each_by_its_own():
-    view = view_with(
-        sweep=slipped(clean("sweep")[2], 3500, 5), walk=slipped(clean("walk")[2], 5000, -4)
-    )
-    fault = timestamp_fault.EFFECT.fault(view)
-    again = with_tracks(view, fault.tracks)
-    assert again.rms < 1.3 * healthy().rms
-    assert fault.value in (5, -4)
-
-
-def test_a_delay_of_all_of_a_recording_is_no_slip():
-    view = view_with(sweep=slipped(clean("sweep")[2], 0, 4))
-    assert timestamp_fault.EFFECT.fault(view) is None
-
-
-def test_a_delay_that_only_fast_stretches_have_is_no_slip():
-    # slow triangles first, fast ones after: a lag of the fast ones begins at one instant
-    rate_Hz, field = 4000.0, np.empty(9000)
-    time_s = np.arange(9000) / rate_Hz
-    phase = np.where(time_s < 1.25, 1.6 * time_s, 2.0 + 20.0 * (time_s - 1.25))
-    field = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (phase - 0.25)))
-    whole_m = STROKE_m * moved(field)
-    late_m = np.where(time_s < 1.25, whole_m, slipped(whole_m, 5000, 1))
-    late_m = late_m + np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
-    recordings = [recording("sweep"), recording("walk"), recording("waves", late_m, field)]
-    view = view_on(recordings, axis="x", lab=Lab())
-    null = beside(view)
-    for slip in strongest(view, null):
-        judged = judged_of(view, null, replace(slip, samples=round(slip.samples) or 1))
-        assert judged is None or not judged.equal or not judged.speaks(again=False)
 
 
 def test_spikes_are_found_sized_and_bridged():
@@ -245,46 +132,12 @@ def test_what_is_larger_than_a_fault_that_could_hide_is_found():
     assert quantisation.EFFECT.fault(coarse_reading(step * 2.0 * healthy().stroke_m)) is not None
 
 
-def test_a_slip_well_above_one_that_could_hide_is_found():
-    share = timestamp_fault.EFFECT.bound(healthy())
-    late_m = [slipped(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
-    rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in late_m])
-    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().stroke_m))
-    view = view_with(waves=slipped(clean("waves")[2], 4100, samples))
-    assert within(timestamp_fault.EFFECT.fault(view), samples)
-
-
 def test_a_fault_found_in_several_goes_has_the_larger_size_and_the_surer_p():
     first = Fault(tracks=healthy().tracks, value=-5.0, spread=0.5, p_value=0.01)
     second = Fault(tracks=(), value=2.0, spread=0.1, p_value=0.001)
     both = second.after(first)
     assert (both.value, both.spread, both.p_value) == (-5.0, 0.5, 0.001)
     assert both.tracks == ()
-
-
-def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
-    whole = recording("sweep")
-    problems = (
-        Problem(kind="gap", place="line 5", text="", samples=40),
-        Problem(kind="duplicate_time", place="line 9", text="", samples=3),
-        Problem(kind="jitter", place="the time column", text=""),
-    )
-    slip = Fault(tracks=healthy().tracks, value=-5.0, spread=0.4, p_value=0.001)
-    found = Outcome(
-        first=healthy(),
-        clean=healthy(),
-        final=healthy(),
-        faults={"timestamp_fault": slip},
-        causes=(),
-        rivals={},
-        screened={},
-    )
-    assert with_stamps(found, [whole]) is found
-    told = [whole, replace(whole, name="b", problems=problems)]
-    fault = with_stamps(found, told).faults["timestamp_fault"]
-    assert fault.value == 48.0
-    assert fault.p_value < 1e-6
-    assert with_stamps(replace(found, faults={}), told).faults["timestamp_fault"].value == 43.0
 
 
 def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():

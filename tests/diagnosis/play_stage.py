@@ -1,0 +1,81 @@
+"""A stage that is a sum of plays with a little Bouc-Wen, recorded three times, no code of ours."""
+
+from functools import cache
+
+import numpy as np
+
+from piezoid.diagnosis.diagnose import view_on
+from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Channel, Quantity, Recording
+
+STROKE_m = 30e-6
+NOISE_m = 5e-4 * STROKE_m
+
+
+def drive(kind: str) -> tuple[float, Array]:
+    rate_Hz = {"sweep": 1000.0, "walk": 500.0, "waves": 4000.0}[kind]
+    time_s = np.arange(9000) / rate_Hz
+    if kind == "sweep":
+        turn = np.arcsin(np.sin(2 * np.pi * (1.1 * time_s - 0.25)))
+        return rate_Hz, np.linspace(1.0, 0.3, 9000) * 2 / np.pi * turn
+    if kind == "walk":
+        levels = np.random.default_rng(5).uniform(-0.9, 0.9, 31)
+        place = np.linspace(0, 29.999, 9000)
+        part = 0.5 - 0.5 * np.cos(np.pi * (place % 1.0))
+        at = place.astype(int)
+        return rate_Hz, levels[at] + (levels[at + 1] - levels[at]) * part
+    return rate_Hz, 0.6 * np.sin(2 * np.pi * 2.7 * time_s) + 0.3 * np.sin(2 * np.pi * 17 * time_s)
+
+
+def moved(field: Array) -> Array:
+    """Return the displacement over the stroke, of plays and a little Bouc-Wen."""
+    state, rub, out = np.zeros(6), 0.0, np.empty(len(field))
+    width = np.linspace(0.05, 0.6, 6)
+    for i, (u, step) in enumerate(zip(field, np.diff(field, prepend=field[0]), strict=True)):
+        state = np.clip(state, u - width, u + width)
+        rub += 0.8 * step - 2.0 * abs(step) * rub
+        out[i] = 0.3 * u + 0.025 * state.sum() + 0.1 * rub + 0.01 * u * u
+    return out
+
+
+@cache
+def clean(kind: str) -> tuple[float, Array, Array]:
+    rate_Hz, field = drive(kind)
+    noise = np.random.default_rng(len(kind)).normal(0.0, NOISE_m, len(field))
+    return rate_Hz, field, STROKE_m * moved(field) + noise
+
+
+def recording(kind: str, reading_m: Array | None = None, field: Array | None = None) -> Recording:
+    rate_Hz, own, measured_m = clean(kind)
+    values = {
+        Quantity.VOLTAGE: 50.0 + 40.0 * (own if field is None else field),
+        Quantity.DISPLACEMENT: measured_m if reading_m is None else reading_m,
+    }
+    channels = tuple(
+        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
+        for quantity, signal in values.items()
+    )
+    return Recording(name=kind, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
+
+
+def view_with(**readings_m: Array):
+    kinds = ("sweep", "walk", "waves")
+    recordings = [recording(kind, readings_m.get(kind)) for kind in kinds]
+    return view_on(recordings, axis="x", lab=Lab())
+
+
+@cache
+def healthy():
+    return view_with()
+
+
+def slipped(reading_m: Array, at: int, samples: int) -> Array:
+    """Return readings that come so many samples late from a place on, or early where negative."""
+    place = np.arange(len(reading_m))
+    source = np.where(place >= at, np.maximum(place - samples, at if samples > 0 else 0), place)
+    return reading_m[np.minimum(source, len(reading_m) - 1)]
+
+
+def within(fault, value: float) -> bool:
+    return abs(fault.value - value) <= 1.96 * fault.spread

@@ -1,0 +1,154 @@
+"""Slips of a clock are found, sized, undone, and told from delays of the stage."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effects import (
+    delay,
+    timestamp_fault,
+)
+from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.refinement import refined
+from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.slip_evidence import judged_of
+from piezoid.diagnosis.slips import beside, strongest
+from piezoid.diagnosis.slips_instead import slips_instead, stand_better
+from piezoid.diagnosis.stamps import with_stamps
+from piezoid.diagnosis.view import with_tracks
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Problem
+
+from .play_stage import (
+    NOISE_m,
+    STROKE_m,
+    clean,
+    healthy,
+    moved,
+    recording,
+    slipped,
+    view_with,
+    within,
+)
+
+
+@pytest.mark.parametrize(("kind", "samples"), [("sweep", 4), ("walk", -3), ("waves", 60)])
+def test_a_slip_is_found_sized_and_undone(kind, samples):
+    view = view_with(**{kind: slipped(clean(kind)[2], 4100, samples)})
+    fault = timestamp_fault.EFFECT.fault(view)
+    assert fault is not None
+    assert within(fault, samples)
+    assert fault.p_value < 0.01
+    again = with_tracks(view, fault.tracks)
+    assert again.rms < min(1.6 * healthy().rms, 0.9 * view.rms)
+    assert timestamp_fault.EFFECT.fault(again) is None
+
+
+def test_two_recordings_may_slip_each_by_its_own():
+    view = view_with(
+        sweep=slipped(clean("sweep")[2], 3500, 5), walk=slipped(clean("walk")[2], 5000, -4)
+    )
+    fault = timestamp_fault.EFFECT.fault(view)
+    again = with_tracks(view, fault.tracks)
+    assert again.rms < 1.3 * healthy().rms
+    assert fault.value in (5, -4)
+
+
+def test_a_delay_of_all_of_a_recording_is_no_slip():
+    view = view_with(sweep=slipped(clean("sweep")[2], 0, 4))
+    assert timestamp_fault.EFFECT.fault(view) is None
+
+
+def test_a_delay_that_only_fast_stretches_have_is_no_slip():
+    # slow triangles first, fast ones after: a lag of the fast ones begins at one instant
+    rate_Hz, field = 4000.0, np.empty(9000)
+    time_s = np.arange(9000) / rate_Hz
+    phase = np.where(time_s < 1.25, 1.6 * time_s, 2.0 + 20.0 * (time_s - 1.25))
+    field = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (phase - 0.25)))
+    whole_m = STROKE_m * moved(field)
+    late_m = np.where(time_s < 1.25, whole_m, slipped(whole_m, 5000, 1))
+    late_m = late_m + np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
+    recordings = [recording("sweep"), recording("walk"), recording("waves", late_m, field)]
+    view = view_on(recordings, axis="x", lab=Lab())
+    null = beside(view)
+    for slip in strongest(view, null):
+        judged = judged_of(view, null, replace(slip, samples=round(slip.samples) or 1))
+        assert judged is None or not judged.equal or not judged.speaks(again=False)
+
+
+def test_a_slip_well_above_one_that_could_hide_is_found():
+    share = timestamp_fault.EFFECT.bound(healthy())
+    late_m = [slipped(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
+    rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in late_m])
+    samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().stroke_m))
+    view = view_with(waves=slipped(clean("waves")[2], 4100, samples))
+    assert within(timestamp_fault.EFFECT.fault(view), samples)
+
+
+def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
+    whole = recording("sweep")
+    problems = (
+        Problem(kind="gap", place="line 5", text="", samples=40),
+        Problem(kind="duplicate_time", place="line 9", text="", samples=3),
+        Problem(kind="jitter", place="the time column", text=""),
+    )
+    slip = Fault(tracks=healthy().tracks, value=-5.0, spread=0.4, p_value=0.001)
+    found = Outcome(
+        first=healthy(),
+        clean=healthy(),
+        final=healthy(),
+        faults={"timestamp_fault": slip},
+        causes=(),
+        rivals={},
+        screened={},
+    )
+    assert with_stamps(found, [whole]) is found
+    told = [whole, replace(whole, name="b", problems=problems)]
+    fault = with_stamps(found, told).faults["timestamp_fault"]
+    assert fault.value == 48.0
+    assert fault.p_value < 1e-6
+    assert with_stamps(replace(found, faults={}), told).faults["timestamp_fault"].value == 43.0
+
+
+def quickening() -> tuple[np.ndarray, np.ndarray]:
+    """Slow triangles, then fast ones: what only these show begins at one instant."""
+    time_s = np.arange(9000) / 4000.0
+    phase = np.where(time_s < 1.25, 1.6 * time_s, 2.0 + 20.0 * (time_s - 1.25))
+    field = 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (phase - 0.25)))
+    return field, STROKE_m * moved(field)
+
+
+def view_of_quickening(at: int, samples: int, *, late_s: float = 0.0):
+    field, whole_m = quickening()
+    others = [
+        recording(kind, slipped(clean(kind)[2], 0, round(late_s * clean(kind)[0])))
+        for kind in ("sweep", "walk")
+    ]
+    noisy_m = slipped(whole_m, at, samples) + np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
+    return view_on([*others, recording("waves", noisy_m, field)], axis="x", lab=Lab())
+
+
+def with_delay(view):
+    one = Accepted(
+        effect=delay.EFFECT, parameters={"delay_s": 1e-3}, free={"delay_s": 1.5}, limits={}
+    )
+    return refined(one, view, [])[1]
+
+
+def test_a_slip_in_front_of_all_fast_stretches_stands_better_than_the_delay_it_looks_like():
+    view = view_of_quickening(4300, 3)
+    slips, late = slips_instead(view, [], view), with_delay(view)
+    assert late.rms < 0.7 * view.rms
+    assert slips.fault.value == 3
+    assert slips.view.rms < late.rms
+    assert stand_better(slips, view, late, again=True)
+    assert stand_better(slips, view, None, again=False)
+
+
+def test_a_delay_of_the_stage_is_not_taken_for_slips():
+    view = view_of_quickening(0, 8, late_s=2e-3)
+    slips = slips_instead(view, [], view)
+    assert slips is None or not stand_better(slips, view, with_delay(view), again=True)
