@@ -1,4 +1,4 @@
-"""What a fit may not depend on: units, signs, zeros, the order of files, the rate, the threads."""
+"""What a fit may not depend on: units, signs, zeros, the order of files, the rate, the process."""
 
 import os
 import subprocess
@@ -99,12 +99,12 @@ sys.stdout.buffer.write(write_model(stage_model()))
 """
 
 
-def test_another_process_with_two_threads_gives_the_same_bytes() -> None:
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+def test_another_process_gives_the_same_bytes() -> None:
+    # Other numbers of threads: benchmarks/same_bytes.py, as waiting threads cost a busy machine.
     done = subprocess.run(
         [sys.executable, "-c", PROGRAMME],
         cwd=Path(__file__).parents[2],
-        env=os.environ | dict.fromkeys(names, "2") | {"PYTHONHASHSEED": "random"},
+        env=os.environ | {"PYTHONHASHSEED": "random"},
         capture_output=True,
         check=True,
     )

@@ -94,7 +94,7 @@ def test_fraction_samples_and_response_are_one_system(system: ContinuousSystem) 
     np.testing.assert_allclose(direct, response, atol=1e-11 / least)
 
 
-@given(chains(delay=False), chains(delay=False))
+@given(chains(), chains())
 def test_the_response_of_a_chain_is_the_product_of_its_parts(
     first: ContinuousSystem, second: ContinuousSystem
 ) -> None:
@@ -102,6 +102,7 @@ def test_the_response_of_a_chain_is_the_product_of_its_parts(
     both = cascade(first, second).response(frequency_Hz)[:, 0, 0]
     parts = first.response(frequency_Hz)[:, 0, 0] * second.response(frequency_Hz)[:, 0, 0]
     np.testing.assert_allclose(both, parts, rtol=1e-7, atol=1e-12)
+    assert cascade(first, second).delay_s == first.delay_s + second.delay_s
 
 
 @given(chains(), drives(most=150), drives(150, 150), st.integers(0, 150))

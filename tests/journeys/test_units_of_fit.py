@@ -1,0 +1,41 @@
+"""The units in a file's headings change what is written there, and not the stage that is found."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.identification.fit import fit
+from piezoid.identification.store import read_model
+from piezoid.records.ingest import ingest
+from tests.identification.hysteresis.stages import RATE_Hz, decaying
+from tests.identification.hysteresis.test_estimate import stage
+from tests.journeys.test_fit import piezoid
+
+
+def write_columns(path: Path, headings: str, *columns: np.ndarray) -> None:  # type: ignore[type-arg]
+    # Seventeen digits: the numbers differ by rounding only.
+    np.savetxt(path, np.column_stack(columns), "%.17g", ",", header=headings, comments="")
+
+
+def test_millivolts_nanometres_and_milliseconds_give_the_stage_of_si_units(
+    tmp_path: Path,
+) -> None:
+    drive = decaying(7, per_unit=20)
+    response = stage(drive, np.random.default_rng(5))
+    time_s = np.arange(len(drive)) / RATE_Hz
+    plain, other = tmp_path / "plain.csv", tmp_path / "other.csv"
+    write_columns(plain, "time [s],voltage [V],position [m]", time_s, drive, response)
+    write_columns(
+        other, "time [ms],voltage [mV],position [nm]", time_s * 1e3, drive * 1e3, response * 1e9
+    )
+    done = piezoid("fit", "other.csv", "--out", "stage", "--quiet", place=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = read_model((tmp_path / "stage" / "model.json").read_bytes())["x"]
+    wanted = fit([ingest(plain)])["x"]
+    plays, known = found.hysteresis.plays, wanted.hysteresis.plays
+    np.testing.assert_allclose(plays.threshold, known.threshold, rtol=1e-6)
+    np.testing.assert_allclose(plays.weight, known.weight, rtol=1e-6)
+    np.testing.assert_allclose(found.lag.time_s, wanted.lag.time_s, rtol=1e-6)
+    np.testing.assert_allclose(
+        found.quality.held_out_rms_m, wanted.quality.held_out_rms_m, rtol=1e-6
+    )
