@@ -167,10 +167,15 @@ def is_determined(dynamics: LinearDynamics) -> bool:
 
 
 def _best(measured: FrequencyResponse, axis: AxisModel) -> LinearDynamics:
-    """Fit every structure to some lines; keep the smallest that is as good as the best."""
+    """Fit every structure to some lines; keep the smallest that is as good as the best.
+
+    Those that may be read come first: a richer one fits what little hysteresis is left with a
+    term that means nothing, and must not cost the modes that are known.
+    """
     lines = _some_lines(measured)
     declaration = Declaration(filters=_declared(axis))
     fits = [fit_dynamics(lines, structure, declaration) for structure in _possible(lines)]
+    fits = [fit for fit in fits if is_determined(fit)] or fits
     least = min(fit.cost_ratio for fit in fits)
     return next(fit for fit in fits if fit.cost_ratio <= max(1.0, AS_GOOD * least))
 

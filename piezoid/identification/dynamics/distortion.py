@@ -168,4 +168,4 @@ def _detects(excited: NDArray[np.int64]) -> bool:
     """Whether all driven lines are odd, and odd ones among them are left out."""
     if len(excited) < FEWEST_DRIVEN or (excited % 2 == 0).any():
         return False
-    return (excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT
+    return bool((excited[-1] - excited[0]) // 2 + 1 - len(excited) >= FEWEST_SILENT)

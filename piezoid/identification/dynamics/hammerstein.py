@@ -49,13 +49,14 @@ def fit_jointly(
         return None
     coarse_V = axis.hysteresis.plays.threshold
     fine_V = _with_small(coarse_V, exciting.voltage_V(axis.axis))
-    rate_Hz = dynamics.sampling_rate_Hz
-    fits = []
-    for threshold_V in (coarse_V, fine_V):
-        rows = rows_of(axis, held, threshold_V=threshold_V, controller_Hz=rate_Hz)
-        shape, start = start_of(axis.hysteresis, dynamics, threshold_V)
-        fits.append(fit_hammerstein(rows, shape, start))
-    coarse, fine = fits
+    rows = rows_of(axis, held, threshold_V=fine_V, dynamics=dynamics)
+    shape, start = start_of(axis.hysteresis, dynamics, fine_V)
+    is_coarse = np.isin(fine_V, coarse_V)
+    kept = np.concatenate([is_coarse, np.ones(shape.size - shape.plays, dtype=np.bool_)])
+    fewer = replace(shape, plays=len(coarse_V))
+    coarse = fit_hammerstein([row.of_plays(is_coarse) for row in rows], fewer, start[kept])
+    start[kept] = coarse.theta
+    fine = fit_hammerstein(rows, shape, start)
     place = fine.shape.linear
     change = 0.5 * (fine.theta[place] - coarse.theta[coarse.shape.linear])
     weight, zones, linear, shares = fine.shape.split(fine.theta)
@@ -69,7 +70,7 @@ def fit_jointly(
             play_threshold_V=tuple(fine_V.tolist()),
             play_weight_m_per_V=tuple(weight.tolist()),
             dead_zone_weight=tuple(zones.weight.tolist()),
-            apart_rms_m=fine.start_rms_m,
+            apart_rms_m=coarse.start_rms_m,
             joint_rms_m=fine.rms_m,
             structure=judge_structure(axis, fine.shape, fine.theta, fine_V, driven),
         ),

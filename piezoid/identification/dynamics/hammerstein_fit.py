@@ -21,6 +21,7 @@ from piezoid.identification.dynamics.hammerstein_model import (
     tangents,
 )
 from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows
+from piezoid.identification.dynamics.score_products import over_neighbours, over_parts
 from piezoid.numerics.arrays import Array
 
 ROUNDS = 3  # of new weights
@@ -28,7 +29,6 @@ STEPS = 4  # of Gauss-Newton between them
 SMOOTH_PER_DECADE = 10
 FEWEST_LINES = 12  # in one band of the noise's power
 LONGEST_MOVE = 0.3  # of a logarithm in one step
-NEIGHBOURS = 30  # samples over which whitened scores may still be correlated
 HIGHEST = 0.4  # of a recording's rate: above, noise alone
 
 
@@ -54,13 +54,15 @@ def fit_hammerstein(
 ) -> HammersteinFit:
     """Fit all parameters to all rows from a start, and state their covariance.
 
-    The covariance is the larger, parameter by parameter, of the inverse curvature and of a
-    sandwich over the whitened scores sample by sample, which sees noise that changes in time.
+    The covariance is the largest, parameter by parameter, of the inverse curvature and of two
+    sandwiches over the whitened scores: with their neighbours, which sees noise that changes in
+    time, and part by part, which sees what the operator does not follow.
     """
     theta = start.copy()
     damping = 1e-3
+    weights = [np.zeros(1) for _ in rows]
     for _ in range(ROUNDS):
-        weights = [_weights(_left(shape, theta, r), r) for r in rows]
+        weights = _heavier(weights, rows, shape, theta)
         for _ in range(STEPS):
             curvature, gradient, cost = _normal(rows, shape, theta, weights)
             theta, damping, gained = _step(
@@ -68,7 +70,7 @@ def fit_hammerstein(
             )
             if gained < 0.1:
                 break
-    weights = [_weights(_left(shape, theta, r), r) for r in rows]
+    weights = _heavier(weights, rows, shape, theta)
     return HammersteinFit(
         shape=shape,
         theta=theta,
@@ -78,15 +80,29 @@ def fit_hammerstein(
     )
 
 
-def straightened(columns: Array) -> Array:
-    """Return columns without their straight lines."""
-    place = np.linspace(-1.0, 1.0, len(columns))
-    level = columns - columns.mean(axis=0)
-    return np.asarray(level - np.multiply.outer(place, place @ level / (place @ place)))
+def straightened(signals: Array) -> Array:
+    """Return signals, (..., samples), without their straight lines."""
+    place = np.linspace(-1.0, 1.0, signals.shape[-1])
+    level = signals - signals.mean(axis=-1, keepdims=True)
+    return np.asarray(level - np.multiply.outer(level @ place / (place @ place), place))
 
 
 def _left(shape: HammersteinShape, theta: Array, rows: HammersteinRows) -> Array:
     return straightened(rows.measured_m - simulate_rows(shape, theta, rows))
+
+
+def _heavier(
+    weights: list[Array], rows: Sequence[HammersteinRows], shape: HammersteinShape, theta: Array
+) -> list[Array]:
+    """New weights, nowhere less than those before.
+
+    A few low lines hold the whole of a slow sweep: free to lose their weight, they would give the
+    operator away for what little a better one gains elsewhere.
+    """
+    return [
+        np.maximum(_weights(_left(shape, theta, held), held), before)
+        for held, before in zip(rows, weights, strict=True)
+    ]
 
 
 def _weights(left_m: Array, rows: HammersteinRows) -> Array:
@@ -109,16 +125,20 @@ def _normal(
     curvature, gradient, cost = np.zeros((shape.size, shape.size)), np.zeros(shape.size), 0.0
     for held, weight in zip(rows, weights, strict=True):
         J = _weighted(straightened(tangents(shape, theta, held)), weight)
-        e = _weighted(_left(shape, theta, held)[:, None], weight)[:, 0]
-        curvature += (J.conj().T @ J).real
-        gradient += (J.conj().T @ e).real
-        cost += float(np.vdot(e, e).real)
+        e = _weighted(_left(shape, theta, held), weight)
+        curvature += J @ J.T
+        gradient += J @ e
+        cost += float(e @ e)
     return curvature, gradient, cost
 
 
-def _weighted(columns: Array, weight: Array) -> ComplexArray:
-    # Half the spectrum of a real signal holds all of it: twice its squares are the whole sum.
-    return np.asarray(rfft(columns, axis=0) * (np.sqrt(2.0) * weight)[:, None])
+def _weighted(signals: Array, weight: Array) -> Array:
+    """Real and imaginary parts of the weighted lines of signals, (..., 2 lines).
+
+    Half the spectrum of a real signal holds all of it: twice its squares are the whole sum.
+    """
+    spectrum: ComplexArray = rfft(signals) * (np.sqrt(2.0) * weight)
+    return np.asarray(spectrum.view(np.float64))
 
 
 def _step(
@@ -142,7 +162,7 @@ def _step(
         )
         new = _bounded(shape, theta, move)
         there = sum(
-            float(np.sum(np.abs(_weighted(_left(shape, new, r)[:, None], w)) ** 2))
+            float(np.sum(_weighted(_left(shape, new, r), w) ** 2))
             for r, w in zip(rows, weights, strict=True)
         )
         if there < cost:
@@ -164,31 +184,23 @@ def _bounded(shape: HammersteinShape, theta: Array, move: Array) -> Array:
 def _covariance(
     rows: Sequence[HammersteinRows], shape: HammersteinShape, theta: Array, weights: list[Array]
 ) -> Array:
-    curvature, meat = np.zeros((shape.size, shape.size)), np.zeros((shape.size, shape.size))
+    curvature = np.zeros((shape.size, shape.size))
+    near, far = curvature.copy(), curvature.copy()
     for held, weight in zip(rows, weights, strict=True):
         J = straightened(tangents(shape, theta, held))
-        white = _whitened(np.column_stack([J, _left(shape, theta, held)]), weight)
-        scores = white[:, :-1] * white[:, -1:]
-        curvature += white[:, :-1].T @ white[:, :-1]
-        meat += _long_run(scores)
+        white, left = _whitened(J, weight), _whitened(_left(shape, theta, held), weight)
+        curvature += white @ white.T
+        near += over_neighbours(white * left)
+        far += over_parts(white * left)
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
     inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-12, hermitian=True)
     inverse = inverse / np.outer(scale, scale)
-    sandwich = inverse @ meat @ inverse
-    stretch = np.sqrt(np.maximum(np.diag(sandwich) / np.maximum(np.diag(inverse), 1e-300), 1.0))
+    spread = np.maximum(*(np.diag(inverse @ meat @ inverse) for meat in (near, far)))
+    stretch = np.sqrt(np.maximum(spread / np.maximum(np.diag(inverse), 1e-300), 1.0))
     return np.asarray(inverse * np.outer(stretch, stretch))
 
 
-def _whitened(columns: Array, weight: Array) -> Array:
-    """Columns in time, each line over its standard deviation: unit variance and white."""
-    spectrum = rfft(columns, axis=0) * weight[:, None]
-    return np.asarray(irfft(spectrum, len(columns), axis=0) * np.sqrt(len(columns)))
-
-
-def _long_run(scores: Array) -> Array:
-    """Sum of products of scores, neighbours with falling weight [Newey & West 1987]."""
-    total: Array = scores.T @ scores
-    for lag in range(1, NEIGHBOURS):
-        both = scores[lag:].T @ scores[:-lag]
-        total = total + (1.0 - lag / NEIGHBOURS) * (both + both.T)
-    return total
+def _whitened(signals: Array, weight: Array) -> Array:
+    """Signals in time, each line over its standard deviation: unit variance and white."""
+    samples = signals.shape[-1]
+    return np.asarray(irfft(rfft(signals) * weight, samples) * np.sqrt(samples))

@@ -109,29 +109,28 @@ def terms_at(shape: HammersteinShape, linear: Array, frequency_Hz: Array) -> Com
 def simulate_rows(shape: HammersteinShape, theta: Array, rows: HammersteinRows) -> Array:
     """Return the model's displacement, (samples,), about its first value."""
     weight, zones, linear, shares = shape.split(theta)
-    moved = zones.run(rows.states_V @ weight)
+    moved = zones.run(weight @ rows.states_V)
     response = rows.chain * (terms_at(shape, linear, rows.frequency_Hz) @ shares)
-    return _back(rows, response * rows.spectrum(moved[:, None])[:, 0])
+    return _back(rows, response * rows.spectrum(moved))
 
 
 def tangents(shape: HammersteinShape, theta: Array, rows: HammersteinRows) -> Array:
-    """Return the derivatives of ``simulate_rows``, (samples, parameters)."""
+    """Return the derivatives of ``simulate_rows``, (parameters, samples)."""
     weight, zones, linear, shares = shape.split(theta)
-    inner = rows.states_V @ weight
+    inner = weight @ rows.states_V
     moved, slope = zones.run_with_slope(inner)
     terms = terms_at(shape, linear, rows.frequency_Hz)
     response = rows.chain * (terms @ shares)
-    spectrum = rows.chain * rows.spectrum(moved[:, None])[:, 0]
-    outer = np.delete(zones.columns(inner), zones.zero, axis=1)
-    found = np.empty((rows.samples, shape.size))
-    for place, column in enumerate((*(slope[:, None] * rows.states_V).T, *outer.T)):
-        found[:, place] = _back(rows, response * rows.spectrum(column[:, None])[:, 0])
-    for place, change in enumerate(_changes(shape, linear, shares, terms, rows.frequency_Hz)):
-        found[:, shape.linear.start + place] = _back(rows, change * spectrum)
-    for place in range(len(shares) - 1):
-        found[:, shape.linear.stop + place] = _back(
-            rows, (terms[:, place] - terms[:, -1]) * spectrum
-        )
+    spectrum = rows.chain * rows.spectrum(moved)
+    outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
+    inside = (*(slope * states for states in rows.states_V), *outer)
+    changes = _changes(shape, linear, shares, terms, rows.frequency_Hz)
+    changes += [terms[:, place] - terms[:, -1] for place in range(len(shares) - 1)]
+    found = np.empty((shape.size, rows.samples))
+    for place, signal in enumerate(inside):
+        found[place] = _back(rows, response * rows.spectrum(signal))
+    for place, change in enumerate(changes, start=len(inside)):
+        found[place] = _back(rows, change * spectrum)
     return found
 
 

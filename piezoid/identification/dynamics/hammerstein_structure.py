@@ -69,7 +69,7 @@ def judge_structure(
 def _through(shape: HammersteinShape, theta: Array, rows: HammersteinRows, signal: Array) -> Array:
     _, _, linear, shares = shape.split(theta)
     response = rows.chain * (terms_at(shape, linear, rows.frequency_Hz) @ shares)
-    moved = irfft(response * rows.spectrum(signal[:, None])[:, 0], rows.padded)[: rows.samples]
+    moved = irfft(response * rows.spectrum(signal), rows.padded)[: rows.samples]
     return np.asarray(signal[0] + moved)
 
 
