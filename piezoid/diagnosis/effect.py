@@ -8,8 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -20,6 +22,7 @@ HEADINGS = (
     "What the extension adds",
     "Source",
 )
+
 
 Parameters = Mapping[str, float]
 
@@ -100,6 +103,7 @@ class Effect:
     known_to     part of the size that the law itself may be wrong by: a spectrum that is not even,
                  a hold between samples; blocks of rows know nothing of it
     inject       (recording, share) -> the recording with the effect, share of the stroke
+    extend       (found, setting) -> what the model takes in, to be refitted from there
     sure         standard errors to ask for
     quiet        times the sensor's noise: where more is left, its null itself does not hold
     worth        part of the error on rows left out that it must take off
@@ -126,6 +130,7 @@ class Effect:
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     against: Callable[[View], Null] | None = None
+    extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
     known_to: float = 0.02
     quiet: float = float("inf")
     sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named

@@ -8,7 +8,8 @@ rows left out in the same way. The baseline is the static model with the declare
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from piezoid.diagnosis.extenders import EXTENDERS, Found, Parameters, setting_of
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.found import Found, setting_of
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
@@ -60,7 +61,7 @@ def refitted(
     *,
     model: AxisModel,
     lab: Lab,
-    scales: Parameters,
+    scales: Mapping[str, float],
     raw: Sequence[Recording] | None = None,
     faults: Sequence[str] = (),
     places: Sequence[Samples] | None = None,
@@ -80,7 +81,8 @@ def refitted(
     """
     setting = setting_of(model, recordings, scales)
     declared = _declared(lab)
-    given = {one.effect: EXTENDERS[one.effect](one, setting) for one in found if _adds(one)}
+    extend = {effect.name: effect.extend for effect in EFFECTS if effect.extend is not None}
+    given = {one.effect: extend[one.effect](one, setting) for one in found if one.effect in extend}
     structure = _structure_of(model, found)
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
@@ -146,10 +148,6 @@ def _loosened(
 def _declared(lab: Lab) -> tuple[Extension, ...]:
     clock_Hz = lab.acquisition.sampling_rate_Hz
     return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
-
-
-def _adds(one: Found) -> bool:
-    return one.effect in EXTENDERS
 
 
 def _structure_of(model: AxisModel, found: Sequence[Found]) -> Structure:

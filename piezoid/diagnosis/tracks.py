@@ -19,8 +19,6 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
-JUMP = 0.05  # of half the range in one sample
-BEFORE, BEHIND = 2, 200  # rows about a jump
 
 Places = NDArray[np.int_]
 
@@ -143,17 +141,6 @@ def later(signal: Array, samples: float) -> Array:
     """Return a signal that many samples later, straight between samples."""
     place = np.arange(len(signal), dtype=np.float64)
     return np.asarray(np.interp(place - samples, place, signal))
-
-
-def rows_of(drive: Array, share: int) -> Places:
-    """Return the rows that are compared: spread over the track, and all of them behind jumps.
-
-    What a jump excites is over before rows that are spread meet it twice.
-    """
-    jumps = np.flatnonzero(np.abs(np.diff(drive)) > JUMP)
-    behind = (jumps[:, None] + np.arange(-BEFORE, BEHIND)).ravel()
-    behind = np.unique(behind[(behind >= 0) & (behind < len(drive))])[: share // 2]
-    return np.union1d(rows_between(len(drive), share - len(behind)), behind)
 
 
 def rows_between(samples: int, share: int) -> Places:

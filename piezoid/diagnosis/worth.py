@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.extenders import Found
+from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.refit import Refitted, refitted
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.simulation import Simulated

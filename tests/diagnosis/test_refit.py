@@ -1,12 +1,10 @@
 """From what a search found to the model that ships, and what each finding is worth."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
-from piezoid.diagnosis.extenders import EXTENDERS, Found
+from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.refit import WITHOUT, refitted
 from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
 from piezoid.identification.simulation import simulate_recording
@@ -25,11 +23,11 @@ FOUND = (
 )
 
 
-def test_every_name_of_the_table_is_an_effect() -> None:
-    files = {path.stem for path in Path(effects.__file__).parent.glob("*.py")}
-    assert {*EXTENDERS, *WITHOUT} <= files
-    assert files - {*EXTENDERS, *WITHOUT} == {
-        "__init__",
+def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> None:
+    names = {effect.name for effect in effects.EFFECTS}
+    extended = {effect.name for effect in effects.EFFECTS if effect.extend is not None}
+    assert set(WITHOUT) <= names - extended
+    assert names - extended - set(WITHOUT) == {
         "outliers",
         "quantisation",
         "timestamp_fault",

@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -69,6 +72,16 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    level_V = {
+        f"{side}_V": setting.voltage_offset_V + setting.voltage_V * found.parameters[side]
+        for side in ("low", "high")
+        if side in found.parameters
+    }
+    return (AmplifierLimits(**level_V),)
+
+
 EFFECT = Effect(
     name="amplifier_saturation",
     explanation=__doc__ or "",
@@ -80,6 +93,7 @@ EFFECT = Effect(
     drive=_clip,
     size=_size,
     inject=inject,
+    extend=extend,
     shows_at=8e-3,
     least=8e-5,
     worth=0.02,  # only the tips meet the limit

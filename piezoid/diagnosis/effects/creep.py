@@ -18,11 +18,15 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import relaxed, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.creep_ladder import CreepLadder
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
+RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
 PER_DECADE = 2
 FASTEST_s = 0.01
 DECAY_s = 30.0  # of what began before a track: the rest of it is in its zero
@@ -101,6 +105,17 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    first_s = max(found.parameters.get("first_s", 0.0), FASTEST_s)
+    longest_s = LONGER * setting.longest_s
+    last_s = min(found.parameters.get("last_s", longest_s), longest_s)
+    count = int(np.clip(np.ceil(2.0 * np.log10(max(last_s / first_s, 1.0))) + 1.0, 2, RUNGS))
+    time_s = np.geomspace(first_s, max(last_s, 1.5 * first_s), count)
+    share = np.clip(found.share * np.log10(time_s[1] / time_s[0]), 1e-4, 0.1)
+    return (CreepLadder(time_s=tuple(time_s.tolist()), share=(float(share),) * count, even=True),)
+
+
 EFFECT = Effect(
     name="creep",
     explanation=__doc__ or "",
@@ -117,4 +132,5 @@ EFFECT = Effect(
     columns=_columns,
     size=_size,
     inject=inject,
+    extend=extend,
 )

@@ -16,13 +16,16 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import scaled_to, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.cross_axis import CrossAxis
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-GAPS = np.array([0.2, 0.5, 0.8])
+GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
 
 
 def _untestable(view: View) -> str:
@@ -71,6 +74,25 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    axes = sorted({axis for piece in setting.pieces for axis in piece.others_V})
+    return tuple(_coupled(axis, setting) for axis in axes)
+
+
+def _coupled(axis: str, setting: Setting) -> Extension:
+    drives = [piece.others_V[axis] for piece in setting.pieces if axis in piece.others_V]
+    low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
+    return CrossAxis(
+        axis=axis,
+        centre_V=(high + low) / 2,
+        gain_m_per_V=0.0,
+        curvature_m_per_V_per_V=0.0,
+        play_threshold_V=tuple(gap * (high - low) / 2 for gap in GAPS.tolist()),
+        play_weight_m_per_V=(0.0,) * len(GAPS),
+    )
+
+
 EFFECT = Effect(
     name="cross_coupling",
     explanation=__doc__ or "",
@@ -81,4 +103,5 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
+    extend=extend,
 )

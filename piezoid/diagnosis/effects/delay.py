@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import delayed, filtered_change, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.delay import Delay
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -71,6 +74,14 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    samples = found.parameters.get("delay_samples", 0.0)
+    if samples > 0.0:
+        return (Delay(delay_samples=samples),)
+    return (Delay(delay_s=max(found.parameters.get("delay_s", 0.0), 0.0)),)
+
+
 EFFECT = Effect(
     name="delay",
     explanation=__doc__ or "",
@@ -82,4 +93,5 @@ EFFECT = Effect(
     passes=_passed,
     size=_size,
     inject=inject,
+    extend=extend,
 )

@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -86,6 +89,21 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m * (1.0 + gain * after))
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    piece = setting.pieces[int(found.parameters["track"])]
+    instant_s = (piece.first + found.parameters["place"] * piece.samples) / piece.rate_Hz
+    after = setting.recordings.index(piece.recording) + 1
+    return (
+        GainChange(
+            recording=piece.recording,
+            instant_s=instant_s,
+            ratio=float(np.clip(1.0 + found.share, 0.5, 2.0)),
+            later=setting.recordings[after:],
+        ),
+    )
+
+
 EFFECT = Effect(
     name="gain_change",
     explanation=__doc__ or "",
@@ -97,6 +115,7 @@ EFFECT = Effect(
     columns=_columns,
     size=_size,
     inject=inject,
+    extend=extend,
     shows_at=8e-3,
     worth=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )

@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import filtered_change, relaxed, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -64,6 +67,11 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    return (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),)
+
+
 EFFECT = Effect(
     name="lag",
     explanation=__doc__ or "",
@@ -75,4 +83,5 @@ EFFECT = Effect(
     passes=_passed,
     size=_size,
     inject=inject,
+    extend=extend,
 )

@@ -19,8 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
@@ -140,6 +143,11 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    return (MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),)
+
+
 EFFECT = Effect(
     name="mains_interference",
     explanation=__doc__ or "",
@@ -150,4 +158,5 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
+    extend=extend,
 )

@@ -17,12 +17,17 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import relaxed, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
+LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
+SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
 APART = 0.03
 ALLOWED = (0.03, 5.0)
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
@@ -102,6 +107,18 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + behind_m)
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """A share of the lag is a lag of a shorter time and a smaller strain, where motion is slow."""
+    strain, share = found.parameters["strain"], float(np.clip(found.share, *SHARES))
+    bends = strain < LINEAR_STRAIN
+    return (
+        RateDependence(
+            time_s=share * found.parameters["time_s"],
+            strain_m=share * strain * setting.stroke_m if bends else 0.0,
+        ),
+    )
+
+
 EFFECT = Effect(
     name="rate_dependence",
     explanation=__doc__ or "",
@@ -112,4 +129,5 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
+    extend=extend,
 )

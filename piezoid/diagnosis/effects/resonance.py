@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -73,6 +76,17 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + min(50.0 * share, 1.0) * rung_m)
 
 
+def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    return (
+        LinearMode(
+            frequency_Hz=found.parameters["frequency_Hz"],
+            quality=max(found.parameters["quality"], 0.5),
+            participation=float(np.clip(found.share, 0.0, 2.0)),
+        ),
+    )
+
+
 EFFECT = Effect(
     name="resonance",
     explanation=__doc__ or "",
@@ -85,4 +99,5 @@ EFFECT = Effect(
     columns=_columns,
     size=_size,
     inject=inject,
+    extend=extend,
 )

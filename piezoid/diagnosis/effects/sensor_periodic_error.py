@@ -19,8 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.numerics.arrays import Array
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
@@ -123,6 +126,12 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, moved_m + ripple)
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    wavelength_m = 2.0 * setting.stroke_m / found.parameters["periods"]
+    return (PeriodicError(wavelength_m=wavelength_m, cosine_m=(0.0, 0.0), sine_m=(0.0, 0.0)),)
+
+
 EFFECT = Effect(
     name="sensor_periodic_error",
     explanation=__doc__ or "",
@@ -134,4 +143,5 @@ EFFECT = Effect(
     size=_size,
     worth=0.05,
     inject=inject,
+    extend=extend,
 )

@@ -16,8 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
 from piezoid.records.recording import Recording
@@ -71,6 +74,11 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, slewed(moved_m, step_m))
 
 
+def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    return (SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),)
+
+
 EFFECT = Effect(
     name="slew_limit",
     explanation=__doc__ or "",
@@ -82,4 +90,5 @@ EFFECT = Effect(
     drive=_limited,
     size=_size,
     inject=inject,
+    extend=extend,
 )

@@ -17,8 +17,11 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
+from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -70,6 +73,11 @@ def inject(recording: Recording, share: float) -> Recording:
     )
 
 
+def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
+    """Return the part of the model that begins where a search found it."""
+    return (ThermalDrift.of(setting.pieces),)
+
+
 EFFECT = Effect(
     name="thermal_drift",
     explanation=__doc__ or "",
@@ -81,6 +89,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     inject=inject,
+    extend=extend,
     shows_at=4e-3,
     least=3e-4,
     sure=3.5,
