@@ -18,6 +18,13 @@ def fit(
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
     force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    stream: Annotated[
+        bool,
+        typer.Option(
+            "--stream",
+            help="For files larger than memory: in blocks, without dynamics and diagnosis.",
+        ),
+    ] = False,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
 ) -> None:
@@ -38,6 +45,8 @@ def fit(
     piezoid fit sweep.csv check.csv rates.csv --lab lab.toml --out stage42/ --force
 
     piezoid fit *.csv --lab lab.toml --out stage42/ --json | jq .axes.x.held_out_rms_m
+
+    piezoid fit night.parquet --lab lab.toml --out stage42/ --stream
     """
     from piezoid_cli.calibration import calibrate
     from piezoid_cli.output_folder import check_free, write_folder
@@ -45,7 +54,12 @@ def fit(
 
     check_free(out, force=force)
     with shown(quiet=quiet or json) as told:
-        found = calibrate(files, lab, told)
+        if stream:
+            from piezoid_cli.streaming import calibrate_streamed
+
+            found = calibrate_streamed(files, lab, out.absolute().parent, told)
+        else:
+            found = calibrate(files, lab, told)
         write_folder(out, found.files, force=force)
     if json:
         from json import dumps

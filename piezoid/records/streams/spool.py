@@ -4,6 +4,7 @@ Reading a file costs more than fitting it, so its drive and displacement go in S
 unnamed scratch file, 16 bytes a sample, which is gone when the process is.
 """
 
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -87,9 +88,11 @@ class Piece:
     def read(self, rows: int) -> Iterator[tuple[Array, Array]]:
         """Yield drive and displacement in blocks of ``rows`` samples, the last one shorter."""
         held = np.empty((2, 0))
+        self.scratch.flush()
+        number = self.scratch.fileno()
         for place, count in self.blocks:
-            self.scratch.seek(place)
-            content = np.frombuffer(self.scratch.read(16 * count)).reshape(2, count)
+            # Without a place of its own in the file: pieces may be read side by side.
+            content = np.frombuffer(os.pread(number, 16 * count, place)).reshape(2, count)
             held = np.hstack([held, content]) if held.size else content
             whole = held.shape[1] // rows * rows
             for first in range(0, whole, rows):
