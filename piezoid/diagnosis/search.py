@@ -19,6 +19,7 @@ from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View
 
 WORTH = 0.02  # of the rms: what removing a cause must lose
+CLEARLY = 0.5  # of the error: what structure takes off that nothing else here looks like
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 
@@ -87,10 +88,10 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
 
     beside  whether causes were found
     """
-    if final.rms >= structure.effect.quiet * final.noise:
-        return False
-    enough = structure.held.gain > structure.effect.beside_causes
-    return not beside or (enough and final.rms < QUIET * final.noise)
+    left = final.rms / final.noise
+    if structure.held.gain > CLEARLY and not beside:
+        return True
+    return left < (min(structure.effect.quiet, QUIET) if beside else structure.effect.quiet)
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:

@@ -90,5 +90,4 @@ EFFECT = Effect(
     quiet=2.0,
     sure=4.0,
     worth=0.04,
-    beside_causes=0.0,  # no cause leaves over anything of this shape
 )
