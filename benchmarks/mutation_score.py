@@ -62,7 +62,7 @@ RUNTIME_TESTS = ("tests/runtime/test_source.py",)
 PARTS = {
     "numerics": Part(sources=("piezoid/numerics/*.py",), tests=("tests/numerics",)),
     "operators": Part(sources=("piezoid/operators/*.py",), tests=("tests/operators",)),
-    "kernels": Part(sources=("piezoid/operators/kernels.c",), tests=("tests/operators",)),
+    "kernels": Part(sources=("piezoid/operators/*.c",), tests=("tests/operators",)),
     "identification": Part(
         sources=("piezoid/identification/**/*.py",),
         tests=("tests/identification",),
@@ -82,7 +82,8 @@ PARTS = {
 }
 # Which compiled modules a C file becomes, with what is compiled beside it.
 BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
-    "kernels.c": {"piezoid.operators._kernels": ()},
+    "kernels.c": {"piezoid.operators._kernels": ("chain.c",)},
+    "chain.c": {"piezoid.operators._kernels": ("kernels.c",)},
     "piezoid_runtime.c": {
         "piezoid.runtime._runtime": ("run_many.c",),
         "piezoid.runtime._runtime32": ("run_many.c", "-DPZ_REAL_FLOAT=1"),

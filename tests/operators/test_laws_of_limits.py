@@ -6,11 +6,35 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.library import KERNELS, address
 from piezoid.operators.limits import activated, crept, slewed
 from tests.operators.strategies import GRID, REACH, drives
 
 SIXTEENTHS = st.integers(1, 64).map(lambda steps: steps / GRID)
 PARTS = st.floats(1e-6, 1.0)
+
+
+@given(st.integers(1, 4), drives(least=4), st.floats(-0.99, 0.99), st.integers(0, 40))
+def test_a_first_order_filter_is_its_equation_in_every_column_and_may_be_cut(
+    columns: int, drive: Array, pole: float, cut: int
+) -> None:
+    """y[k] = p y[k-1] + b0 x[k] + b1 x[k-1], in place, with the last of both carried on."""
+    rows = len(drive) // columns
+    x = np.asfortranarray(drive[: rows * columns].reshape(rows, columns))
+    carried = np.array([x[0] + 1.0, x[0] - 2.0])
+    expected, (before, y) = np.empty_like(x), carried.copy()
+    for k, now in enumerate(x):
+        y = pole * y + 0.25 * now + 0.5 * before
+        expected[k], before = y, now
+    parts = [np.array(part, order="F") for part in (x[:cut], x[cut:])]
+    for part in parts:
+        KERNELS.pk_first_order(
+            *(len(part), columns, len(part), address(part), pole, 0.25, 0.5),
+            *(address(carried[0]), address(carried[1])),
+        )
+    np.testing.assert_allclose(np.vstack(parts), expected, rtol=1e-14, atol=1e-14)
+    if rows > 0:
+        np.testing.assert_array_equal(carried[0], x[-1])
 
 
 def running_hull(drive: Array) -> tuple[Array, Array]:
