@@ -50,7 +50,7 @@ def diagnose(
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
 
-    check_free(out, force=force)
+    check_free(out, force=force, inputs=files)
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find

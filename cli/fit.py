@@ -52,7 +52,7 @@ def fit(
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
 
-    check_free(out, force=force)
+    check_free(out, force=force, inputs=files)
     with shown(quiet=quiet or json) as told:
         if stream:
             from piezoid_cli.streaming import calibrate_streamed

@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -18,21 +18,30 @@ _RENAME_EXCHANGE = 2
 _UNFINISHED = ".unfinished"
 
 
-def check_free(folder: Path, *, force: bool) -> None:
+def check_free(folder: Path, *, force: bool, inputs: Iterable[Path] = ()) -> None:
     """Refuse a folder that holds something or cannot be written, before any work is done.
 
     Raises ``typer.BadParameter`` (exit status 2) unless the folder is absent, empty, or ``force``,
+    for one that would take with it what is read (``inputs``) or where we stand, ``force`` or not,
     and ``PermissionError`` where nothing can be put beside it.
     """
+    target = Path(os.path.realpath(folder))
+    if os.path.ismount(target):  # nothing can be put in its place in one step
+        raise typer.BadParameter(f"{folder} is a disk of its own; name a folder below it")
+    for given in inputs:
+        if Path(os.path.realpath(given)).is_relative_to(target):
+            raise typer.BadParameter(
+                f"{folder} holds {given}, which is read; name another folder for the results"
+            )
+    if Path.cwd().is_relative_to(target):  # it would be gone from under the shell
+        raise typer.BadParameter(f"{folder} is where this command runs; name a folder below it")
     if folder.exists() and not folder.is_dir():
         raise typer.BadParameter(f"{folder} is a file; name a folder for the results")
     if not force and folder.is_dir() and any(folder.iterdir()):
         raise typer.BadParameter(
             f"{folder} is not empty; name another folder, or add --force to replace its contents"
         )
-    if folder.is_mount():  # nothing can be put in its place in one step
-        raise typer.BadParameter(f"{folder} is a disk of its own; name a folder below it")
-    place = next(above for above in folder.resolve().parents if above.exists())
+    place = next(above for above in target.parents if above.exists())
     if not os.access(place, os.W_OK | os.X_OK):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(place))
 
@@ -75,7 +84,7 @@ def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = T
     force     replace what the folder holds; without it, raises ``typer.BadParameter`` where
               another run has filled the folder since ``check_free``
     """
-    target = folder.resolve()
+    target = Path(os.path.realpath(folder))
     with _named(folder):
         target.parent.mkdir(parents=True, exist_ok=True)
         with _alone_in(target.parent):
@@ -160,7 +169,7 @@ def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
 
     contents  as for ``write_folder``; every other file stays as it is
     """
-    target = folder.resolve()
+    target = Path(os.path.realpath(folder))
     with _named(folder), _alone_in(target.parent):
         held = {
             place.relative_to(target).as_posix(): place.read_bytes()

@@ -11,6 +11,7 @@ from piezoid.design.plain import from_plain, to_plain
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Margins, margins, sensitivities
 from piezoid.design.specification import Specification
+from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.provenance import seal, unseal
 from piezoid.showing import shown
@@ -197,7 +198,14 @@ def design_from_json(content: bytes, place: str = "design.json") -> Design:
     """Read ``design.json`` back, exactly; a changed bit or another schema is refused."""
     record = unseal(content, SCHEMA, place)
     plain = {name: record[name] for name in record if name not in ("schema", "digest")}
-    return from_plain(Design, plain, place)
+    try:
+        return from_plain(Design, plain, place)
+    except (LookupError, ArithmeticError, TypeError, ValueError, AttributeError) as error:
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__} at {error}",
+            needed=f"every entry of schema {SCHEMA}, of its own kind",
+            remedy="Design the controllers again with this version.",
+        ) from error
 
 
 def members_of(family: PlantFamily) -> tuple[Member, ...]:

@@ -6,6 +6,7 @@ from typing import Any
 
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
+from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
@@ -124,13 +125,17 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
     try:
         names = [f.name for f in dataclasses.fields(Verification)]
         values: dict[str, Any] = {name: record[name] for name in names}
+        entries = [entry for name in rows for entry in record[name]]
+        named = [entry["method"] for entry in entries if "method" in entry]
+        for method in (*values["methods"].values(), *named):
+            METHODS.index(method)  # the report has a word for each of these and no other
         for name, kind in rows.items():
             known = {f.name for f in dataclasses.fields(kind)}
             values[name] = tuple(
                 kind(**{key: _as_written(entry[key]) for key in known}) for entry in record[name]
             )
         return Verification(**{**values, "plants": tuple(values["plants"])})
-    except (KeyError, TypeError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {SCHEMA}",

@@ -160,3 +160,39 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(
     with pytest.raises(PermissionError) as told:
         check_free(tmp_path / "deep" / "stage", force=False)
     assert told.value.filename == str(tmp_path)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_what_is_read_and_where_we_stand_is_never_replaced(
+    force: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    runs = tmp_path / "night" / "runs"
+    runs.mkdir(parents=True)
+    (runs / "sweep.csv").write_text("precious")
+    (tmp_path / "linked").symlink_to(tmp_path / "night")
+    for folder in (runs, runs.parent, tmp_path / "linked"):
+        with pytest.raises(typer.BadParameter, match="which is read"):
+            check_free(folder, force=force, inputs=[runs / "sweep.csv"])
+    check_free(runs / "stage", force=force, inputs=[runs / "sweep.csv"])
+    monkeypatch.chdir(runs)
+    for folder in (Path("."), Path(".."), tmp_path):
+        with pytest.raises(typer.BadParameter, match="where this command runs"):
+            check_free(folder, force=force)
+    assert (runs / "sweep.csv").read_text() == "precious"
+
+
+def test_results_go_through_a_link_and_leave_it_a_link(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "disk" / "stage").mkdir()
+    (tmp_path / "stage").symlink_to(tmp_path / "disk" / "stage")
+    write_folder(tmp_path / "stage", NEW)
+    assert held(tmp_path / "disk" / "stage") == NEW
+    assert (tmp_path / "stage").is_symlink()
+
+
+def test_a_link_to_itself_is_told_as_what_the_disk_says(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    check_free(tmp_path / "stage", force=True, inputs=[tmp_path / "loop"])
+    with pytest.raises(OSError, match="loop"):
+        write_folder(tmp_path / "loop", NEW)
+    assert os.listdir(tmp_path) == ["loop"]

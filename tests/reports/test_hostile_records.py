@@ -1,0 +1,96 @@
+"""Every text of a model, a design, a verification, a batch: on the page it is text."""
+
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from piezoid.design.design import design_from_json
+from piezoid.errors import PiezoidError
+from piezoid.identification.store import read_model, write_model
+from piezoid.provenance import seal
+from piezoid.verification.verification import verification_from_json
+from piezoid_reports.fleet.records import Fleet, stage_from_json
+from piezoid_reports.fleet.render import render_fleet
+from piezoid_reports.render import render, render_design
+from tests.reports.anatomy import Anatomy
+from tests.reports.known_stage import axis_model, recording, stage_model
+from tests.reports.test_hostile_names import HOSTILE
+
+KEPT = Path(__file__).parents[1] / "records" / "corpus.zip"
+
+
+def _kept(name: str) -> bytes:
+    with zipfile.ZipFile(KEPT) as archive:
+        return archive.read(f"{name}/first")
+
+
+def _fleet(content: bytes) -> str:
+    stages = [stage_from_json(content, "batch.json")] * 8
+    return render_fleet(Fleet(name="night", stages=tuple(stages)))
+
+
+PAGES: dict[str, Callable[[bytes], str]] = {
+    "model.json": lambda content: render(read_model(content), [recording()]),
+    "design.json": lambda content: render_design(
+        stage_model(axis_model()), design_from_json(content)
+    ),
+    "verification.json": lambda content: render(
+        stage_model(axis_model()), [recording()], verification=verification_from_json(content)
+    ),
+    "batch.json": _fleet,
+}
+
+
+def _places(record: Any) -> Iterator[tuple[Any, Any]]:
+    """Return every text of a record by the list or table that holds it."""
+    items = record.items() if isinstance(record, dict) else enumerate(record)
+    for key, value in list(items):
+        if isinstance(value, dict | list):
+            yield from _places(value)
+        elif isinstance(value, str) and key not in ("schema", "digest"):
+            yield record, key
+
+
+def _sealed(record: dict[str, Any]) -> bytes:
+    held = {key: value for key, value in record.items() if key not in ("schema", "digest")}
+    return seal(record["schema"], held)
+
+
+def _page(record: dict[str, Any], page: Callable[[bytes], str]) -> str | None:
+    """Return the page of a record, None where the record is refused as no such file."""
+    try:
+        return page(_sealed(record))
+    except PiezoidError:
+        return None
+
+
+def _skeleton(page: str) -> list[str]:
+    return [f"{e.tag} {' '.join(e.attributes)}" for e in Anatomy(page).elements]
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> None:
+    first = _kept(name) if name != "model.json" else write_model(stage_model(axis_model()))
+    record = json.loads(first)
+    free = []
+    for holder, key in _places(record):
+        before, holder[key] = holder[key], "harmless"
+        if _page(record, PAGES[name]) is None:
+            holder[key] = before
+        else:
+            free.append((holder, key))
+    assert len(free) > 3
+    tame = _page(record, PAGES[name])
+    assert tame is not None
+    for hostile in HOSTILE:
+        if "\ud800" in hostile or not hostile:
+            continue
+        for holder, key in free:
+            holder[key] = hostile
+        page = _page(record, PAGES[name])
+        assert page is not None
+        assert _skeleton(page) == _skeleton(tame)
