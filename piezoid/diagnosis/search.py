@@ -88,10 +88,10 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
 
     beside  whether causes were found
     """
-    left = final.rms / final.noise
     if structure.held.gain > CLEARLY and not beside:
         return True
-    return left < (min(structure.effect.quiet, QUIET) if beside else structure.effect.quiet)
+    quiet = min(structure.effect.quiet, QUIET) if beside else structure.effect.quiet
+    return final.rms < quiet * final.noise
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
