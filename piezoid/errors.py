@@ -19,7 +19,6 @@ A verdict is data; an error is an exception. Every message has three parts: what
 was needed, what to do next. Wrong types from programmers raise Python's own errors.
 """
 
-
 _LONGEST = 2000
 
 
