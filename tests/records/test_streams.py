@@ -13,7 +13,8 @@ from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.readers.source import open_source
 from piezoid.records.streams import FORMATS
-from piezoid.records.streams.spool import Piece, spooled
+from piezoid.records.streams.piece import Piece
+from piezoid.records.streams.spool import spooled
 from tests.records.formats import RATE_Hz
 from tests.records.test_ingest import lab_with, table
 

@@ -27,7 +27,8 @@ from piezoid.identification.streamed.stream import CHUNK, Stream, streams_of
 from piezoid.identification.streamed.survey import Survey, lag_s_of, longest_lag_s, survey
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
-from piezoid.records.streams.spool import Piece, Spool
+from piezoid.records.streams.piece import Piece
+from piezoid.records.streams.spool import Spool
 
 THIN_ROWS = 60_000
 ROWS = 2_000_000  # of the convex program and of the last passes; states see every sample

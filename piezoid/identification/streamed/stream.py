@@ -9,7 +9,7 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Piece, Rig, Scales
 from piezoid.numerics.arrays import Array
-from piezoid.records.streams.spool import Piece as Spooled
+from piezoid.records.streams.piece import Piece as Spooled
 
 CHUNK = 8192
 STILL = 0.01  # of the widest drive: a piece that moves less says nothing of hysteresis

@@ -6,7 +6,7 @@ a whole file; what is new here is only how blocks are joined.
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from msgspec import structs
@@ -43,28 +43,29 @@ class Stretch:
     channels: dict[tuple[Quantity, str], Array]
 
 
-@dataclass
 class Heard:
     """What was odd about a file's blocks, gathered while they pass."""
 
-    blocks: int = 0
-    found: dict[tuple[str, str], tuple[Problem, int]] = field(default_factory=dict)
+    def __init__(self) -> None:
+        """Begin with nothing heard."""
+        self._blocks = 0
+        self._found: dict[tuple[str, str], tuple[Problem, int]] = {}
 
     def hear(self, recording: Recording) -> None:
         """Take in the problems of one more block."""
-        self.blocks += 1
+        self._blocks += 1
         for problem in recording.problems:
             key = (problem.kind, problem.place if problem.kind in _THROUGHOUT else "")
-            first, times = self.found.get(key, (problem, 0))
-            self.found[key] = first, times + 1
+            first, times = self._found.get(key, (problem, 0))
+            self._found[key] = first, times + 1
 
     @property
     def problems(self) -> tuple[Problem, ...]:
         """Return one problem of a kind: the first, and in how many blocks there was one."""
         return tuple(
-            problem if times == 1 or kind in _THROUGHOUT else _told(problem, times, self.blocks)
-            for (kind, _), (problem, times) in self.found.items()
-            if kind not in _THROUGHOUT or times == self.blocks
+            problem if times == 1 or kind in _THROUGHOUT else _told(problem, times, self._blocks)
+            for (kind, _), (problem, times) in self._found.items()
+            if kind not in _THROUGHOUT or times == self._blocks
         )
 
 

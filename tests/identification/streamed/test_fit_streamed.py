@@ -24,7 +24,8 @@ from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
-from piezoid.records.streams.spool import Piece, Spool, spooled
+from piezoid.records.streams.piece import Piece
+from piezoid.records.streams.spool import Spool, spooled
 
 RATE_Hz = 1000.0
 SAMPLES = 4001
