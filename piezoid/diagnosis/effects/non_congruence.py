@@ -88,6 +88,6 @@ EFFECT = Effect(
     inject=inject,
     shows_at=4e-3,
     quiet=2.0,
-    sure=4.4,
-    worth=0.04,
+    sure=3.3,
+    worth=0.1,
 )
