@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from piezoid.diagnosis.effects import EFFECTS
 from piezoid.errors import ParameterFileError
 from piezoid.identification.model import AxisModel
 from piezoid.provenance import seal, unseal
@@ -222,10 +223,17 @@ def _held_out_from(record: Mapping[str, float]) -> HeldOut:
     return HeldOut(rms_m=record["held_out_rms_m"], rms_percent=record["held_out_rms_percent"])
 
 
+def _known(effect: str) -> str:
+    if effect not in {known.name for known in EFFECTS}:
+        raise ValueError(f"effect {effect!r}, which this version does not know")
+    return effect
+
+
 def _finding_from(record: Mapping[str, Any]) -> Finding:
     low, high = record["size"]["ci95"]
-    kept = ("effect", "held_out_gain", "held_out_rms_before_m", "held_out_rms_after_m", "p_value")
+    kept = ("held_out_gain", "held_out_rms_before_m", "held_out_rms_after_m", "p_value")
     return Finding(
+        effect=_known(record["effect"]),
         **{name: record[name] for name in kept},
         share=record["rms_percent"] / 100.0,
         size=Size(value=record["size"]["value"], unit=record["size"]["unit"], ci95=(low, high)),
@@ -238,7 +246,7 @@ def _finding_from(record: Mapping[str, Any]) -> Finding:
 
 def _absent_from(record: Mapping[str, Any]) -> NotDetected:
     return NotDetected(
-        effect=record["effect"],
+        effect=_known(record["effect"]),
         upper_bound_m=record["upper_bound"],
         detection_limit_m=record["detection_limit"],
         reason=record["reason"],

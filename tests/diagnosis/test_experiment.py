@@ -179,3 +179,11 @@ def test_a_diagnosis_comes_back_from_its_file_and_not_from_another() -> None:
     record = json.loads(content)
     with pytest.raises(ParameterFileError):
         read_diagnosis(json.dumps({**record, "axis": "y"}).encode())
+
+
+def test_a_sealed_diagnosis_of_an_effect_that_nobody_knows_is_refused() -> None:
+    _, diagnosis = _slow()
+    strange = replace(diagnosis.not_detected[0], effect="gremlins")
+    content = write_diagnosis(replace(diagnosis, not_detected=(strange,)))
+    with pytest.raises(ParameterFileError, match="gremlins"):
+        read_diagnosis(content)
