@@ -125,7 +125,7 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
-        not_separable_from=(),
+        not_separable_from=fault.alike,
         explanation=_first_words(effect),
         next_experiment=effect.experiment,
         parameters={},

@@ -60,12 +60,14 @@ class Fault:
     value    size
     spread   its standard error
     p_value  of such evidence where there is no fault
+    alike    effects that these recordings do not tell from it
     """
 
     tracks: tuple[Track, ...]
     value: float
     spread: float
     p_value: float
+    alike: tuple[str, ...] = ()
 
     def after(self, earlier: "Fault | None") -> "Fault":
         """Return this fault with what was found of it before: the larger size, the surer p."""
@@ -77,6 +79,7 @@ class Fault:
             value=larger.value,
             spread=larger.spread,
             p_value=min(earlier.p_value, self.p_value),
+            alike=tuple(dict.fromkeys((*earlier.alike, *self.alike))),
         )
 
 

@@ -5,7 +5,8 @@ one that leaves least is taken, unless slips of a clock, other pasts or one more
 hysteresis leave less.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -18,7 +19,7 @@ from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import Screened, screen
-from piezoid.diagnosis.slips_instead import Instead, slips_instead, stand_better
+from piezoid.diagnosis.slips_instead import Instead, fault_beside, slips_instead, stand_better
 from piezoid.diagnosis.view import View, with_free_memory, with_knee, with_pasts
 
 MOST_CAUSES = 5
@@ -31,68 +32,88 @@ KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 LEFT_OVER = 0.3  # of a rival's share
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 Progress = Callable[[str], None]
-Grown = tuple[View, list[Accepted], dict[str, Screened]]
 
 
-def grown(clean: View, faults: dict[str, Fault], progress: Progress) -> Grown:
-    """Accept one effect after another; slips, other pasts or a knee first, where those leave less.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grown:
+    """How far a search has come.
 
-    Return the view with these pasts, the effects, and the last word on all others; slips that are
-    found go to the faults.
+    clean     the view of repaired tracks, with the pasts and the knee that were taken in
+    accepted  effects, in the order in which they were found
+    faults    of the data, by effect
+    screened  the last word on each effect that was not accepted
     """
-    accepted: list[Accepted] = []
+
+    clean: View
+    accepted: tuple[Accepted, ...]
+    faults: Mapping[str, Fault]
+    screened: Mapping[str, Screened]
+
+
+def grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
+    """Accept one effect after another until none is evidence."""
+    far = Grown(clean=clean, accepted=(), faults=faults, screened={})
     for _ in range(MOST_CAUSES + 2):
-        view = extended(clean, accepted)
-        silent = _screened_all(view, {one.effect.name for one in accepted}, progress)
-        tried = _refitted(clean, accepted, view, list(silent.values()), progress)
-        best = _best(tried, clean, accepted)
-        least = best.view.rms if best else np.inf
-        own = with_own_pasts(view)
-        bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
-        slips = _slips(clean, accepted, view, best, again=SLIP in faults)
-        if slips is not None and slips.view.rms < min(own.rms, bent.rms):
-            clean = slips.clean
-            faults[SLIP] = slips.fault.after(faults.get(SLIP))
-        elif bent.rms < min(KNEE * view.rms, least, own.rms):
-            clean = with_knee(clean, bent.envelope.knee)
-        elif own.rms < min(OTHER_PASTS * view.rms, least):
-            clean = with_free_memory(with_pasts(clean, own.envelope.turns))
-        elif best is None:
-            found = _in_place_of_one(clean, accepted, view, again=SLIP in faults)
-            if found is None:
-                break
-            slips, accepted = found
-            clean = slips.clean
-            faults[SLIP] = slips.fault.after(faults.get(SLIP))
-        else:
-            accepted = _settled(clean, [*accepted, best.accepted])
-    return clean, accepted, silent
+        view = extended(far.clean, far.accepted)
+        named = {one.effect.name for one in far.accepted}
+        far = replace(far, screened=_screened_all(view, named, progress))
+        farther = _farther(far, view, progress)
+        if farther is None:
+            break
+        far = farther
+    return far
 
 
-def _slips(
-    clean: View, accepted: Sequence[Accepted], view: View, best: Judged | None, *, again: bool
-) -> Instead | None:
-    """Return slips where they stand better than a filter, or than nothing."""
+def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
+    """Take in what leaves least: slips, a knee, other pasts, an effect; None where nothing does.
+
+    view  with everything accepted, on which effects were screened
+    """
+    tried = _refitted(far, view, progress)
+    best = _best(tried, far)
+    least = best.view.rms if best else np.inf
+    own = with_own_pasts(view)
+    bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
+    slips = _with_slips(far, view, best)
+    if slips is not None and slips[1] < min(own.rms, bent.rms):
+        return slips[0]
+    if bent.rms < min(KNEE * view.rms, least, own.rms):
+        return replace(far, clean=with_knee(far.clean, bent.envelope.knee))
+    if own.rms < min(OTHER_PASTS * view.rms, least):
+        return replace(far, clean=with_free_memory(with_pasts(far.clean, own.envelope.turns)))
+    if best is None:
+        return _with_slips_in_place(far, view)
+    return replace(far, accepted=_settled(far.clean, [*far.accepted, best.accepted]))
+
+
+def _with_slips(far: Grown, view: View, best: Judged | None) -> tuple[Grown, float] | None:
+    """Take in slips where they stand better than a filter, or than nothing; and the error left."""
     if view.rms < NOISY * view.noise or (best and best.effect.passes is None):
         return None
-    slips = slips_instead(clean, accepted, view)
+    slips = slips_instead(far.clean, far.accepted, view)
     cause = best.view if best else None
-    return slips if slips and stand_better(slips, view, cause, again=again) else None
+    if slips is None or not stand_better(slips, view, cause, again=SLIP in far.faults):
+        return None
+    fault = fault_beside(slips, best.effect.name, best.view) if best else slips.fault
+    return _slipped(far, slips, fault, far.accepted), slips.view.rms
 
 
-def _in_place_of_one(
-    clean: View, accepted: Sequence[Accepted], view: View, *, again: bool
-) -> tuple[Instead, list[Accepted]] | None:
-    """Return slips that stand better than a filter accepted before, and all others accepted."""
-    for one in accepted:
+def _with_slips_in_place(far: Grown, view: View) -> Grown | None:
+    """Take in slips that stand better than a filter accepted before, in its place."""
+    for one in far.accepted:
         if one.effect.passes is None:
             continue
-        rest = [other for other in accepted if other is not one]
-        without = extended(clean, rest)
-        slips = slips_instead(clean, rest, without)
-        if slips and stand_better(slips, without, view, again=again):
-            return slips, rest
+        rest = tuple(other for other in far.accepted if other is not one)
+        without = extended(far.clean, rest)
+        slips = slips_instead(far.clean, rest, without)
+        if slips and stand_better(slips, without, view, again=SLIP in far.faults):
+            return _slipped(far, slips, fault_beside(slips, one.effect.name, view), rest)
     return None
+
+
+def _slipped(far: Grown, slips: Instead, fault: Fault, accepted: tuple[Accepted, ...]) -> Grown:
+    faults = {**far.faults, SLIP: fault.after(far.faults.get(SLIP))}
+    return replace(far, clean=slips.clean, accepted=accepted, faults=faults)
 
 
 def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, Screened]:
@@ -107,38 +128,33 @@ def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, 
     return found
 
 
-def _refitted(
-    clean: View,
-    accepted: Sequence[Accepted],
-    without: View,
-    screenings: Sequence[Screened],
-    progress: Progress,
-) -> list[Judged]:
+def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
     """Return the telling effects with everything refitted, those that leave least at first.
 
     without  the view with everything accepted, on which they were screened
     """
+    screenings = far.screened.values()
     best = max((found.total for found in screenings if found.sound), default=0.0)
     least = max(TELLING * best, LEAST_GAIN)
     telling = [f for f in screenings if f.total > least and f.sound and _above_twin(f)]
     first = []
     for found in telling:
         one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
-        first.append((extended(clean, [*accepted, one]).rms, one, found))
+        first.append((extended(far.clean, [*far.accepted, one]).rms, one, found))
     closest = min((rms for rms, _, _ in first), default=0.0)
     finer = []
     for rms, one, found in first:
         if rms > NEAR * closest:
             continue
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
-        better, view = refined(one, clean, accepted)
+        better, view = refined(one, far.clean, far.accepted)
         finer.append(judged(better, view, without, seen=found))
     return finer
 
 
-def _best(tried: Sequence[Judged], clean: View, accepted: Sequence[Accepted]) -> Judged | None:
+def _best(tried: Sequence[Judged], far: Grown) -> Judged | None:
     """Return the effect that leaves least among those that are evidence."""
-    own = [j for j in tried if j.speaks and not _left_over(j, clean, accepted)]
+    own = [j for j in tried if j.speaks and not _left_over(j, far.clean, far.accepted)]
     return min(own, key=lambda j: j.held.rms, default=None)
 
 
@@ -158,11 +174,11 @@ def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool
     return False
 
 
-def _settled(clean: View, accepted: Sequence[Accepted]) -> list[Accepted]:
+def _settled(clean: View, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:
     """Refine the older effects beside the newest."""
-    accepted = list(accepted)
+    settled = list(accepted)
     for k, one in enumerate(accepted[:-1]):
         if one.free:
-            rest = [other for other in accepted if other is not one]
-            accepted[k], _ = refined(one, clean, rest, finer=1)
-    return accepted
+            rest = [other for other in settled if other is not one]
+            settled[k], _ = refined(one, clean, rest, finer=1)
+    return tuple(settled)

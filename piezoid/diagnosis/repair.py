@@ -10,14 +10,19 @@ from piezoid.diagnosis.view import View, cycled, with_tracks
 MOST_REPAIRS = 3
 
 
-def repaired(view: View, progress: Callable[[str], None]) -> tuple[View, dict[str, Fault]]:
-    """Return the view without the faults that can be undone, and all of them by effect."""
+def repaired(
+    view: View, progress: Callable[[str], None], *, but: str = ""
+) -> tuple[View, dict[str, Fault]]:
+    """Return the view without the faults that can be undone, and all of them by effect.
+
+    but  name of a fault that is not looked for
+    """
     faults: dict[str, Fault] = {}
     own = with_own_pasts(view)
     # a wrong past looks like readings that are lost
     view = own if own.rms < OTHER_PASTS * view.rms else view
     for effect in EFFECTS:
-        if effect.fault is None:
+        if effect.fault is None or effect.name == but:
             continue
         for _ in range(MOST_REPAIRS):
             progress(f"looking for {effect.name.replace('_', ' ')}")

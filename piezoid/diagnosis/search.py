@@ -6,12 +6,13 @@ unphysical twins. Everything is screened again beside it. At the end each effect
 worth its place with all others there, and a rival that does better in its place takes it.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.growth import SLIP, Progress, grown
+from piezoid.diagnosis.growth import SLIP, Grown, Progress, grown
 from piezoid.diagnosis.judgement import Judged, structure_of
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.repair import repaired
@@ -41,25 +42,48 @@ class Outcome:
     first: View
     clean: View
     final: View
-    faults: dict[str, Fault]
+    faults: Mapping[str, Fault]
     causes: tuple[Judged, ...]
     rivals: Rivals
-    screened: dict[str, Screened]
+    screened: Mapping[str, Screened]
     held_back: tuple[str, ...] = ()
 
 
 def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
     clean, faults = repaired(view, progress)
-    clean, accepted, silent = grown(clean, faults, progress)
-    accepted = _pruned(clean, accepted, progress)
-    if SLIP in faults and accepted:
-        progress("asking whether a clock slipped at all")
-        clean, accepted = _without_slips(view, clean, accepted, faults)
-    causes, rivals = told_apart(clean, accepted, progress)
-    accepted = [cause.accepted for cause in causes]
-    final = extended(clean, accepted)
-    held_back = []
+    far = grown(clean, faults, progress)
+    far = replace(far, accepted=_pruned(far.clean, far.accepted, progress))
+    if SLIP in far.faults and far.accepted:
+        far = _without_slips(view, far, progress)
+    causes, rivals = told_apart(far.clean, far.accepted, progress)
+    final = extended(far.clean, [cause.accepted for cause in causes])
+    named = {cause.effect.name for cause in causes}
+    found = Outcome(
+        first=view,
+        clean=far.clean,
+        final=final,
+        faults=far.faults,
+        causes=tuple(causes),
+        rivals=rivals,
+        screened={**_dropped(final, {*named, *far.screened}), **far.screened},
+    )
+    return _with_structure(found, progress)
+
+
+def _dropped(final: View, known: Collection[str]) -> dict[str, Screened]:
+    """Return the last word on effects that were accepted once and are not any more."""
+    screenings = [
+        screen(effect, final)
+        for effect in EFFECTS
+        if effect.against is None and effect.name not in known and not effect.untestable(final)
+    ]
+    return {found.effect.name: found for found in screenings if found is not None}
+
+
+def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
+    """Judge the envelope's own structure, with all causes at work."""
+    beside, final = bool(outcome.causes), outcome.final
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
@@ -68,23 +92,17 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         if found is None:
             continue
         structure = structure_of(found, final)
-        if structure.speaks and _stands(structure, final, beside=bool(accepted)):
-            causes.append(structure)
+        if structure.speaks and _stands(structure, final, beside=beside):
+            outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
-        silent[effect.name] = found
+        outcome = replace(outcome, screened={**outcome.screened, effect.name: found})
         if structure.speaks:
-            held_back.append(effect.name)
-            rivals = _with_rival(rivals, effect)
-    return Outcome(
-        first=view,
-        clean=clean,
-        final=final,
-        faults=faults,
-        causes=tuple(causes),
-        rivals=rivals,
-        screened=silent,
-        held_back=tuple(held_back),
-    )
+            outcome = replace(
+                outcome,
+                held_back=(*outcome.held_back, effect.name),
+                rivals=_with_rival(outcome.rivals, effect),
+            )
+    return outcome
 
 
 def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
@@ -106,34 +124,31 @@ def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
     }
 
 
-def _without_slips(
-    view: View, clean: View, accepted: list[Accepted], faults: dict[str, Fault]
-) -> tuple[View, list[Accepted]]:
+def _without_slips(view: View, far: Grown, progress: Progress) -> Grown:
     """Take slips back, and out of the faults, where the causes leave less without them.
 
     A limit of the amplifier that a chirp meets from one instant on looks like one.
     """
-    raw = with_tracks(clean, view.tracks)
-    again = list(accepted)
-    for k, one in enumerate(accepted):
-        rest = [other for n, other in enumerate(again) if n != k]
-        again[k], _ = refined(one, raw, rest, finer=1)
-    if extended(raw, again).rms > extended(clean, accepted).rms:
-        return clean, accepted
-    del faults[SLIP]
-    return raw, again
+    progress("asking whether a clock slipped at all")
+    rest, faults = repaired(view, progress, but=SLIP)
+    raw, again = with_tracks(far.clean, rest.tracks), list(far.accepted)
+    for k, one in enumerate(far.accepted):
+        others = [other for n, other in enumerate(again) if n != k]
+        again[k], _ = refined(one, raw, others, finer=1)
+    if extended(raw, again).rms > extended(far.clean, far.accepted).rms:
+        return far
+    return replace(far, clean=raw, accepted=tuple(again), faults=faults)
 
 
-def _pruned(clean: View, accepted: list[Accepted], progress: Progress) -> list[Accepted]:
+def _pruned(clean: View, accepted: Sequence[Accepted], progress: Progress) -> tuple[Accepted, ...]:
     """Take out, one by one, what is no longer worth its place beside the others."""
+    accepted = tuple(accepted)
     while len(accepted) > 1:
         progress("taking out what is not needed")
         whole = extended(clean, accepted).rms
-        losses = []
-        for k in range(len(accepted)):
-            rest = [other for n, other in enumerate(accepted) if n != k]
-            losses.append(1.0 - whole / extended(clean, rest).rms)
+        rests = [tuple(o for o in accepted if o is not one) for one in accepted]
+        losses = [1.0 - whole / extended(clean, rest).rms for rest in rests]
         if min(losses) >= WORTH:
             return accepted
-        del accepted[losses.index(min(losses))]
+        accepted = rests[losses.index(min(losses))]
     return accepted

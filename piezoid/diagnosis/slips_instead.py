@@ -6,13 +6,13 @@ than a delay of the track's own with lags and relaxations beside it could,
 
     rms_k(slips) <= A rms_k(envelope, all that looks like a delay),
 
-and together they must leave surely less, block by block, than the cause that stands there.
+and together they must leave less, block by block, than the cause that stands there.
 
 Source: Vuong, Econometrica 57 (1989).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -33,7 +33,8 @@ ROUNDED = 12.0**-0.5  # samples: the spread of what is a whole number
 ALONE = 0.75  # of the error: what slips must leave where nothing else speaks
 ALONE_AGAIN = 0.97  # the same where a clock has slipped elsewhere
 SURE = 3.0  # standard errors by which slips must be better than a cause
-SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere
+SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere; then below SEPARABLE it is said
+SEPARABLE = 1.96  # standard errors between two that are told apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,17 +78,32 @@ def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> I
 
 
 def stand_better(instead: Instead, without: View, cause: View | None, *, again: bool) -> bool:
-    """Tell whether slips explain surely more than a cause, or much where none speaks.
+    """Tell whether slips explain more than a cause, or much where none speaks.
 
     cause  the view with the best cause at work
     again  whether a clock has slipped elsewhere
     """
     if cause is None:
         return instead.view.rms < (ALONE_AGAIN if again else ALONE) * without.rms
+    clear = _clear(instead, cause)
+    return instead.view.rms < cause.rms and clear > (SURE_AGAIN if again else SURE)
+
+
+def fault_beside(instead: Instead, name: str, cause: View) -> Fault:
+    """Return the slips as a fault that says where a cause explains nearly as much.
+
+    name   of the cause that stood there
+    cause  the view with it at work
+    """
+    alike = (name,) if _clear(instead, cause) < SEPARABLE else ()
+    return replace(instead.fault, alike=alike)
+
+
+def _clear(instead: Instead, cause: View) -> float:
+    """Return by how many standard errors blocks lose less with slips than with a cause."""
     there, here = _of_blocks(cause.null), _of_blocks(instead.view.null)
     both = sorted(there.keys() & here.keys())
-    clear = surely(np.array([there[b] for b in both]), np.array([here[b] for b in both]))
-    return instead.view.rms < cause.rms and clear > (SURE_AGAIN if again else SURE)
+    return surely(np.array([there[b] for b in both]), np.array([here[b] for b in both]))
 
 
 def _put_right(

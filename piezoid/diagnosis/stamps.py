@@ -1,6 +1,6 @@
 """What time stamps tell of lost samples, beside slips that only the readings tell."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import hypot, sqrt
 
@@ -36,5 +36,5 @@ def with_stamps(outcome: Outcome, recordings: Sequence[Recording]) -> Outcome:
     return replace(outcome, faults={NAME: fault, **_but(outcome.faults)})
 
 
-def _but(faults: dict[str, Fault]) -> dict[str, Fault]:
+def _but(faults: Mapping[str, Fault]) -> dict[str, Fault]:
     return {name: fault for name, fault in faults.items() if name != NAME}
