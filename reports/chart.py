@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.readable import Scale
 from piezoid_reports.polyline import envelope, thinned, whole_parts
-from piezoid_reports.quantities import MINUS, Scale, scale_for
+from piezoid_reports.quantities import MINUS, scale_for
 
 WIDTH, HEIGHT = 640, 360
 FINE = 20

@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from piezoid.readable import Scale
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.fleet.findings import TREND_P, Distribution
 from piezoid_reports.page import Figure, Heading, Part, Section, Table
-from piezoid_reports.quantities import Scale, significant, told
+from piezoid_reports.quantities import significant, told
 
 NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
 LOOK_SPREAD = (

@@ -14,10 +14,11 @@ from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
+from piezoid.readable import UNKNOWN
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
-from piezoid_reports.quantities import UNKNOWN, significant, told
+from piezoid_reports.quantities import significant, told
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
 LOOKS = {

@@ -6,9 +6,10 @@ import numpy as np
 
 from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
 from piezoid.numerics.uncertainty_budget import Contribution
+from piezoid.readable import Scale
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table, axis_heading
-from piezoid_reports.quantities import Scale, percent, significant, told
+from piezoid_reports.quantities import percent, significant, told
 
 SHAPES = {
     "normal": "normal",

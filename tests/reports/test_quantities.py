@@ -6,9 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from piezoid_reports.quantities import MINUS, PREFIXES, UNKNOWN, significant, told, told_between
+from piezoid import readable
+from piezoid.readable import PREFIXES, UNKNOWN
+from piezoid_reports.quantities import MICRO, MINUS, significant, told, told_between
 
-FACTOR = {prefix: factor for factor, prefix in PREFIXES}
+FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
 
 
 @pytest.mark.parametrize(
@@ -66,3 +68,15 @@ def test_a_plain_number_needs_no_brackets() -> None:
 def test_significant_digits_come_back(value: float) -> None:
     shown = float(significant(value, 4).replace(MINUS, "-"))
     assert shown == pytest.approx(value, rel=5.1e-4, abs=1e-300)
+
+
+@given(st.floats(-1e6, 1e6))
+def test_the_terminal_is_told_the_same_number_in_plain_letters(value: float) -> None:
+    plain = readable.told(value, "m")
+    assert plain.isascii()
+    set_here = told(value, "m").replace("\u202f", " ").replace(MINUS, "-").replace(MICRO, "u")
+    assert set_here == plain
+
+
+def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
+    assert readable.told(6.06e-6, "m") == "6.06 um"

@@ -1,0 +1,60 @@
+"""Numbers as people write them: the prefix chosen for the number, three digits, no exponent.
+
+Sentences of the library and the terminal take them in plain letters (``6.06 um``); a page of the
+report sets them with its own signs.
+"""
+
+import math
+from dataclasses import dataclass
+
+PREFIXES = ((1e-12, "p"), (1e-9, "n"), (1e-6, "u"), (1e-3, "m"), (1.0, ""), (1e3, "k"), (1e6, "M"))
+UNKNOWN = "not known"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scale:
+    """A unit a reader likes: so many SI units make one of it.
+
+    factor  SI units in one of it
+    unit    its name, empty for a plain number
+    """
+
+    factor: float
+    unit: str
+
+
+def scale_for(largest: float, unit: str) -> Scale:
+    """Return the scale in which a number of this size has one to three digits before the point.
+
+    largest  size of the number in SI
+    unit     SI unit; ``%`` and the empty one take no prefix, nor do angles
+    """
+    size = abs(largest)
+    if unit in ("", "%") or not math.isfinite(size) or size == 0.0:
+        return Scale(factor=1.0, unit=unit)
+    # A number that rounds up to 1000 belongs to the next prefix.
+    below = [(factor, prefix) for factor, prefix in PREFIXES if factor <= size * 1.0005]
+    factor, prefix = below[-1] if below else PREFIXES[0]
+    return Scale(factor=factor, unit=prefix + unit)
+
+
+def told(value: float, unit: str, digits: int = 3) -> str:
+    """Return a number with its unit, for example ``66.0 nm``."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    scale = scale_for(value, unit)
+    number = significant(value / scale.factor, digits)
+    return f"{number} {scale.unit}" if scale.unit else number
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits, without an exponent where it can be."""
+    if not math.isfinite(value):
+        return UNKNOWN
+    if value == 0.0:
+        return "0"
+    rounded = float(f"{value:.{digits - 1}e}")
+    place = math.floor(math.log10(abs(rounded)))
+    if not -5 <= place < 9:
+        return f"{rounded:.{digits - 1}e}"
+    return f"{rounded:.{max(digits - 1 - place, 0)}f}"
