@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import doing, hand_over, one_line, plain
+
 if TYPE_CHECKING:
     from piezoid_cli.batch_folder import Plan
     from piezoid_reports.fleet.records import Fleet, FleetStage
@@ -56,7 +58,7 @@ def batch(
     fleet = _fleet(folder, stages)
     keep_summary(out, _summary(fleet))
     if json:
-        typer.echo(fleet.to_json(), nl=False)
+        hand_over(fleet.to_json())
     elif not quiet:
         _show(fleet, plan, out)
     if not fleet.passed:
@@ -113,32 +115,30 @@ def _bar(plan: "Plan", *, quiet: bool) -> "Iterator[Callable[[FleetStage], None]
         BarColumn,
         MofNCompleteColumn,
         Progress,
-        TextColumn,
         TimeElapsedColumn,
     )
     from rich.progress import TimeRemainingColumn as Remaining
 
     console = Console(stderr=True, quiet=quiet)
     columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        doing(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         Remaining(),
     )  # fmt: skip
     hidden = quiet or not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         whole = len(plan.waiting) + len(plan.finished)
         task = progress.add_task("stages", total=whole, completed=len(plan.finished))
-        yield lambda stage: progress.update(task, advance=1, description=stage.name)
+        yield lambda stage: progress.update(task, advance=1, description=one_line(stage.name))
 
 
 def _show(fleet: "Fleet", plan: "Plan", out: Path) -> None:
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
     from piezoid_reports.fleet.records import STATES
 
     console = Console()
-    table = Table(title=Text(f"batch {fleet.name}: {len(fleet.stages)} stages"))
+    table = Table(title=plain(f"batch {fleet.name}: {len(fleet.stages)} stages"))
     for heading in ("stages", "state", "meaning"):
         table.add_column(heading)
     for state, meaning in STATES.items():
@@ -150,5 +150,5 @@ def _show(fleet: "Fleet", plan: "Plan", out: Path) -> None:
         console.print(f"{len(plan.finished)} were finished before and were not done again")
     for stage in fleet.stages:
         if stage.reason:
-            console.print(Text(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
-    console.print(Text(f"summary: {out / 'summary.html'}, {out / 'parameters.parquet'}"))
+            console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
+    console.print(plain(f"summary: {out / 'summary.html'}, {out / 'parameters.parquet'}"))

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import plain, say
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -61,7 +63,7 @@ def design(
     if not quiet:
         show(found)
         show_unshipped(found.refused)
-        typer.echo(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
+        say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")
     if found.refused:
         raise typer.Exit(1)
 
@@ -69,26 +71,24 @@ def design(
 def show(found: "Design") -> None:
     """Print what each axis reached."""
     from rich.console import Console
-    from rich.text import Text
 
     console = Console()
     console.print(_table(found))
     for remark in found.remarks:
-        console.print(Text(remark, style="dim"))
+        console.print(plain(remark, style="dim"))
 
 
 def _table(found: "Design") -> "Table":
     from rich.table import Table
-    from rich.text import Text
 
-    table = Table(title=Text("controllers, worst member of each plant family"))
+    table = Table(title=plain("controllers, worst member of each plant family"))
     for heading in ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed"):
         table.add_column(heading, justify="right")
     for axis in found.axes:
         for loop in axis.loops:
             delay_s, proven = loop.worst_delay_margin_s, loop.certificate
             table.add_row(
-                Text(axis.axis),
+                plain(axis.axis),
                 loop.method,
                 f"{loop.bandwidth_Hz:.4g} Hz",
                 f"{loop.worst_modulus_margin:.3f}",

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import hand_over, plain, say
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
@@ -72,11 +74,11 @@ def diagnose(
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
-        typer.echo(content, nl=False)
+        hand_over(content)
     elif not quiet:
         _show(found, out)
         if change is not None:
-            typer.echo(change.sentence)
+            say(change.sentence)
 
 
 def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
@@ -117,34 +119,32 @@ def _changed(
 
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
-    from rich.text import Text
 
     console = Console()
     console.print(_table(found))
     console.print(
-        Text(
+        plain(
             f"of the explainable error {100 * found.explained_fraction:.0f} % is explained; "
             f"{1e9 * found.final.rms_m:.3g} nm are left on rows left out, "
             f"the sensor's noise is {1e9 * found.noise_floor_rms_m:.3g} nm"
         )
     )
-    console.print(Text(f"all that was tested: {out / 'diagnosis.html'}"))
+    console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
 
 
 def _table(found: "Diagnosis") -> "Table":
     from rich.table import Table
-    from rich.text import Text
 
-    table = Table(title=Text(f"axis {found.axis}: {len(found.findings)} found"))
+    table = Table(title=plain(f"axis {found.axis}: {len(found.findings)} found"))
     for heading in ("effect", "gain", "size", "95 %", "not separable from"):
         table.add_column(heading)
     for finding in found.findings:
         low, high = finding.size.ci95
         table.add_row(
-            Text(finding.effect),
+            plain(finding.effect),
             f"{100 * finding.held_out_gain:.1f} %",
-            Text(f"{finding.size.value:.4g} {finding.size.unit}"),
+            plain(f"{finding.size.value:.4g} {finding.size.unit}"),
             f"{low:.4g} .. {high:.4g}",
-            Text(", ".join(finding.not_separable_from)),
+            plain(", ".join(finding.not_separable_from)),
         )
     return table

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from piezoid_cli.terminal import plain, say
+
 
 def export(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and design.json.")],
@@ -44,9 +46,9 @@ def export(
     if not quiet:
         for axis in file.axes:
             others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
-            typer.echo(f"axis {axis.axis}: {axis.method}{others}")
+            say(f"axis {axis.axis}: {axis.method}{others}")
         show_unshipped(file.unshipped)
-        typer.echo(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
+        say(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
     if file.unshipped:
         raise typer.Exit(1)
 
@@ -54,7 +56,6 @@ def export(
 def show_unshipped(reasons: Mapping[str, str]) -> None:
     """Print which axes do not ship, and why."""
     from rich.console import Console
-    from rich.text import Text
 
     for axis, reason in reasons.items():
-        Console().print(Text(f"axis {axis} does not ship: {reason}", style="bold red"))
+        Console().print(plain(f"axis {axis} does not ship: {reason}", style="bold red"))

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from piezoid_cli.terminal import hand_over, plain, say
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -64,7 +66,7 @@ def fit(
     if json:
         from json import dumps
 
-        typer.echo(dumps(summary_of(found), indent=1, allow_nan=False))
+        hand_over(dumps(summary_of(found), indent=1, allow_nan=False))
     elif not quiet:
         _show(found, out)
     if not found.passed:
@@ -107,14 +109,13 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
 def _show(found: "Calibration", out: Path) -> None:
     _show_model(found.model)
     for sentence in _diagnosis_sentences(found):
-        typer.echo(sentence)
+        say(sentence)
     _show_controllers(found.controllers)
-    typer.echo(f"report: {out / 'report.html'}")
+    say(f"report: {out / 'report.html'}")
 
 
 def _show_controllers(made: "Controllers") -> None:
     from rich.console import Console
-    from rich.text import Text
 
     from piezoid_cli.design import show as show_design
     from piezoid_cli.export import show_unshipped
@@ -125,13 +126,13 @@ def _show_controllers(made: "Controllers") -> None:
     if made.reason:
         what = "no controller" if made.design is None else "not exported"
         tone = "dim" if made.passed else "bold red"
-        console.print(Text(f"{what}: {made.reason}", style=tone))
+        console.print(plain(f"{what}: {made.reason}", style=tone))
     show_unshipped(made.unshipped)
     if made.verification is not None:
         verdicts = made.verification.verdicts
         passed = sum(verdict.passed for verdict in verdicts)
         line = f"verification: {passed} of {len(verdicts)} verdicts passed"
-        console.print(Text(line, style="" if made.verification.passed else "bold red"))
+        console.print(plain(line, style="" if made.verification.passed else "bold red"))
 
 
 def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
@@ -146,7 +147,6 @@ def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
 
 def _show_model(model: "ActuatorModel") -> None:
     from rich.console import Console
-    from rich.text import Text
 
     from piezoid_reports.junction_words import barrier_sentence, loop_sentence
 
@@ -155,35 +155,34 @@ def _show_model(model: "ActuatorModel") -> None:
         console.print(_table(model))
     law = None if model.tunnelling is None else model.tunnelling.gap_law
     if law is not None:
-        console.print(Text(f"tunnelling: {barrier_sentence(law)}"))
+        console.print(plain(f"tunnelling: {barrier_sentence(law)}"))
         for reason in law.reasons:
-            console.print(Text(f"tunnelling: {reason}", style="dim"))
+            console.print(plain(f"tunnelling: {reason}", style="dim"))
     loop = None if model.tunnelling is None else model.tunnelling.loop_plant
     if loop is not None:
-        console.print(Text(f"tunnelling: {loop_sentence(loop)}"))
+        console.print(plain(f"tunnelling: {loop_sentence(loop)}"))
         for reason in loop.reasons:
-            console.print(Text(f"tunnelling: {reason}", style="dim"))
+            console.print(plain(f"tunnelling: {reason}", style="dim"))
     for remark in model.remarks:
-        console.print(Text(remark, style="dim"))
+        console.print(plain(remark, style="dim"))
     for axis in model.axes.values():
         if not axis.verdict.applies:
             reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."
-            console.print(Text(reason, style="bold red"))
+            console.print(plain(reason, style="bold red"))
         for remark in axis.verdict.remarks:
-            console.print(Text(f"axis {axis.axis}: {remark}", style="dim"))
+            console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
 
 
 def _table(model: "ActuatorModel") -> "Table":
     from rich.table import Table
-    from rich.text import Text
 
-    table = Table(title=Text(f"stage {model.stage}"))
+    table = Table(title=plain(f"stage {model.stage}"))
     for heading in ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise"):
         table.add_column(heading, justify="right")
     for axis in model.axes.values():
         quality = axis.quality
         table.add_row(
-            Text(axis.axis),
+            plain(axis.axis),
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
             f"{1e6 * axis.lag.time_s:.0f} us",

@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from piezoid_cli.terminal import say
+
 
 def init(
     files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
@@ -41,8 +43,8 @@ def init(
         show(inspections)
     write_file(out, draft.text.encode())
     if not quiet:
-        typer.echo(f"written: {out}; complete what you know, then pass it with --lab {out}")
+        say(f"written: {out}; complete what you know, then pass it with --lab {out}")
     if draft.incomplete:
         names = ", ".join(draft.incomplete)
-        typer.echo(f"to complete in {out} before it can be used: {names}", err=True)
+        say(f"to complete in {out} before it can be used: {names}", err=True)
         raise typer.Exit(3)

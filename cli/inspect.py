@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import hand_over, plain
+
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
@@ -32,7 +34,7 @@ def inspect(
 
     inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
-        typer.echo(_json(inspections))
+        hand_over(_json(inspections))
     else:
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
@@ -60,16 +62,15 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
 
 def _parts(inspection: "Inspection") -> "list[RenderableType]":
     """Return what is shown of one file; all of it as text, since names in files are not markup."""
-    from rich.text import Text
 
-    parts: list[RenderableType] = [Text(_headline(inspection), style="bold")]
+    parts: list[RenderableType] = [plain(_headline(inspection), style="bold")]
     if inspection.columns:
         parts.append(_table(inspection.columns))
     if inspection.axis is not None:
-        parts.append(Text(_clock_line(inspection)))
-    parts += [Text(f"  {p.kind} ({p.place}): {p.text}", "yellow") for p in inspection.problems]
+        parts.append(plain(_clock_line(inspection)))
+    parts += [plain(f"  {p.kind} ({p.place}): {p.text}", "yellow") for p in inspection.problems]
     if inspection.refusal is not None:
-        parts.append(Text(f"  no recording: {inspection.refusal}", style="red"))
+        parts.append(plain(f"  no recording: {inspection.refusal}", style="red"))
     return parts
 
 
@@ -93,7 +94,6 @@ def _clock_line(inspection: "Inspection") -> str:
 
 def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
     from rich.table import Table
-    from rich.text import Text
 
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 1))
     for name in ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state"):
@@ -110,7 +110,7 @@ def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
             _quantity(column.step or None, column.si_unit),
             _state(column),
         )
-        table.add_row(*(Text(cell) for cell in cells))
+        table.add_row(*(plain(cell) for cell in cells))
     return table
 
 

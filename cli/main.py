@@ -3,8 +3,10 @@
 import os
 import signal
 import sys
+from typing import Any, cast
 
 import typer
+from typer.core import TyperGroup
 
 # Our matrices are small: a second thread of the linear algebra costs more than it brings, and one
 # thread gives the same bits on every machine. Whoever sets another number keeps it.
@@ -20,14 +22,33 @@ from piezoid_cli.inspect import inspect
 from piezoid_cli.plan import plan
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
+from piezoid_cli.terminal import one_line, plain
 from piezoid_cli.verify import verify
 
+_OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
 INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
+
+# What is wrong with the words behind a verb; the package names only one kind of it.
+_UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
 
 VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, report, simulate, batch)
 
+
+class Verbs(TyperGroup):
+    """The verbs; words behind them may be names of files, and are told as text."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a verb."""
+        try:
+            return super().invoke(ctx)
+        except _UsageError as error:
+            error.message = one_line(error.message)
+            raise
+
+
 app = typer.Typer(
     name="piezoid",
+    cls=Verbs,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -90,21 +111,15 @@ def _told(error: Exception) -> int:
 
     from piezoid.errors import PiezoidError
 
-    console = Console(stderr=True)
     if isinstance(error, PiezoidError):
-        console.print(Text.assemble(("error: ", "bold red"), str(error)))
-        return error.exit_status
-    if isinstance(error, OSError):
-        console.print(Text.assemble(("error: ", "bold red"), _about_disk(error)))
-        return 3
-    console.print(
-        Text.assemble(
-            ("error: ", "bold red"),
-            f"piezoid failed with {type(error).__name__}: {error}. This is a mistake of ours; "
-            "run the same command with --debug and send us what it prints.",
-        )
-    )
-    return 70
+        status, said = error.exit_status, str(error)
+    elif isinstance(error, OSError):
+        status, said = 3, _about_disk(error)
+    else:
+        status, said = 70, f"piezoid failed with {type(error).__name__}: {error}. {_OURS}"
+    console = Console(stderr=True)
+    console.print(Text.assemble(("error: ", "bold red"), plain(said)))
+    return status
 
 
 def _about_disk(error: OSError) -> str:

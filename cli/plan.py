@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import hand_over, plain
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -81,7 +83,7 @@ def plan(
         else:
             write_folder(out, written, force=force)
     if json:
-        typer.echo(written["plan.json"], nl=False)
+        hand_over(written["plan.json"])
     elif not quiet:
         _show(found, (out or stage) / "drive.csv")
 
@@ -130,31 +132,29 @@ def _read(stage: Path, axis: str | None) -> _Known:
 
 def _show(found: "Plan", drive: Path) -> None:
     from rich.console import Console
-    from rich.text import Text
 
     from piezoid.diagnosis.planning.plan_file import sentences
 
     console = Console()
     for sentence in sentences(found):
-        console.print(Text(sentence))
+        console.print(plain(sentence))
     console.print(_table(found))
-    console.print(Text(f"drive: {drive}"))
+    console.print(plain(f"drive: {drive}"))
 
 
 def _table(found: "Plan") -> "Table":
     from rich.table import Table
-    from rich.text import Text
 
-    table = Table(title=Text(f"axis {found.axis}: {' against '.join(found.question.effects)}"))
+    table = Table(title=plain(f"axis {found.axis}: {' against '.join(found.question.effects)}"))
     for heading in ("drive", "lasts", "separability", "error of the size"):
         table.add_column(heading, justify="left" if heading == "drive" else "right")
     for one in found.alternatives:
         if one.told is None:
-            table.add_row(one.name, "", "", Text(one.refusal))
+            table.add_row(one.name, "", "", plain(one.refusal))
             continue
         alone = len(one.told.errors) == 1
         table.add_row(
-            Text(one.name, style="bold" if one.name == found.drive.name else ""),
+            plain(one.name, style="bold" if one.name == found.drive.name else ""),
             f"{one.duration_s:.0f} s",
             "" if alone else f"{one.told.separability:.2g}",
             f"{100 * one.told.worst:.2g} %" if one.told.worst < 10.0 else "not shown",

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import say
+
 if TYPE_CHECKING:
     from piezoid.identification.model import ActuatorModel
     from piezoid.records.collection import Collection
@@ -51,8 +53,8 @@ def report(
         add_to_folder(stage, {"report.html": page.encode()})
     if not quiet:
         if model.sources and not files:
-            typer.echo("without its recordings: no loops, no residuals, no score")
-        typer.echo(f"report: {stage / 'report.html'}")
+            say("without its recordings: no loops, no residuals, no score")
+        say(f"report: {stage / 'report.html'}")
 
 
 def _recorded(

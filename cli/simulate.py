@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import say
+
 if TYPE_CHECKING:
     from piezoid_datasets.virtual_lab.campaign import Campaign
 
@@ -94,7 +96,7 @@ def _write_junction(seed: int, seconds: float, out: Path, *, force: bool, quiet:
         write_folder(out, files, force=force)
     if not quiet:
         for name in files:
-            typer.echo(str(out / name))
+            say(str(out / name))
 
 
 def _sized(text: str) -> tuple[str, float | None]:
@@ -114,9 +116,9 @@ def _sized(text: str) -> tuple[str, float | None]:
 def _show(campaign: "Campaign", out: Path) -> None:
     for rows in campaign.recordings:
         run = rows.run
-        typer.echo(
+        say(
             f"{out / 'recordings' / run.name}.csv: {len(rows.time_s)} rows at "
             f"{run.sampling_rate_Hz:g} Hz"
         )
     hidden = ", ".join(found.name for found in campaign.answer.effects) or "nothing"
-    typer.echo(f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}")
+    say(f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}")

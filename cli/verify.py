@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.terminal import hand_over, plain, say
+
 if TYPE_CHECKING:
     from rich.table import Table
 
@@ -70,10 +72,10 @@ def verify(
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written})
     if json:
-        typer.echo(written, nl=False)
+        hand_over(written)
     elif not quiet:
         show(found, file)
-        typer.echo(f"verification: {stage / 'verification.json'}")
+        say(f"verification: {stage / 'verification.json'}")
     if not found.passed:
         raise typer.Exit(1)
 
@@ -94,30 +96,28 @@ def _proofs(
 def show(found: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and every verdict that failed."""
     from rich.console import Console
-    from rich.text import Text
 
     console = Console()
     if found.comparison:
         console.print(_comparison(found))
     for proof in found.proofs:
-        console.print(Text(_proof_line(proof, file), style="" if proof.passed else "bold red"))
+        console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for verdict in found.verdicts:
         if not verdict.passed:
             line = (
                 f"failed: {verdict.name} ({verdict.scenario}): {verdict.value:.4g}, "
                 f"allowed {verdict.limit:.4g}, {verdict.unit}"
             )
-            console.print(Text(line, style="bold red"))
+            console.print(plain(line, style="bold red"))
     passed = sum(verdict.passed for verdict in found.verdicts)
-    console.print(Text(f"{passed} of {len(found.verdicts)} verdicts passed"))
+    console.print(plain(f"{passed} of {len(found.verdicts)} verdicts passed"))
 
 
 def _comparison(found: "Verification") -> "Table":
     from rich.table import Table
-    from rich.text import Text
 
     title = f"spirals of radius {1e6 * found.radius_m:.1f} um, errors in nm"
-    table = Table(title=Text(title))
+    table = Table(title=plain(title))
     for heading in ("turns a second", "method", "rms", "largest", "shape rms", "delay"):
         table.add_column(heading, justify="right")
     for row in found.comparison:

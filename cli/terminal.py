@@ -1,0 +1,45 @@
+"""The terminal: names from files are shown there as text, whatever they hold.
+
+A terminal obeys what a heading or a file's name may contain: codes that clear it, move the cursor,
+set its title, turn the text. Whatever people read is made here, with such characters as codes
+(``\\x1b``); only what scripts read (``--json``) goes past, byte for byte.
+"""
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from piezoid_reports.plain_text import printable
+
+if TYPE_CHECKING:
+    from rich.progress import TextColumn
+    from rich.text import Text
+
+
+def say(said: str, *, err: bool = False) -> None:
+    """Print one line, never broken by us: a path in it can be copied."""
+    typer.echo(one_line(said), err=err)
+
+
+def one_line(said: str) -> str:
+    """Return a text without anything that a terminal obeys, a line's end included."""
+    return str(printable(said))
+
+
+def plain(said: str, style: str = "") -> "Text":
+    """Return a cell or a paragraph, its lines kept: no markup, nothing that a terminal obeys."""
+    from rich.text import Text
+
+    return Text("\n".join(one_line(line) for line in said.split("\n")), style)
+
+
+def hand_over(content: str | bytes) -> None:
+    """Print what a script reads, as it is."""
+    typer.echo(content, nl=isinstance(content, str))
+
+
+def doing() -> "TextColumn":
+    """Return the column of a progress bar that says what is being done."""
+    from rich.progress import TextColumn
+
+    return TextColumn("{task.description}", markup=False)
