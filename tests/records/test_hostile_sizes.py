@@ -12,8 +12,11 @@ import pytest
 
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
+from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.readers import hdf5, read_table
+from piezoid.records.readers import source as readers_source
 from piezoid.records.readers.source import FREE_SIZE, MOST_GROWTH, growth_limit, open_source
+from piezoid.records.streams.spool import spooled
 
 ROWS = "".join(f"{k / 1000},{k % 7},{k % 5}\n" for k in range(60))
 HEADED = "time [s],voltage [V],position [um]\n"
@@ -131,6 +134,54 @@ def test_an_archive_that_grows_out_of_proportion_is_refused(
     write(tmp_path / name)
     assert (tmp_path / name).stat().st_size < FREE_SIZE // MOST_GROWTH
     assert "bytes once unpacked; at most" in _said(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("bomb.csv.gz", lambda path: path.write_bytes(gzip.compress(_steady(400_000), 1))),
+        ("bomb.h5", _hdf5),
+        ("unwritten.h5", _unwritten_hdf5),
+        ("bomb.parquet", _parquet),
+    ],
+)
+def test_read_in_blocks_an_archive_may_grow_no_further(
+    name: str, write: Callable[[Path], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No memory is lost there, but the disk and the day."""
+    monkeypatch.setattr(readers_source, "FREE_SIZE", 1 << 20)
+    monkeypatch.setattr(readers_source, "MOST_GROWTH", 20)
+    write(tmp_path / name)
+    lab = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
+    with (
+        pytest.raises(UnreadableFileError, match="bytes once unpacked; at most") as told,
+        spooled([tmp_path / name], lab),
+    ):
+        pass
+    assert "--stream" not in str(told.value)
+
+
+def test_a_packed_text_is_read_in_blocks_up_to_its_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = _steady(20_000)
+    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(text, 1))
+    monkeypatch.setattr(readers_source, "MOST_GROWTH", 20)
+    monkeypatch.setattr(readers_source, "FREE_SIZE", len(text))
+    lab = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
+    with spooled([tmp_path / "run.csv.gz"], lab, rows=1024) as spool:
+        assert sum(piece.samples for piece in spool.pieces["x"]) == 20_000
+    monkeypatch.setattr(readers_source, "FREE_SIZE", len(text) - 1)
+    with (
+        pytest.raises(UnreadableFileError, match=f"at most {len(text) - 1} bytes"),
+        spooled([tmp_path / "run.csv.gz"], lab, rows=1024),
+    ):
+        pass
+
+
+def _steady(rows: int) -> bytes:
+    """A text that packs to almost nothing."""
+    return b"voltage [V],position [um]\n" + b"1,2\n2,1\n" * (rows // 2)
 
 
 def test_texts_beside_the_numbers_of_a_parquet_file_are_never_unpacked(tmp_path: Path) -> None:

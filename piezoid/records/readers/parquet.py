@@ -20,7 +20,7 @@ def read(source: Source) -> RawTable:
             for field in file.schema_arrow
             if types.is_floating(field.type) or types.is_integer(field.type)
         ]
-        _check(source, file.metadata, len(numeric))
+        check_footer(source, file.metadata, len(numeric))
         # Only these: a text of a megabyte that every row repeats is a small file as well.
         table = file.read(columns=[field.name for field in numeric])
         arrays, units = {}, {}
@@ -31,12 +31,12 @@ def read(source: Source) -> RawTable:
     return table_of(source, "Parquet", arrays, units=units)
 
 
-def _check(source: Source, metadata: Any, numeric: int) -> None:
-    """Refuse by the footer what would not fit into memory, before anything is read."""
+def check_footer(source: Source, metadata: Any, numeric: int, *, whole: bool = True) -> None:
+    """Refuse by the footer what would fill memory or disk, before anything is read."""
     check_columns(source.name, metadata.num_columns)
-    check_growth(source, 8 * metadata.num_rows * numeric)
+    check_growth(source, 8 * metadata.num_rows * numeric, whole=whole)
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
-    check_growth(source, sum(group.total_byte_size for group in groups))
+    check_growth(source, sum(group.total_byte_size for group in groups), whole=whole)
 
 
 READER = Reader(

@@ -23,6 +23,14 @@ HEAD_SIZE = 1 << 16
 # Everything that is tried on columns is tried on each; recorders have some hundred.
 MOST_COLUMNS = 4096
 _PIECE = 1 << 20
+_LARGE = (
+    "Fit it with --stream, cut the recording into several files, or keep only the columns that "
+    "matter."
+)
+_GROWN = (
+    f"Measured numbers do not pack to a part in {MOST_GROWTH}; if these are some, write the file "
+    "without compression."
+)
 
 
 def unreadable(
@@ -119,14 +127,18 @@ def regular_size(path: Path) -> int:
     return status.st_size
 
 
-def growth_limit(size: int) -> int:
-    """Return how many bytes a file of this size may hold once it is unpacked."""
-    return min(SIZE_LIMIT, max(FREE_SIZE, MOST_GROWTH * size))
+def growth_limit(size: int, *, whole: bool = True) -> int:
+    """Return how many bytes a file of this size may hold once it is unpacked.
+
+    whole  False: read in blocks, so that the memory sets no limit
+    """
+    grown = max(FREE_SIZE, MOST_GROWTH * size)
+    return min(SIZE_LIMIT, grown) if whole else grown
 
 
-def check_growth(source: "Source", unpacked: int) -> None:
+def check_growth(source: "Source", unpacked: int, *, whole: bool = True) -> None:
     """Refuse content of which so little is in the file that it can be no measurement."""
-    check_size(source.name, unpacked, growth_limit(source.path.stat().st_size))
+    check_size(source.name, unpacked, growth_limit(source.path.stat().st_size, whole=whole))
 
 
 def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
@@ -136,8 +148,7 @@ def check_size(place: str, size: int, limit: int = SIZE_LIMIT) -> None:
             place,
             f"it holds {size} bytes once unpacked",
             needed=f"at most {limit} bytes",
-            remedy="Fit it with --stream, cut the recording into several files, or keep only the "
-            "columns that matter.",
+            remedy=_LARGE if limit == SIZE_LIMIT else _GROWN,
             size=size,
         )
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from piezoid.records.readers import hdf5
 from piezoid.records.readers.foreign import reading
-from piezoid.records.readers.source import Source
+from piezoid.records.readers.source import Source, check_growth
 from piezoid.records.streams.format import Arrays, BlockFormat, recut, tables_of
 from piezoid.records.table import RawTable
 
@@ -18,6 +18,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
         lengths = Counter(max(item.shape, default=0) for item in held.values() if item.size > 1)
         length = max(sorted(lengths), key=lengths.__getitem__, default=0)
         columns = {name: item for name, item in held.items() if item.shape[:1] == (length,)}
+        check_growth(source, 8 * sum(item.size for item in columns.values()), whole=False)
         units = {name: hdf5.unit_of_dataset(item) for name, item in columns.items()}
         pieces = _pieces(columns, length, rows)
         yield from tables_of(source, "HDF5", recut(pieces, rows), units=units)

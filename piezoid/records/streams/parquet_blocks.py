@@ -24,6 +24,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
             for field in file.schema_arrow
             if types.is_floating(field.type) or types.is_integer(field.type)
         ]
+        parquet.check_footer(source, file.metadata, len(fields), whole=False)
         units = {f.name: (f.metadata or {}).get(b"unit", b"").decode("utf-8") for f in fields}
         pieces = _pieces(file, list(units), rows)
         yield from tables_of(source, "Parquet", recut(pieces, rows), units=units)

@@ -9,7 +9,7 @@ from typing import Any
 
 from piezoid.records.readers import tdms
 from piezoid.records.readers.foreign import reading
-from piezoid.records.readers.source import Source
+from piezoid.records.readers.source import Source, check_growth
 from piezoid.records.streams.format import Arrays, BlockFormat, recut, tables_of
 from piezoid.records.table import RawTable
 
@@ -21,6 +21,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
         lengths = Counter(len(channel) for channel in channels.values() if len(channel) > 1)
         length = max(sorted(lengths), key=lengths.__getitem__, default=0)
         columns = {name: c for name, c in channels.items() if len(c) == length}
+        check_growth(source, 8 * length * len(columns), whole=False)
         yield from tables_of(
             source,
             "TDMS",

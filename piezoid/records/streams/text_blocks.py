@@ -5,6 +5,7 @@ import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from typing import BinaryIO
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from piezoid.records.readers import text_table
 from piezoid.records.readers.block import Block, parse_block
 from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.heading_lines import HEAD_LINES, Start, find_start, names_but_first
-from piezoid.records.readers.source import Source, unreadable
+from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.recording import Problem
 from piezoid.records.streams.format import BlockFormat
 from piezoid.records.table import RawTable
@@ -57,8 +58,21 @@ def _text(source: Source) -> Iterator[io.TextIOWrapper]:
     with reading(source, "text"), source.path.open("rb") as raw:
         packed = raw.read(2) == b"\x1f\x8b"
         raw.seek(0)
-        stream = io.BufferedReader(gzip.GzipFile(fileobj=raw)) if packed else raw
+        stream = io.BufferedReader(_Unpacked(source, raw)) if packed else raw
         yield io.TextIOWrapper(stream, encoding=_encoding(source.head), errors="replace")
+
+
+class _Unpacked(gzip.GzipFile):
+    """What an archive holds, up to where it can be no measurement any more."""
+
+    def __init__(self, source: Source, packed: BinaryIO) -> None:
+        super().__init__(fileobj=packed)
+        self._source = source
+
+    def read(self, size: int | None = -1) -> bytes:
+        content = super().read(size)
+        check_growth(self._source, self.tell(), whole=False)
+        return content
 
 
 def _encoding(head: bytes) -> str:
