@@ -57,6 +57,10 @@ class Page:
         """All axes of the stage."""
         return tuple(self.model.axes.values())
 
+    def diagnosis_of(self, axis: AxisModel) -> Diagnosis | None:
+        """The diagnosis of an axis, where there is one."""
+        return next((one for one in self.diagnoses if one.axis == axis.axis), None)
+
     def drawn(self, axis: AxisModel) -> tuple[Trace, ...]:
         """Return the recordings of an axis that get figures: those fitted worst."""
         return self.traces[axis.axis][:FIGURES_IN_FULL]

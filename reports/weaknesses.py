@@ -5,8 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import AxisModel
 from piezoid_reports.quantities import percent, told
+from piezoid_reports.what_is_left import left_of, mover_of
 
 NEAR_NOISE = 2.0
 WANDERING = 5e-4  # of the range: a zero that moves further is not sensor noise
@@ -28,27 +30,40 @@ class Weakness:
     remedy: str
 
 
-Rule = Callable[[AxisModel], Weakness | None]
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """What is known of an axis: its model, and what a diagnosis of the same data says, if any."""
+
+    axis: AxisModel
+    diagnosis: Diagnosis | None = None
 
 
-def weaknesses_of(axis: AxisModel) -> tuple[Weakness, ...]:
-    """Return everything that weakens the fit of an axis, the gravest first."""
-    return tuple(found for rule in RULES if (found := rule(axis)) is not None)
+Rule = Callable[[Judged], Weakness | None]
 
 
-def _class_does_not_apply(axis: AxisModel) -> Weakness | None:
-    if axis.verdict.applies:
+def weaknesses_of(axis: AxisModel, diagnosis: Diagnosis | None = None) -> tuple[Weakness, ...]:
+    """Return everything that weakens the fit of an axis, the gravest first.
+
+    diagnosis  of that axis: where it names a cause, cause and experiment are the diagnosis' own
+    """
+    judged = Judged(axis=axis, diagnosis=diagnosis)
+    return tuple(found for rule in RULES if (found := rule(judged)) is not None)
+
+
+def _class_does_not_apply(judged: Judged) -> Weakness | None:
+    verdict = judged.axis.verdict
+    if verdict.applies:
         return None
     return Weakness(
         what="that the model class does not apply",
-        why=f"The model class does not apply: {axis.verdict.reason}.",
+        why=f"The model class does not apply: {verdict.reason}.",
         remedy="Check which column is which and that both channels are sampled at the same "
         "instant, then sweep ten times slower; if the reason stays, another model is needed.",
     )
 
 
-def _one_excitation(axis: AxisModel) -> Weakness | None:
-    if axis.quality.held_out_kind != "second half":
+def _one_excitation(judged: Judged) -> Weakness | None:
+    if judged.axis.quality.held_out_kind != "second half":
         return None
     return Weakness(
         what="that it was tested on the second half of its only recording",
@@ -58,8 +73,8 @@ def _one_excitation(axis: AxisModel) -> Weakness | None:
     )
 
 
-def _not_converged(axis: AxisModel) -> Weakness | None:
-    if axis.quality.converged:
+def _not_converged(judged: Judged) -> Weakness | None:
+    if judged.axis.quality.converged:
         return None
     return Weakness(
         what="that the search stopped before it converged",
@@ -69,47 +84,55 @@ def _not_converged(axis: AxisModel) -> Weakness | None:
     )
 
 
-def _wandering_zero(axis: AxisModel) -> Weakness | None:
+def _wandering_zero(judged: Judged) -> Weakness | None:
+    axis = judged.axis
     moved = [(float(np.ptp(start.zero_m)), start.recording) for start in axis.starts]
     if not moved or max(moved)[0] <= WANDERING * axis.quality.range_m:
         return None
     by_m, where = max(moved)
+    moves = f"The zero moves by {told(by_m, 'm')} ({percent(by_m / axis.quality.range_m)} of the "
+    moves += f"range) during {where}; the fit followed this"
+    mover = mover_of(judged.diagnosis)
+    if mover is not None:
+        return Weakness(
+            what=f"a zero that moves by {told(by_m, 'm')}, beside {mover.name}",
+            why=f"{moves}, beside the {mover.name} that the diagnosis found.",
+            remedy=mover.experiment,
+        )
     return Weakness(
         what=f"a zero that moves by {told(by_m, 'm')}, unexplained",
-        why=f"The zero moves by {told(by_m, 'm')} "
-        f"({percent(by_m / axis.quality.range_m)} of the range) during {where}; the fit "
-        "followed this, but nothing here explains it.",
+        why=f"{moves}, but nothing here explains it.",
         remedy="Step to mid-range and hold the drive constant for ten minutes after warming up: "
         "creep slows down as it goes, thermal drift does not.",
     )
 
 
-def _far_from_noise(axis: AxisModel) -> Weakness | None:
-    quality = axis.quality
+def _far_from_noise(judged: Judged) -> Weakness | None:
+    quality = judged.axis.quality
     if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
         return None
+    far = f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise"
+    left = left_of(judged.diagnosis)
     return Weakness(
-        what=f"an error {_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise",
-        why=f"The held-out error, {told(quality.held_out_rms_m, 'm')} rms, is "
-        f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise: something in "
-        "the data is not in this model.",
-        remedy="Repeat the same drive at three speeds a decade apart: what grows with speed is "
-        "dynamics, what shrinks with it is creep or drift.",
+        what=f"an error {far}{left.short}",
+        why=f"The held-out error is {far}{left.why}",
+        remedy=left.remedy,
     )
 
 
-def _few_blocks(axis: AxisModel) -> Weakness | None:
-    if axis.uncertainty.blocks >= FEW_BLOCKS:
+def _few_blocks(judged: Judged) -> Weakness | None:
+    blocks = judged.axis.uncertainty.blocks
+    if blocks >= FEW_BLOCKS:
         return None
     return Weakness(
-        what=f"that its intervals rest on {axis.uncertainty.blocks} blocks of cycles",
-        why=f"Every interval rests on {axis.uncertainty.blocks} blocks of cycles.",
+        what=f"that its intervals rest on {blocks} blocks of cycles",
+        why=f"Every interval rests on {blocks} blocks of cycles.",
         remedy="Record at least twelve cycles, of different sizes.",
     )
 
 
-def _loose_loop(axis: AxisModel) -> Weakness | None:
-    width_m, half_m = axis.uncertainty.loop_width_m
+def _loose_loop(judged: Judged) -> Weakness | None:
+    width_m, half_m = judged.axis.uncertainty.loop_width_m
     if half_m <= LOOSE * abs(width_m):
         return None
     return Weakness(
@@ -119,8 +142,8 @@ def _loose_loop(axis: AxisModel) -> Weakness | None:
     )
 
 
-def _sensor_limits(axis: AxisModel) -> Weakness | None:
-    quality = axis.quality
+def _sensor_limits(judged: Judged) -> Weakness | None:
+    quality = judged.axis.quality
     if quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
         return None
     return Weakness(

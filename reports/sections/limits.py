@@ -11,7 +11,7 @@ def render(page: Page) -> Section:
     parts: list[Part] = []
     for axis in page.axes:
         parts.append(axis_heading(axis))
-        parts += [_experiments(axis), *_remarks(axis)]
+        parts += [_experiments(page, axis), *_remarks(axis)]
         parts += [Prose(text="Never tested by these recordings:"), _untested(axis)]
     return Section(
         anchor="limits",
@@ -21,8 +21,8 @@ def render(page: Page) -> Section:
     )
 
 
-def _experiments(axis: AxisModel) -> Part:
-    found = weaknesses_of(axis)
+def _experiments(page: Page, axis: AxisModel) -> Part:
+    found = weaknesses_of(axis, page.diagnosis_of(axis))
     if not found:
         return Prose(text="No weakness was found in this fit.", tone="good")
     return Table(

@@ -2,13 +2,13 @@
 
 from piezoid.identification.model import AxisModel
 from piezoid.verification.verification import Verification
-from piezoid_reports.effect_words import words
 from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Section
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.score import judgement_of, line_rms_m, score_of
 from piezoid_reports.traces import Trace
 from piezoid_reports.weaknesses import Weakness, weaknesses_of
+from piezoid_reports.what_is_left import named
 
 
 def render(page: Page) -> Section:
@@ -55,7 +55,8 @@ def sentences(page: Page) -> tuple[str, str, str]:
     good = [axis for axis in page.axes if axis.verdict.applies]
     wrong = [axis for axis in page.axes if not axis.verdict.applies]
     applies = _applies(good, wrong).removesuffix(".") + _ships(page)
-    return applies, _how_well(good, wrong), _what_next(page, [*wrong, *good])
+    worst_first = sorted(good, key=_held_out_percent, reverse=True)
+    return applies, _how_well(good, wrong), _what_next(page, [*wrong, *worst_first])
 
 
 def _ships(page: Page) -> str:
@@ -93,7 +94,7 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
             f"Do not build a controller on it: the numbers below, such as a held-out error of "
             f"{told(share, '%')} of the range, only show where it fails."
         )
-    worst = max(good, key=lambda axis: axis.quality.held_out_rms_percent)
+    worst = max(good, key=_held_out_percent)
     quality = worst.quality
     alone = len(good) + len(wrong) == 1
     whose = "On data" if alone else f"On data of axis {worst.axis}"
@@ -108,34 +109,22 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
 
 def _what_next(page: Page, axes: list[AxisModel]) -> str:
     for axis in axes:
-        found = weaknesses_of(axis)
+        found = weaknesses_of(axis, page.diagnosis_of(axis))
         if found:
             whose = f"axis {axis.axis}" if len(axes) > 1 else "it"
-            causes, remedy = _causes(page, axis.axis)
-            next_ = _lowered(remedy or found[0].remedy)
-            return f"What weakens {whose} most is {found[0].what}{causes}; next, {next_}"
+            first, _, _ = found[0].remedy.partition(". ")
+            return (
+                f"What weakens {whose} most is {found[0].what}; next, "
+                f"{_lowered(first.rstrip('.'))}."
+            )
     return "Nothing in this data speaks against using it within its range."
-
-
-def _causes(page: Page, axis: str) -> tuple[str, str]:
-    """Return the causes a diagnosis names, and the experiment for what it cannot tell apart."""
-    found = next((one for one in page.diagnoses if one.axis == axis), None)
-    if found is None or not found.findings:
-        return "", ""
-    doubtful = next((one for one in found.findings if one.not_separable_from), None)
-    named = f", in which the diagnosis finds {' and '.join(map(words, found.names))}"
-    if doubtful is None:
-        return named, ""
-    rivals = " or ".join(map(words, doubtful.not_separable_from))
-    experiment, _, _ = doubtful.next_experiment.partition(". ")
-    return f"{named} ({words(doubtful.effect)} could be {rivals})", f"{experiment.rstrip('.')}."
 
 
 def _card(page: Page, axis: AxisModel) -> Card:
     traces = page.traces[axis.axis]
     score = score_of(axis, traces)
     tone, word = judgement_of(axis, score)
-    found = weaknesses_of(axis)
+    found = weaknesses_of(axis, page.diagnosis_of(axis))
     first = (
         found[0] if found else Weakness(what="", why="No weakness was found.", remedy="Use it.")
     )
@@ -144,9 +133,13 @@ def _card(page: Page, axis: AxisModel) -> Card:
         score=score,
         tone=tone,
         word=word,
-        why=f"{_against_line(axis, traces)}{first.why}",
+        why=f"{_against_line(axis, traces)}{first.why}{_also_found(page, axis, first)}",
         remedy=first.remedy,
     )
+
+
+def _held_out_percent(axis: AxisModel) -> float:
+    return axis.quality.held_out_rms_percent
 
 
 def _least_known(good: list[AxisModel]) -> str:
@@ -161,8 +154,17 @@ def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:
     return (
         f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, the model "
         f"{told(held.held_out_rms_m, 'm')} on held-out data, "
-        f"{percent(held.held_out_rms_m / held.range_m)} of the range. "
+        f"{percent(held.held_out_rms_m / held.range_m)} of the range; the sensor's noise is "
+        f"{told(held.noise_rms_m, 'm')} rms. "
     )
+
+
+def _also_found(page: Page, axis: AxisModel, first: Weakness) -> str:
+    """Name the causes of a diagnosis where the gravest weakness is another matter."""
+    found = page.diagnosis_of(axis)
+    if found is None or not found.findings or named(found) in first.why:
+        return ""
+    return f" The diagnosis finds {named(found)}, and took it out."
 
 
 def _axes(axes: list[AxisModel]) -> str:

@@ -7,7 +7,12 @@ STROKE_m = 2.4e-5
 NAMES = tuple(effect.name for effect in EFFECTS)
 
 
-def finding(effect: str, share: float = 3e-3, rivals: tuple[str, ...] = ()) -> Finding:
+def finding(
+    effect: str,
+    share: float = 3e-3,
+    rivals: tuple[str, ...] = (),
+    experiment: str = "Record another.",
+) -> Finding:
     return Finding(
         effect=effect,
         held_out_gain=0.4,
@@ -18,7 +23,7 @@ def finding(effect: str, share: float = 3e-3, rivals: tuple[str, ...] = ()) -> F
         size=Size(value=0.5, unit="<b>percent</b>", ci95=(0.4, 0.6)),
         not_separable_from=rivals,
         explanation="What was <i>found</i>.",
-        next_experiment="Record another.",
+        next_experiment=experiment,
         parameters={},
     )
 

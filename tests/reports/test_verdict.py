@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.effects import EFFECTS
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.verification import Verification
+from piezoid_reports.effect_words import words
 from piezoid_reports.render import render
 from piezoid_reports.score import line_rms_m, score_of
 from piezoid_reports.traces import rms, traces_of
@@ -35,15 +37,75 @@ def test_three_sentences_say_class_error_and_next_experiment(page: str) -> None:
     assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
 
 
-def test_causes_the_diagnosis_names_and_its_experiment_stand_in_the_third_sentence() -> None:
-    found = diagnosed(finding("creep", rivals=("thermal_drift",)))
+def test_the_third_sentence_names_the_causes_and_the_experiment_for_what_is_in_doubt() -> None:
+    found = diagnosed(
+        finding("initial_state", experiment="Cycle the drive twice."),
+        finding("creep", rivals=("thermal_drift",), experiment="Record a staircase. Mirror it."),
+    )
     page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
     verdict = _verdict(page).replace("\u202f", " ")
     said = (
-        "in which the diagnosis finds creep (creep could be thermal drift); next, record another."
+        "an error 6.0 times the sensor noise, with initial state and creep already taken out "
+        "(creep could be thermal drift); next, record a staircase."
     )
     assert said in verdict
     assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+
+
+@pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS])
+def test_an_error_far_from_noise_is_met_by_the_experiment_of_the_cause_found(effect: str) -> None:
+    found = diagnosed(finding(effect, experiment="Do this at once. Then that."))
+    (weakness,) = [one for one in weaknesses_of(axis_model(), found) if "times" in one.what]
+    assert words(effect) in weakness.what
+    assert words(effect) in weakness.why
+    assert weakness.remedy == "Do this at once. Then that."
+
+
+def test_verdict_card_and_last_chapter_propose_one_and_the_same_experiment() -> None:
+    found = diagnosed(finding("creep", experiment="Do this at once. Then that."))
+    page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+    (card,) = Anatomy(page).all("article", "card")
+    limits = page.partition('id="limits"')[2].partition("</section>")[0]
+    assert "next, do this at once." in _verdict(page)
+    assert "Do this at once. Then that." in card.text
+    assert "Do this at once. Then that." in limits
+    assert "three speeds" not in page
+
+
+def test_a_diagnosis_that_finds_nothing_is_not_answered_by_what_it_has_already_tested() -> None:
+    page = render(stage_model(axis_model()), [recording()], diagnoses=(diagnosed(),))
+    assert "for which the diagnosis finds no cause; next, record reversals" in _verdict(page)
+    assert "three speeds" not in page
+
+
+def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain() -> None:
+    axis = axis_model()
+    axis = replace(axis, quality=replace(axis.quality, held_out_kind="second half"))
+    found = diagnosed(finding("delay", experiment="Record a chirp."))
+    page = render(stage_model(axis), [recording()], diagnoses=(found,))
+    (card,) = Anatomy(page).all("article", "card")
+    assert "Only one recording was given" in card.text
+    assert "The diagnosis finds delay, and took it out." in card.text
+    assert "next, record a second, different drive" in _verdict(page)
+
+
+def test_a_zero_that_moves_is_no_riddle_beside_the_drift_that_was_found() -> None:
+    quality = replace(axis_model().quality, held_out_rms_m=6e-9)
+    axis = replace(axis_model(), quality=quality)
+    found = diagnosed(finding("thermal_drift", experiment="Hold it."))
+    (weakness,) = [one for one in weaknesses_of(axis, found) if "zero" in one.what]
+    assert "unexplained" not in weakness.what
+    assert "thermal drift" in weakness.why
+    assert weakness.remedy == "Hold it."
+
+
+def test_the_third_sentence_is_about_the_axis_of_the_second() -> None:
+    better, worse = axis_model("x"), axis_model("y", ("up.csv",))
+    quality = replace(worse.quality, held_out_rms_m=4 * worse.quality.held_out_rms_m)
+    worse = replace(worse, quality=quality)
+    page = render(stage_model(better, worse), [recording(), recording("up.csv", "y")])
+    assert "On data of axis y it was not fitted to, its worst axis" in _verdict(page)
+    assert "What weakens axis y most" in _verdict(page)
 
 
 def test_an_axis_without_a_controller_is_named_on_top_beside_those_that_ship() -> None:

@@ -1,0 +1,87 @@
+"""What a diagnosis says of an error that is left: causes already taken out, what to do next.
+
+One voice for the verdict, the cards and the last chapter: where a diagnosis names causes, theirs
+is the next experiment, and no other is proposed beside it.
+"""
+
+from dataclasses import dataclass
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid_reports.effect_words import words
+
+SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # they move a zero
+
+SPEEDS = (
+    "Repeat the same drive at three speeds a decade apart: what grows with speed is dynamics, "
+    "what shrinks with it is creep or drift."
+)
+SHAPE = (
+    "Record reversals of many sizes at several biases, each reached from above and from below: "
+    "what then still is no cause is loops of a shape that plays and dead zones do not have, and "
+    "only feedback takes those up."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Left:
+    """What is said of an error far above the noise.
+
+    short   to follow "an error so many times the sensor noise"
+    why     to end a sentence that gives its size, with its full stop
+    remedy  the next experiment, in whole sentences
+    """
+
+    short: str
+    why: str
+    remedy: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mover:
+    """A cause that moves a zero, and the experiment that shows it."""
+
+    name: str
+    experiment: str
+
+
+def left_of(found: Diagnosis | None) -> Left:
+    """Return what a diagnosis, or the lack of one, says of an error far above the noise."""
+    if found is None:
+        return Left(short="", why=": something in the data is not in this model.", remedy=SPEEDS)
+    if not found.findings:
+        return Left(
+            short=", for which the diagnosis finds no cause",
+            why=", and the diagnosis finds no cause for it.",
+            remedy=SHAPE,
+        )
+    leading = _leading(found)
+    return Left(
+        short=f", with {named(found)} already taken out{_or_rival(leading)}",
+        why=f", with {named(found)}, as the diagnosis finds, already taken out"
+        f"{_or_rival(leading)}; no other cause is visible in what is left.",
+        remedy=leading.next_experiment,
+    )
+
+
+def mover_of(found: Diagnosis | None) -> Mover | None:
+    """Return the largest cause found that moves a zero, or None."""
+    slow = [one for one in found.findings if one.effect in SLOW] if found is not None else []
+    if not slow:
+        return None
+    return Mover(name=words(slow[0].effect), experiment=slow[0].next_experiment)
+
+
+def named(found: Diagnosis) -> str:
+    """Return the causes found as a reader says them, the largest first."""
+    *others, last = map(words, found.names)
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _leading(found: Diagnosis) -> Finding:
+    """Return whose experiment comes next: what cannot be told apart first, then the largest."""
+    return next((one for one in found.findings if one.not_separable_from), found.findings[0])
+
+
+def _or_rival(finding: Finding) -> str:
+    rivals = " or ".join(map(words, finding.not_separable_from))
+    return f" ({words(finding.effect)} could be {rivals})" if rivals else ""
