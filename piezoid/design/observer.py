@@ -146,7 +146,7 @@ def observer_with_gain(
         ),
         disturbance_gain=disturbance_gain,
         feedback_gain=K,
-        reference_gain=float(1.0 / (C @ np.linalg.solve(np.eye(len(A)) - A + np.outer(B, K), B))),
+        reference_gain=_resting_gain(A, B, C, K),
     )
 
 
@@ -168,6 +168,16 @@ def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]
         ]
     )
     return A_e, np.concatenate([plant.output_vector, np.zeros(states)])
+
+
+def _resting_gain(A: Array, B: Array, C: Array, K: Array) -> float:
+    """Return N = (1 + K x) / (C x), x = (I - A)^-1 B: what makes y = r at rest.
+
+    These are the runtime's own words. 1 / (C (I - A + B K)^-1 B) is the same number, but metres
+    beside volts make that matrix so ill-conditioned that the runtime's check sees the rounding.
+    """
+    rest = np.linalg.solve(np.eye(len(A)) - A, B)
+    return float((1.0 + K @ rest) / (C @ rest))
 
 
 def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:

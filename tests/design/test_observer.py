@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.kalman import kalman_gain
@@ -20,6 +22,7 @@ from piezoid.design.observer_loop import (
     with_oscillators_as_states,
 )
 from piezoid.design.plant import Plant, plant_from_fraction
+from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.design.state_feedback import placed_gain
 from piezoid.errors import DesignError
@@ -34,6 +37,7 @@ PRINTED_CLOSED_LOOP = np.concatenate(
         (-2.4126438412, 0.5616117386, -0.0724327942, 0.004516861, -0.0001052682),
     ]
 )
+RUNTIME_ASKS = 64.0 * np.finfo(float).eps  # `near` in piezoid_runtime.c
 DELAYS_s = (0.0, 20e-6, 50e-6, 120e-6)
 
 
@@ -102,6 +106,28 @@ def test_a_plant_gain_scales_the_controller_and_nothing_else():
     np.testing.assert_allclose(b.R * 3.5e-6, a.R, atol=1e-11)
     np.testing.assert_allclose(b.S, a.S, atol=1e-11)
     assert scaled.reference_gain * 3.5e-6 == pytest.approx(one.reference_gain, rel=1e-11)
+
+
+@given(st.floats(-9.0, 0.0), st.floats(0.0, 8.0), st.floats(30.0, 3000.0), st.floats(30.0, 3000.0))
+def test_a_stage_without_a_mode_rests_as_exactly_as_the_runtime_asks(
+    decades: float, late: float, feedback_Hz: float, observed_Hz: float
+) -> None:
+    with_mode = lateral_chain(10.0**decades, late / RATE_Hz)
+    plant = plant_from_chain(replace(with_mode, sections=with_mode.sections[::2]))
+    choice = PoleChoice(
+        feedback=Section(frequency_Hz=feedback_Hz),
+        observer=Section(frequency_Hz=observed_Hz),
+        disturbance_Hz=observed_Hz,
+    )
+    o = place_observer(
+        plant,
+        feedback_poles=feedback_poles(plant, choice.feedback),
+        observer_poles=observer_poles(plant, choice, ()),
+    )
+    rest = np.linalg.solve(np.eye(len(o.A)) - o.A, o.B)
+    scale = 1.0 + np.abs(o.feedback_gain * rest).sum()
+    left = o.reference_gain * (o.C @ rest) - 1.0 - o.feedback_gain @ rest
+    assert abs(left) <= RUNTIME_ASKS / 8.0 * scale
 
 
 @pytest.mark.parametrize("delay_s", DELAYS_s)
