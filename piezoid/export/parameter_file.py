@@ -167,8 +167,8 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             (a["axis"], a["parameters"], [other["parameters"] for other in a["alternatives"]])
             for a in record["axes"]
         ]
-        name, sources = str(record["name"]), dict(record["sources"])
-        unshipped = dict(record.get("unshipped", {}))
+        name, sources = str(record["name"]), _texts(record["sources"])
+        unshipped = _texts(record.get("unshipped", {}))
     except (KeyError, TypeError, ValueError) as error:
         raise _incomplete(place, f"no {error}") from error
     try:
@@ -187,6 +187,13 @@ def from_json(content: bytes, place: str) -> ParameterFile:
         )
     except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
         raise _incomplete(place, f"{type(error).__name__}: {error}") from error
+
+
+def _texts(table: Any) -> dict[str, str]:
+    held = dict(table)
+    if not all(isinstance(value, str) for value in held.values()):
+        raise TypeError("text beside every name")
+    return held
 
 
 def _shipped() -> list[Parameter]:

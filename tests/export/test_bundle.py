@@ -2,18 +2,22 @@
 
 import ctypes
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import SHIPPED, bundle, shipped
 from piezoid.export.c_header import c_header
 from piezoid.export.golden import SAMPLES, golden_csv
 from piezoid.export.inert import inert
-from piezoid.export.parameter_file import digest_of
+from piezoid.export.parameter_file import AxisParameters, digest_of
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
-from tests.export.stage import stage
+from tests.export.stage import lateral, stage
 from tests.runtime.compiler import PRECISION, STRICT, found, run
 
 # The example answers for its own reading of the table; the library for every bit of the numbers.
@@ -116,16 +120,62 @@ def test_an_edited_header_does_not_start(place, tmp_path):
         run(program, stdin=table)
 
 
+HOSTILE = (
+    "*/ int evil; /*", "line\nbreak", "back\\", "back\\\n", '"quote"', "tri??/graph??/", "\x00nul",
+    "\u202eturned\u2066", "Ångström\u2028evil", "%s%n", '\\u0022evil', "#include <evil.h>\r#error",
+    "| cell |\n# heading\n", "x" * 5000 + "*/ evil", "",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("text", HOSTILE, ids=ascii)
+def test_no_text_of_a_stage_becomes_a_token_of_the_header_or_a_line_of_the_readme(text):
+    tame = bundle(replace(stage("tame"), unshipped={"w": "tame"})).files
+    held = bundle(
+        replace(stage(text), sources={text: text}, unshipped={text: text}),
+    ).files
+    assert held.keys() == tame.keys()
+    assert tokens(held["piezo_params.h"]) == tokens(tame["piezo_params.h"])
+    for name in ("piezo_params.h", "README.md"):
+        assert held[name].decode("ascii").count("\n") == tame[name].decode("ascii").count("\n")
+        assert not set(held[name]) - set(range(32, 127)) - {10}
+    assert {n: c for n, c in held.items() if n not in MADE_OF_TEXT} == {
+        n: c for n, c in tame.items() if n not in MADE_OF_TEXT
+    }
+
+
+MADE_OF_TEXT = ("piezo_params.h", "README.md")
+
+
+def tokens(header):
+    """What a compiler reads: without comments and the digest, which is another for other text."""
+    bare = re.sub(rb"/\*.*?\*/", b" ", header, flags=re.S)
+    assert b"/*" not in bare
+    return re.sub(rb"sha256:[0-9a-f]{64}", b"", bare).split()
+
+
+def test_all_hostile_texts_at_once_compile_and_give_the_golden_answers(tmp_path):
+    text = "".join(HOSTILE)
+    made = bundle(replace(stage(text), sources={text: text}, unshipped={t: t for t in HOSTILE}))
+    folder = written(tmp_path, made)
+    program = built(folder, *STRICT, "-Wcomment", "-Wtrigraphs")
+    with (folder / "golden.csv").open() as table:
+        assert run(program, stdin=table).endswith(" 0 differ\n")
+
+
 @pytest.mark.parametrize(
-    "name", ["*/ int evil; /*", "line\nbreak", "back\\", '"quote"', "tri??/graph", "Ångström", ""]
+    "axis", [t for t in HOSTILE if t] + ["x\n", "X", "1x", "x-y", "ä"], ids=ascii
 )
-def test_a_hostile_name_stays_a_comment(name, tmp_path):
-    file = stage(name)
-    files = bundle(file).files
-    folder = written(tmp_path, bundle(file))
-    built(folder, *STRICT)
-    assert "evil" not in re.sub(r"/\*.*?\*/", "", files["piezo_params.h"].decode(), flags=re.S)
-    files["piezo_params.h"].decode("ascii")
+def test_an_axis_that_is_no_name_in_c_is_refused(axis):
+    with pytest.raises(ParameterFileError, match="an axis is called"):
+        AxisParameters(axis=axis, values=lateral("mpi_dob"))
+
+
+@given(st.text(), st.integers(0, 40))
+def test_inert_text_is_plain_and_no_longer_than_asked(text, length):
+    kept = inert(text, length=length)
+    assert len(kept) == min(len(text), length)
+    assert kept.isascii()
+    assert not set(kept) & set("*/\\\"'?#%<>[]{}|&\n\r\0`$@!~^")
 
 
 def test_inert_text_holds_nothing_a_compiler_reads():

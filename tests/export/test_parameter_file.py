@@ -1,7 +1,9 @@
 """params.json: what comes back is what was written, or nothing does."""
 
+import hashlib
 import itertools
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -44,6 +46,27 @@ def test_why_an_axis_is_missing_comes_back_and_files_that_never_said_so_are_read
     assert from_json(to_json(partly), "params.json").unshipped == partly.unshipped
     older = rewritten(lambda content: content.pop("unshipped"))
     assert from_json(older, "params.json").unshipped == {}
+
+
+@pytest.mark.parametrize("change", ["sources", "unshipped"])
+@pytest.mark.parametrize("value", [7, None, ["x"], {"a": "b"}])
+def test_a_reason_or_a_digest_that_is_no_text_is_refused(change, value):
+    content = rewritten(lambda held: held.update({change: {"x": value}}))
+    with pytest.raises(ParameterFileError, match="no text beside every name"):
+        from_json(content, "params.json")
+
+
+def test_half_a_character_in_a_sealed_file_is_refused_and_a_whole_one_is_read():
+    halved = rewritten(lambda held: held.update(name="NAME"))
+    for text, match in ((rb"\ud83d", "surrogates"), (rb"\ud83d\ude00", "")):
+        content = halved.replace(b"NAME", text)
+        blank = re.sub(rb"sha256:[0-9a-f]{64}", b"sha256:" + b"0" * 64, content, count=1)
+        content = blank.replace(b"0" * 64, hashlib.sha256(blank).hexdigest().encode(), 1)
+        if match:
+            with pytest.raises(ParameterFileError, match=match):
+                from_json(content, "params.json")
+        else:
+            assert from_json(content, "params.json").name == "\U0001f600"
 
 
 def test_the_same_parameters_are_the_same_bytes():
