@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.planning.menu import MENU, Bench, Experiment, played
+from piezoid.diagnosis.planning.bench import Bench, bench_of
+from piezoid.diagnosis.planning.menu import MENU, Experiment, played
 from piezoid.diagnosis.planning.playing import (
-    bench_of,
     driven_drive,
     driven_recording,
     drives_axis,
@@ -107,7 +107,7 @@ def plan(
     lab = lab or Lab()
     axis = model[diagnosis.axis]
     played_before = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
-    bench, limits_from = bench_of(model, axis, lab, recordings, clock_Hz)
+    bench = bench_of(model, axis, lab, recordings, clock_Hz)
     question = question_of(diagnosis, effect)
     errors = _errors(diagnosis)
     usual = [driven_drive(axis, drive) for drive in usual_drives(axis, bench)]
@@ -131,7 +131,7 @@ def plan(
         question=question,
         drive=chosen,
         limits=bench.limits,
-        limits_from=limits_from,
+        limits_from=bench.limits_from,
         before=told_apart(played_before, question.suspects, reference, errors)
         if played_before
         else None,

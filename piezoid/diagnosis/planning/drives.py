@@ -1,0 +1,165 @@
+"""The drives of the menu, each made inside the limits of a bench.
+
+Each begins with cycles over the whole range, and begins and ends at rest. Slow ones are played at
+a part of the converter's clock, so that a file of minutes stays readable.
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.planning.bench import Bench
+from piezoid.numerics.arrays import Array
+from piezoid.records.large_drives import (
+    between,
+    decaying_loops,
+    equal_cycles,
+    held_levels,
+    path_V,
+    rest_V,
+    reversal_curves,
+    rising_ramps,
+    sine_grid,
+)
+from piezoid.records.multisine import multisines, odd_lines
+
+SLOW_Hz = 500.0
+SLOWER_Hz = 100.0
+SMALL = (1.0, 0.3, 0.1)  # amplitudes of the grid of sines, of half the range
+GRID_Hz = (0.97, 3.1, 9.7, 31.0, 97.0, 310.0)  # low harmonics miss the mains
+RAMP_ROWS = 1000.0  # of the fastest triangle
+MULTISINE_RMS = 0.02  # of half the range, before the slew limit
+MULTISINE_PERIODS = 10
+
+Made = tuple[float, Array, dict[str, Array]]  # rate in Hz, (samples,) volts, and of other axes
+
+
+def slower(clock_Hz: float, wanted_Hz: float) -> float:
+    """Return the largest whole part of the clock that is not above a rate."""
+    return clock_Hz / max(int(np.ceil(clock_Hz / wanted_Hz - 1e-9)), 1)
+
+
+def nested_loops(bench: Bench, _: np.random.Generator) -> Made:
+    """Return nested minor loops, slow."""
+    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
+    body_V = decaying_loops(bench.limits, rate_Hz, frequency_Hz=0.5, cycles=12)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def curves(bench: Bench, _: np.random.Generator) -> Made:
+    """Return first-order reversal curves."""
+    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
+    body_V = reversal_curves(bench.limits, rate_Hz, curves=10, move_s=1.0)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def levels(bench: Bench, rng: np.random.Generator) -> Made:
+    """Return random levels, each held."""
+    return _held(bench, rng, levels=20, hold_s=8.0, mirrored=False)
+
+
+def mirrored_levels(bench: Bench, rng: np.random.Generator) -> Made:
+    """Return random levels and their mirror image, each held."""
+    return _held(bench, rng, levels=10, hold_s=8.0, mirrored=True)
+
+
+def _held(
+    bench: Bench, rng: np.random.Generator, *, levels: int, hold_s: float, mirrored: bool
+) -> Made:
+    rate_Hz = slower(bench.clock_Hz, SLOWER_Hz)
+    body_V = held_levels(
+        bench.limits, rate_Hz, levels=levels, hold_s=hold_s, mirrored=mirrored, rng=rng
+    )
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def sines(bench: Bench, _: np.random.Generator) -> Made:
+    """Return sines of every amplitude at every frequency."""
+    rate_Hz = slower(bench.clock_Hz, 20.0 * max(GRID_Hz))
+    usable = [f for f in GRID_Hz if f <= rate_Hz / 20.0]
+    body_V = sine_grid(bench.limits, rate_Hz, shares=SMALL, frequencies_Hz=usable, block_s=0.5)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def small_multisine(bench: Bench, rng: np.random.Generator) -> Made:
+    """Return a small multisine up to a tenth of the clock."""
+    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    rate_Hz, highest_Hz = bench.clock_Hz, bench.clock_Hz / 10.0
+    lines = odd_lines(5.0, highest_Hz, 1.0, left_out_of=4, rng=rng)
+    # the rms speed of equal lines, with room for a peak of four times as much
+    turning = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
+    rms_V = min(MULTISINE_RMS * (high - low) / 2, bench.limits.slew_V_per_s / (5.0 * turning))
+    (drive,) = multisines(
+        lines,
+        period_samples=round(rate_Hz),
+        periods=MULTISINE_PERIODS,
+        realisations=1,
+        rms_V=rms_V,
+        offset_V=(low + high) / 2,
+        axes=(bench.axis,),
+        sampling_rate_Hz=rate_Hz,
+        limits=bench.limits,
+        rng=rng,
+    )
+    return rate_Hz, between(drive.voltage_V[:, 0], rate_Hz, bench.limits), {}
+
+
+def other_axes(bench: Bench, _: np.random.Generator) -> Made:
+    """Return this axis held while the others move."""
+    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
+    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    moves = {
+        axis: decaying_loops(limits, rate_Hz, frequency_Hz=0.7, cycles=10)
+        for axis, limits in bench.others.items()
+    }
+    longest = max(len(move) for move in moves.values())
+    still_V = np.full(longest, (low + high) / 2)
+    own_V = between(np.pad(still_V, round(rate_Hz), mode="edge"), rate_Hz, bench.limits)
+    before = int(np.flatnonzero(own_V == still_V[0])[-len(still_V) - round(rate_Hz)])
+    others_V = {}
+    for axis, move in moves.items():
+        rest = rest_V(bench.others[axis])
+        there = path_V([rest, float(move[0])], bench.others[axis], rate_Hz, move_s=1.0)
+        back = path_V([float(move[-1]), rest], bench.others[axis], rate_Hz, move_s=1.0)
+        whole = np.concatenate([np.full(max(before - len(there), 0), rest), there, move, back])
+        after = np.full(max(len(own_V) - len(whole), 0), rest)
+        others_V[axis] = np.concatenate([whole, after])
+    return rate_Hz, own_V, others_V
+
+
+def ramps(bench: Bench, _: np.random.Generator) -> Made:
+    """Return full triangles at rising speed."""
+    span_V = bench.limits.voltage_max_V - bench.limits.voltage_min_V
+    fastest_Hz = bench.limits.slew_V_per_s / (2.0 * span_V)
+    rate_Hz = slower(bench.clock_Hz, max(RAMP_ROWS * fastest_Hz, SLOWER_Hz))
+    body_V = rising_ramps(bench.limits, rate_Hz, slowest=0.1, steps=8)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def hold(bench: Bench, _: np.random.Generator) -> Made:
+    """Return five minutes at mid-range."""
+    rate_Hz = slower(bench.clock_Hz, SLOWER_Hz)
+    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    body_V = np.full(round(300.0 * rate_Hz), (low + high) / 2)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def idle(bench: Bench, _: np.random.Generator) -> Made:
+    """Return twenty seconds at mid-range, sampled fast."""
+    rate_Hz = slower(bench.clock_Hz, 2000.0)
+    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    body_V = np.full(round(20.0 * rate_Hz), (low + high) / 2)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def cycles(bench: Bench, _: np.random.Generator) -> Made:
+    """Return the same full cycle over and over."""
+    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
+    body_V = equal_cycles(bench.limits, rate_Hz, frequency_Hz=0.97, cycles=40)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+def slow_ramp(bench: Bench, _: np.random.Generator) -> Made:
+    """Return the whole range once up and down, slowly."""
+    rate_Hz = slower(bench.clock_Hz, 1000.0)
+    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
+    body_V = path_V([low, high, low], bench.limits, rate_Hz, move_s=40.0)
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
