@@ -11,35 +11,26 @@ a test could see, each with its reason; they are left out of the score.
 """
 
 import argparse
-import contextlib
 import importlib
-import importlib.abc
-import importlib.machinery
 import json
 import os
 import random
-import resource
-import subprocess
 import sys
-import tempfile
 import time
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import CodeType, FrameType, ModuleType
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from benchmarks.mutants import Mutant, mutants_of
+from benchmarks.mutation_trial import KILLED, ROOT, SURVIVED, timed_tests, verdict
 
-ROOT = Path(__file__).resolve().parents[1]
 KEPT = ROOT / "build" / "mutation"
 LIGHT = ("numpy", "scipy.linalg", "pytest", "hypothesis", "_pytest.assertion.rewrite")
 HEAVY = ("scipy.optimize", "scipy.signal", "scipy.integrate", "pandas", "cvxpy", "nlopt")
-ROOM_bytes = 4 << 30
-KILLED, SURVIVED, UNBUILT = "killed", "survived", "does not compile"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,202 +71,6 @@ PARTS = {
         without=RUNTIME_TESTS,
     ),
 }
-# Which compiled modules a C file becomes, with what is compiled beside it.
-BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
-    "kernels.c": {"piezoid.operators._kernels": ("chain.c",)},
-    "chain.c": {"piezoid.operators._kernels": ("kernels.c",)},
-    "piezoid_runtime.c": {
-        "piezoid.runtime._runtime": ("run_many.c",),
-        "piezoid.runtime._runtime32": ("run_many.c", "-DPZ_REAL_FLOAT=1"),
-    },
-}
-
-
-class Broken(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Hands out one module with its mutant, and everything else as it is."""
-
-    def __init__(self, name: str, path: Path, source: str) -> None:
-        self.name, self.path = name, path
-        self.code: CodeType = compile(source, str(path), "exec")
-
-    def find_spec(self, fullname: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
-        if fullname != self.name:
-            return None
-        folder = [str(self.path.parent)] if self.path.name == "__init__.py" else None
-        spec = importlib.machinery.ModuleSpec(fullname, self, origin=str(self.path))
-        spec.submodule_search_locations = folder
-        spec.has_location = True
-        return spec
-
-    def exec_module(self, module: ModuleType) -> None:
-        exec(self.code, module.__dict__)
-
-
-class Compiled(importlib.abc.MetaPathFinder):
-    """Hands out compiled modules from another folder."""
-
-    def __init__(self, places: dict[str, Path]) -> None:
-        self.places = places
-
-    def find_spec(self, fullname: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
-        place = self.places.get(fullname)
-        if place is None:
-            return None
-        loader = importlib.machinery.ExtensionFileLoader(fullname, str(place))
-        return importlib.machinery.ModuleSpec(fullname, loader, origin=str(place))
-
-
-class Witness:
-    """A pytest plugin: seconds, outcome and entered functions of every test."""
-
-    def __init__(self) -> None:
-        self.entered: set[tuple[str, int]] = set()
-        self.tests: dict[str, dict[str, Any]] = {}
-
-    def _call(self, frame: FrameType, event: str, _: Any) -> None:
-        if event == "call" and "/piezoid/" in frame.f_code.co_filename:
-            self.entered.add((frame.f_code.co_filename, frame.f_code.co_firstlineno))
-
-    def pytest_runtest_protocol(self, item: Any) -> None:
-        self.entered.clear()
-        self.tests[item.nodeid] = {"began": time.process_time(), "failed": False}
-        sys.setprofile(self._call)
-
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        sys.setprofile(None)
-        test = self.tests[report.nodeid]
-        test["failed"] |= report.failed
-        if report.when == "teardown":
-            test["seconds"] = time.process_time() - test.pop("began")
-            test["entered"] = sorted(
-                f"{Path(name).resolve().relative_to(ROOT).as_posix()}:{line}"
-                for name, line in self.entered
-                if Path(name).resolve().is_relative_to(ROOT)
-            )
-        else:
-            sys.setprofile(self._call)
-
-
-def forked(work: Callable[[], int], limit_s: float) -> int:
-    """Run something in a process of its own, silent; its exit status, or -1 for a violent end."""
-    child = os.fork()
-    if child == 0:
-        silence = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(silence, 1)
-        os.dup2(silence, 2)
-        resource.setrlimit(resource.RLIMIT_CPU, (int(limit_s) + 1, int(limit_s) + 2))
-        resource.setrlimit(resource.RLIMIT_DATA, (ROOM_bytes, ROOM_bytes))
-        status = 70
-        with contextlib.suppress(BaseException):
-            status = work()
-        os._exit(status)
-    _, status = os.waitpid(child, 0)
-    return os.WEXITSTATUS(status) if os.WIFEXITED(status) else -1
-
-
-def run_tests(arguments: Sequence[str], *plugins: object) -> int:
-    import pytest
-
-    os.chdir(ROOT)
-    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"
-    # What the parent has imported already stays as it is, on purpose.
-    options = ("-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning")
-    return int(pytest.main([*options, *arguments], plugins=list(plugins)))
-
-
-def timed_tests(part: Part) -> dict[str, dict[str, Any]]:
-    """Run the tests of a part once and return what the witness saw; the failing are left out."""
-    with tempfile.NamedTemporaryFile(suffix=".json") as kept:
-
-        def work() -> int:
-            witness = Witness()
-            run_tests([*part.tests, *(f"--ignore={name}" for name in part.without)], witness)
-            Path(kept.name).write_text(json.dumps(witness.tests))
-            return 0
-
-        forked(work, 3600.0)
-        tests: dict[str, dict[str, Any]] = json.loads(Path(kept.name).read_text())
-    return {name: test for name, test in tests.items() if not test["failed"]}
-
-
-def chosen_tests(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> list[str]:
-    """Those that enter the mutant's function, quickest first, then all others of their files.
-
-    A file's other tests may live on what the first of them has computed and kept.
-    """
-    by_time = sorted(tests, key=lambda name: tests[name]["seconds"])
-    if mutant.path.endswith(".c"):
-        return by_time
-    functions = lines_of(mutant)
-    first = [name for name in by_time if functions & set(tests[name]["entered"])]
-    if not first:  # entered when the file is imported, if ever
-        ours = f"{mutant.path}:"
-        first = [n for n in by_time if any(e.startswith(ours) for e in tests[n]["entered"])]
-    files = {name.partition("::")[0] for name in first}
-    return first + [n for n in by_time if n.partition("::")[0] in files and n not in set(first)]
-
-
-def lines_of(mutant: Mutant) -> set[str]:
-    """The places at which the mutant's function, or any of its file, is entered."""
-    import ast
-
-    tree = ast.parse((ROOT / mutant.path).read_text())
-    kinds = (
-        ast.FunctionDef,
-        ast.Lambda,
-        ast.ListComp,
-        ast.GeneratorExp,
-        ast.DictComp,
-        ast.SetComp,
-    )
-    around = [
-        n for n in ast.walk(tree)
-        if isinstance(n, ast.FunctionDef) and n.lineno <= mutant.line <= (n.end_lineno or 0)
-    ]  # fmt: skip
-    root = max(around, key=lambda n: n.lineno) if around else tree
-    inside = [n for n in ast.walk(root) if isinstance(n, kinds)]
-    lines = {n.lineno for n in inside}
-    lines |= {d.lineno for n in inside if isinstance(n, ast.FunctionDef) for d in n.decorator_list}
-    return {f"{mutant.path}:{line}" for line in lines}
-
-
-def verdict(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> str:
-    """Run the tests on one mutant."""
-    names = chosen_tests(mutant, tests)
-    if not names:
-        return SURVIVED
-    limit_s = 20.0 + 4.0 * sum(tests[name]["seconds"] for name in names)
-    with tempfile.TemporaryDirectory() as folder:
-        finder = finder_of(mutant, Path(folder))
-        if finder is None:
-            return UNBUILT
-
-        def work() -> int:
-            sys.meta_path.insert(0, finder)
-            return run_tests(["-x", *names])
-
-        return SURVIVED if forked(work, limit_s) == 0 else KILLED
-
-
-def finder_of(mutant: Mutant, folder: Path) -> importlib.abc.MetaPathFinder | None:
-    path = ROOT / mutant.path
-    if path.suffix == ".py":
-        name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-        return Broken(name, path, mutant.broken())
-    places = {}
-    source = folder / path.name
-    source.write_text(mutant.broken())
-    for name, beside in BUILDS[path.name].items():
-        places[name] = folder / f"{name.rpartition('.')[2]}.so"
-        others = [str(path.parent / b) if b.endswith(".c") else b for b in beside]
-        done = subprocess.run(
-            ["cc", "-std=c99", "-O1", "-w", "-ffp-contract=off", "-shared", "-fPIC",
-             f"-I{path.parent}", str(source), *others, "-o", str(places[name]), "-lm"],
-            capture_output=True, check=False,
-        )  # fmt: skip
-        if done.returncode:
-            return None
-    return Compiled(places)
 
 
 def equivalent() -> dict[str, str]:
@@ -330,7 +125,7 @@ def main() -> None:
     kept = KEPT / f"{asked.part}.json"
     state: dict[str, Any] = json.loads(kept.read_text()) if kept.exists() else {}
     if "tests" not in state:
-        state = {"tests": timed_tests(part), "judged": {}}
+        state = {"tests": timed_tests(part.tests, part.without), "judged": {}}
         kept.write_text(json.dumps(state))
     seconds = sum(test["seconds"] for test in state["tests"].values())
     print(f"{len(state['tests'])} tests, {seconds:.1f} s of processor time", flush=True)

@@ -18,8 +18,9 @@ SEALED = ("schema", "size_bytes", "checksum")
 def complete(given: Mapping[str, ArrayLike | str]) -> Values:
     """Return every parameter of the schema, padded to its full shape, read-only.
 
-    given     by name; arrays may be shorter than the schema's (they go into the first places);
-              ``method`` may be a name; whatever is missing takes the schema's default
+    given     by name; arrays may be shorter than the schema's (they go into the first places), one
+              number fills all places; ``method`` may be a name; whatever is missing takes the
+              schema's default
     returned  float64 arrays of the schema's shapes, in the schema's order
 
     Raises ``ParameterFileError`` for an unknown name, too many numbers, a fraction where an
@@ -41,7 +42,7 @@ def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
     numbers = np.asarray(value, dtype=np.float64)
     full = np.zeros(parameter.shape)
     if numbers.ndim == 0:
-        full[...] = 0.0 if parameter.shape and numbers == 0 else numbers
+        full[...] = numbers
     elif numbers.ndim != full.ndim or any(
         n > m for n, m in zip(numbers.shape, full.shape, strict=True)
     ):

@@ -82,6 +82,13 @@ def test_without_filters_the_reading_is_dead_zones_after_plays_after_the_envelop
     )
 
 
+def test_a_delay_of_nothing_leaves_the_reading_as_it_is(rng: np.random.Generator) -> None:
+    chain, drive = drawn(rng, "none"), random_walk(rng, 200)
+    every = np.arange(200)
+    late = rows_at(replace(chain, share=0.0), drive, every, [])
+    np.testing.assert_array_equal(late[:, -1], rows_at(chain, drive, every, [])[:, -1])
+
+
 def test_the_memory_is_forgotten_once_every_play_has_moved(rng: np.random.Generator) -> None:
     chain = drawn(rng, "delay")
     drive = np.concatenate([np.zeros(10), np.linspace(0.0, 2 * chain.gap.sum() + 1, 50)])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
@@ -114,6 +115,32 @@ def test_a_matrix_of_the_wrong_shape_is_named() -> None:
         DiscreteSystem(
             A=np.eye(2), B=np.ones((1, 1)), C=np.ones((1, 2)), D=np.zeros((1, 1)), interval_s=1.0
         )
+
+
+@pytest.mark.parametrize("interval_s", [0.0, -1e-3, np.nan, np.inf])
+def test_a_sampling_interval_that_is_none_is_named(interval_s: float) -> None:
+    one = np.ones((1, 1))
+    with pytest.raises(ValueError, match="interval_s is"):
+        DiscreteSystem(A=one, B=one, C=one, D=one, interval_s=interval_s)
+
+
+@pytest.mark.parametrize("drive", [0, 1])
+def test_a_late_system_of_two_drives_is_one_fraction_for_each(drive: int) -> None:
+    """B and A, run as a filter, answer an impulse as the system does."""
+    lag = first_order(300)
+    late = ContinuousSystem(
+        A=lag.A,
+        B=np.hstack([lag.B, -2 * lag.B]),
+        C=lag.C,
+        D=np.zeros((1, 2)),
+        delay_s=2.5 / RATE_HZ,
+    )
+    B, A = fraction(late, RATE_HZ, drive=drive)
+    assert len(B) == len(lag.A) + 3 + 1  # states, samples of delay, and one more
+    pulse = np.zeros(40)
+    pulse[0] = 1.0
+    answer = sample(late, RATE_HZ).impulse_response(40)[:, 0, drive]
+    np.testing.assert_allclose(lfilter(B, A, pulse), answer, atol=ROUNDING)
 
 
 def _two_by_two(rng: np.random.Generator) -> DiscreteSystem:

@@ -94,6 +94,13 @@ def test_a_memory_that_is_not_nested_breaks_the_inverse(rng: np.random.Generator
     assert np.abs(back - u).max() > 0.1
 
 
+def test_a_map_that_is_flat_anywhere_has_no_inverse() -> None:
+    for last, invertible in ((-0.999, True), (-1.0, False), (-1.001, False)):
+        zones = DeadZones(threshold=np.array([0.0, 1.0]), weight=np.array([1.0, last]))
+        assert zones.is_invertible is invertible
+        assert np.ptp(zones.run(np.array([1.0, 2.0]))) == pytest.approx(abs(1.0 + last))
+
+
 def test_admissible_memory_stays_admissible(rng: np.random.Generator) -> None:
     for _ in range(50):
         plays = draw_plays(rng)

@@ -150,3 +150,10 @@ def test_one_bad_sample_more_than_allowed_retracts():
     np.testing.assert_array_equal(np.flatnonzero(back), [2])
     bad = (run.status & Status.BAD_MEASUREMENT) != 0
     np.testing.assert_array_equal(np.flatnonzero(bad), [0, 1, 2, 4])
+
+
+@pytest.mark.parametrize("shapes", [((3,), (4,)), ((2, 2), (2, 2)), ((), ()), ((4,), (2, 2))])
+def test_references_and_measurements_come_in_pairs(shapes):
+    controller = started(static())
+    with pytest.raises(ValueError, match="differ"):
+        controller.run(*(np.zeros(shape) for shape in shapes))

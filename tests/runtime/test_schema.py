@@ -36,7 +36,8 @@ def refused(given, precision="double"):
         library_module._write(packed, parameter, padded(parameter, value))
     opened.seal(packed)
     place = opened.code.pz_check(ctypes.byref(packed))
-    return PARAMETERS[place - 1].name if place else None
+    names = {number: name for name, number in schema.INDEX.items()}
+    return names[place] if place else None
 
 
 def padded(parameter, value):
@@ -201,6 +202,16 @@ def test_a_negative_zero_is_a_zero():
     values = complete({**WIDE, "voltage_offset_V": -0.0, "knot_m": [-1.0, -0.0]})
     assert not np.signbit(values["voltage_offset_V"])
     assert not np.signbit(values["knot_m"][1])
+
+
+def test_one_number_fills_all_places_and_nobody_writes_into_them():
+    values = complete({**WIDE, "knot_m": 1.5, "play_memory_V": 1.0})
+    assert (values["knot_m"] == 1.5).all()
+    assert (values["play_memory_V"] == 1.0).all()
+    for name, numbers in values.items():
+        with pytest.raises(ValueError, match="read-only"):
+            numbers[...] = 0.0
+        assert not numbers.flags.writeable, name
 
 
 def test_a_library_of_the_other_precision_is_refused():
