@@ -7,6 +7,7 @@ from piezoid.operators.chain import FirstOrder
 from piezoid.operators.library import KERNELS, address
 
 Coefficients = tuple[float, float, float]
+EVERY = slice(None)
 
 
 def filter_columns(columns: Array, coefficients: Coefficients, state: Array) -> Array:
@@ -42,17 +43,21 @@ def relaxed(moved: Array, time_s: float, rate_Hz: float) -> Array:
     return filter_columns(columns, first_order(time_s, rate_Hz), state).reshape(moved.shape)
 
 
-def later(moved: Array, samples: float) -> Array:
-    """Return a signal that many samples later, straight between samples."""
+def later(moved: Array, samples: float, keep: slice = EVERY) -> Array:
+    """Return a signal that many samples later, straight between samples, in the rows to keep."""
     whole = int(np.floor(samples))
     part = samples - whole
     held = np.repeat(moved[:1], min(whole + 1, len(moved) + 1), axis=0)
     joined = np.concatenate([held, moved])
-    return np.asarray((1.0 - part) * joined[1 : 1 + len(moved)] + part * joined[: len(moved)])
+    newer, older = joined[1 : 1 + len(moved)][keep], joined[: len(moved)][keep]
+    return np.asarray((1.0 - part) * newer + part * older)
 
 
-def lagged(moved: Array, kind: str, lag_s: float, rate_Hz: float) -> Array:
-    """Return a signal behind a lag: kind ``none``, ``delay`` or ``first_order``."""
+def lagged(moved: Array, kind: str, lag_s: float, rate_Hz: float, *, keep: slice = EVERY) -> Array:
+    """Return a signal behind a lag: kind ``none``, ``delay`` or ``first_order``.
+
+    keep  which rows are wanted; of a delay no others are computed
+    """
     if kind == "delay":
-        return later(moved, lag_s * rate_Hz)
-    return relaxed(moved, lag_s, rate_Hz) if kind == "first_order" else moved
+        return later(moved, lag_s * rate_Hz, keep)
+    return (relaxed(moved, lag_s, rate_Hz) if kind == "first_order" else moved)[keep]

@@ -86,7 +86,7 @@ def _quick_error(
     total = 0.0
     for piece, column in zip(pieces, columns, strict=True):
         keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
-        rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz)[keep]
+        rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
         free = rows[:, -len(_POLYNOMIAL) :]
         signed = np.hstack([rows, -free, np.ones((len(rows), 1)), -np.ones((len(rows), 1))])
         triangle = gather(

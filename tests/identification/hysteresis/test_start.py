@@ -1,8 +1,10 @@
 """The convex start finds what is there, and another solver agrees with its program."""
 
 import numpy as np
+import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.start import (
     constraints_of,
@@ -79,3 +81,16 @@ def test_weights_that_only_know_bounds_are_those_of_the_general_program(
     general = constrained_least_squares(triangle, nothing, *limits)
     np.testing.assert_allclose(bounded, general.x, atol=1e-5)
     assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["none", "delay", "first_order"])
+def test_the_lag_of_some_rows_is_some_rows_of_the_lag(kind: str, rng: np.random.Generator) -> None:
+    columns, some = rng.standard_normal((50, 3)), slice(2, 40, 7)
+    whole = lagged(columns, kind, 0.0123, 300.0)
+    np.testing.assert_array_equal(lagged(columns, kind, 0.0123, 300.0, keep=some), whole[some])
+
+
+def test_a_delay_holds_the_first_value_and_is_straight_between_samples() -> None:
+    line = np.arange(6.0)
+    np.testing.assert_allclose(lagged(line, "delay", 2.25, 1.0), np.maximum(line - 2.25, 0.0))
+    np.testing.assert_array_equal(lagged(line, "delay", 60.0, 1.0), np.zeros(6))
