@@ -50,8 +50,9 @@ def plan(
 
     piezoid plan stage42/ --effect creep --out next/ --json | jq .alternatives[].name
 
-    Every drive stays inside the range that was used before and the limits of lab.toml. Exit
-    status 3 means that no drive inside them answers.
+    Every drive stays inside the range that was used before and the limits of lab.toml. Where none
+    of them answers, the best is written all the same, with how little it would give and which
+    limit forbids more ("answers": false in plan.json); exit status 3 means that none shows it.
     """
     from piezoid_cli.output_folder import add_to_folder, check_free, write_folder
     from piezoid_cli.progress import shown
@@ -133,7 +134,7 @@ def _read(stage: Path, axis: str | None) -> _Known:
 def _show(found: "Plan", drive: Path) -> None:
     from rich.console import Console
 
-    from piezoid.diagnosis.planning.plan_file import sentences
+    from piezoid.diagnosis.planning.plan_words import sentences
 
     console = Console()
     for sentence in sentences(found):
@@ -152,11 +153,12 @@ def _table(found: "Plan") -> "Table":
         if one.told is None:
             table.add_row(one.name, "", "", plain(one.refusal))
             continue
-        alone = len(one.told.errors) == 1
+        alone = found.question.kind != "separate"
+        error = one.told.errors[0] if alone else one.told.worst
         table.add_row(
             plain(one.name, style="bold" if one.name == found.drive.name else ""),
             f"{one.duration_s:.0f} s",
             "" if alone else f"{one.told.separability:.2g}",
-            f"{100 * one.told.worst:.2g} %" if one.told.worst < 10.0 else "not shown",
+            f"{100 * error:.2g} %" if error < 10.0 else "not shown",
         )
     return table

@@ -1,60 +1,28 @@
 """The next experiment: the drive that answers best what a diagnosis left open.
 
-The question comes first: two effects that could not be separated, else the size with the widest
+The questions come first: two effects that could not be separated, else the size with the widest
 interval, else an effect these recordings could hardly have shown. Every drive of the menu is then
-played on the fitted model; the one that answers best is planned, the shorter one where two are
-nearly as good. Nothing is measured here: the expectation is that of separation.py.
+played on the fitted model, and the first question that one of them answers is taken; the drive
+that answers it best is planned, the shorter one where two are nearly as good. Where none answers,
+the plan says how little the best would give and which limit forbids more. Nothing is measured
+here: the expectation is that of separation.py.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.bench import Bench, bench_of
-from piezoid.diagnosis.planning.menu import MENU, Experiment, played
-from piezoid.diagnosis.planning.playing import (
-    driven_drive,
-    driven_recording,
-    drives_axis,
-    usual_drives,
-)
-from piezoid.diagnosis.planning.question import Question, question_of
-from piezoid.diagnosis.planning.separation import Errors, Told, told_apart
+from piezoid.diagnosis.planning.forbids import KNOWN, what_forbids
+from piezoid.diagnosis.planning.playing import driven_recording, drives_axis
+from piezoid.diagnosis.planning.question import Question, is_open, questions_of
+from piezoid.diagnosis.planning.separation import Told
+from piezoid.diagnosis.planning.table import Alternative, Choice, Table, table_of
 from piezoid.errors import ExcitationError
 from piezoid.identification.model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
-
-ENOUGH = 5.0  # standard errors; beyond, it is likeness of shape that misleads, not noise
-NEARLY = 0.9  # of the best: a shorter drive that reaches it is taken
-
-
-@dataclass(frozen=True, kw_only=True)
-class Alternative:
-    """One entry of the menu and what it would bring.
-
-    told     with the recordings there are, where they were given; None where it cannot be played
-    refusal  why not, or empty
-    """
-
-    name: str
-    why: str
-    duration_s: float
-    told: Told | None
-    refusal: str = ""
-
-    @property
-    def score(self) -> float:
-        """Return how good this is: standard errors of the least known strength; of two that are
-        to be separated rather their separability, once both stand out enough.
-        """
-        if self.told is None:
-            return 0.0
-        stands_out = 1.0 / max(self.told.worst, 1e-30)
-        if len(self.told.errors) == 1:
-            return stands_out
-        return self.told.separability * min(stands_out / ENOUGH, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +31,9 @@ class Plan:
 
     before        what the recordings there are can tell; None where they were not given
     after         with the planned one
+    answers       whether the drive is worth a recording
+    forbids       where it is not: the limit that forbids more, or that nothing is missing
+    set_aside     more pressing questions, which no drive of the menu answers
     alternatives  the whole menu, best first; the first is the one that was chosen
                   unless a shorter one is nearly as good
     limits_from   where the limits come from, in words
@@ -75,6 +46,9 @@ class Plan:
     limits_from: str
     before: Told | None
     after: Told
+    answers: bool
+    forbids: str
+    set_aside: tuple[Question, ...]
     alternatives: tuple[Alternative, ...]
 
     @property
@@ -101,74 +75,70 @@ def plan(
     clock_Hz    of the converters, where neither lab.toml nor the model say
     seed        of what is left to chance in a drive
 
-    Raises ``ExcitationError`` where no drive can answer. What goes wrong: an effect whose real
-    shape differs much from its tangent is told apart more or less well than is promised.
+    Raises ``ExcitationError`` where no drive shows any of it. What goes wrong: an effect whose
+    real shape differs much from its tangent is told apart more or less well than is promised.
     """
-    lab = lab or Lab()
     axis = model[diagnosis.axis]
-    played_before = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
-    bench = bench_of(model, axis, lab, recordings, clock_Hz)
-    question = question_of(diagnosis, effect)
-    errors = _errors(diagnosis)
-    usual = [driven_drive(axis, drive) for drive in usual_drives(axis, bench)]
-    reference = played_before or usual
-    menu = {one.name: _drive_of(one, bench, seed) for one in MENU}
-    found = []
-    for one in MENU:
-        drive = menu[one.name]
-        told = None
-        if isinstance(drive, Drive):
-            drives = [*played_before, driven_drive(axis, drive)]
-            told = told_apart(drives, question.suspects, reference, errors)
-        found.append(_alternative(one, drive, told))
-    found.sort(key=lambda alternative: -alternative.score)
-    best = _chosen(found, question)
-    chosen = menu[best.name]
-    if not isinstance(chosen, Drive) or best.told is None:
-        raise TypeError(best.name)
+    bench = bench_of(model, axis, lab or Lab(), recordings, clock_Hz)
+    recorded = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
+
+    def table_on(bench: Bench) -> Table:
+        return table_of(axis, bench, diagnosis, recorded, seed)
+
+    table = table_on(bench)
+    chosen, set_aside = _first_answered(table, questions_of(diagnosis, effect))
+    forbids = "" if chosen.answers else _why_none(chosen, bench, table_on)
+    return _plan(chosen, table, bench, forbids, set_aside)
+
+
+def _why_none(chosen: Choice, bench: Bench, table_on: Callable[[Bench], Table]) -> str:
+    if chosen.question.kind == "detect" and not is_open(chosen.question):
+        return KNOWN
+
+    def left(looser: Bench) -> float:
+        return table_on(looser).choice(chosen.question).left
+
+    return what_forbids(bench, left, chosen.left)
+
+
+def _first_answered(
+    table: Table, questions: Sequence[Question]
+) -> tuple[Choice, tuple[Question, ...]]:
+    """Return the first question that a drive answers, and those before it.
+
+    Where none is answered: the first of which a drive shows anything, else the first.
+    """
+    tried: list[Choice] = []
+    for question in questions:
+        choice = table.choice(question)
+        if choice.answers:
+            return choice, tuple(one.question for one in tried)
+        tried.append(choice)
+    return next((one for one in tried if one.shows), tried[0]), ()
+
+
+def _plan(
+    chosen: Choice, table: Table, bench: Bench, forbids: str, set_aside: tuple[Question, ...]
+) -> Plan:
+    drive, told = table.drives[chosen.best.name], chosen.best.told
+    if not chosen.shows or told is None or not isinstance(drive, Drive):
+        raise ExcitationError(
+            f"no drive of the menu shows {' and '.join(chosen.question.effects)} inside these "
+            "limits",
+            needed="a range and speed in which it moves the stage",
+            remedy=f"{forbids} Declare wider limits in lab.toml, or the other axes that can be "
+            "driven.",
+        )
     return Plan(
-        axis=diagnosis.axis,
-        question=question,
-        drive=chosen,
+        axis=bench.axis,
+        question=chosen.question,
+        drive=drive,
         limits=bench.limits,
         limits_from=bench.limits_from,
-        before=told_apart(played_before, question.suspects, reference, errors)
-        if played_before
-        else None,
-        after=best.told,
-        alternatives=tuple(found),
+        before=chosen.before,
+        after=told,
+        answers=chosen.answers,
+        forbids=forbids,
+        set_aside=set_aside,
+        alternatives=chosen.alternatives,
     )
-
-
-def _errors(diagnosis: Diagnosis) -> Errors:
-    noise_m, left_m = diagnosis.noise_floor_rms_m, diagnosis.final.rms_m
-    return Errors(noise_m=noise_m, structure_m=max(left_m**2 - noise_m**2, 0.0) ** 0.5)
-
-
-def _chosen(found: Sequence[Alternative], question: Question) -> Alternative:
-    best = found[0]
-    if not best.score > 0.0:
-        raise ExcitationError(
-            f"no drive of the menu shows {' and '.join(question.effects)} inside these limits",
-            needed="a range and speed in which it moves the stage",
-            remedy="Declare wider limits in lab.toml, or the other axes that can be driven.",
-        )
-    near = [one for one in found if one.score >= NEARLY * best.score]
-    return min(near, key=lambda one: one.duration_s)
-
-
-def _alternative(one: Experiment, drive: Drive | str, told: Told | None) -> Alternative:
-    if isinstance(drive, str):
-        return Alternative(name=one.name, why=one.why, duration_s=0.0, told=None, refusal=drive)
-    duration_s = len(drive.voltage_V) / drive.sampling_rate_Hz
-    return Alternative(name=one.name, why=one.why, duration_s=duration_s, told=told)
-
-
-def _drive_of(one: Experiment, bench: Bench, seed: int) -> Drive | str:
-    """Return a drive, or why this bench cannot play it."""
-    if one.needs_other and not bench.others:
-        return "no other axis is known to the model or to lab.toml"
-    try:
-        return played(one, bench, seed)
-    except ExcitationError as refusal:
-        return str(refusal)

@@ -13,7 +13,8 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.bench import Bench
 from piezoid.diagnosis.planning.menu import MENU, Experiment, played
-from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
+from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files
+from piezoid.diagnosis.planning.plan_words import sentences
 from piezoid.diagnosis.planning.tangents import TANGENTS, WITHOUT
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.provenance import unseal

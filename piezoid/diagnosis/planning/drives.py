@@ -8,6 +8,7 @@ import numpy as np
 
 from piezoid.diagnosis.planning.bench import Bench
 from piezoid.numerics.arrays import Array
+from piezoid.records.excitation import DriveLimits
 from piezoid.records.large_drives import (
     between,
     decaying_loops,
@@ -114,15 +115,28 @@ def other_axes(bench: Bench, _: np.random.Generator) -> Made:
     still_V = np.full(longest, (low + high) / 2)
     own_V = between(np.pad(still_V, round(rate_Hz), mode="edge"), rate_Hz, bench.limits)
     before = int(np.flatnonzero(own_V == still_V[0])[-len(still_V) - round(rate_Hz)])
+    there = {axis: _there(move, bench.others[axis], rate_Hz) for axis, move in moves.items()}
+    late = max(0, *(len(way) - before for way in there.values()))
+    own_V = np.pad(own_V, (late, 0), mode="edge")
     others_V = {}
     for axis, move in moves.items():
-        rest = rest_V(bench.others[axis])
-        there = path_V([rest, float(move[0])], bench.others[axis], rate_Hz, move_s=1.0)
-        back = path_V([float(move[-1]), rest], bench.others[axis], rate_Hz, move_s=1.0)
-        whole = np.concatenate([np.full(max(before - len(there), 0), rest), there, move, back])
-        after = np.full(max(len(own_V) - len(whole), 0), rest)
-        others_V[axis] = np.concatenate([whole, after])
-    return rate_Hz, own_V, others_V
+        limits, rest = bench.others[axis], rest_V(bench.others[axis])
+        back = path_V([float(move[-1]), rest], limits, rate_Hz, move_s=1.0)
+        still = np.full(before + late - len(there[axis]), rest)
+        others_V[axis] = np.concatenate([still, there[axis], move, back])
+    longest = max(len(own_V), *map(len, others_V.values()))
+    ended = {axis: _lasting(whole, longest) for axis, whole in others_V.items()}
+    return rate_Hz, _lasting(own_V, longest), ended
+
+
+def _there(move: Array, limits: DriveLimits, rate_Hz: float) -> Array:
+    """Return the way from rest to where a move begins."""
+    return path_V([rest_V(limits), float(move[0])], limits, rate_Hz, move_s=1.0)
+
+
+def _lasting(drive: Array, samples: int) -> Array:
+    """Return a drive that stays where it ended until the longest has ended."""
+    return np.pad(drive, (0, samples - len(drive)), mode="edge")
 
 
 def ramps(bench: Bench, _: np.random.Generator) -> Made:

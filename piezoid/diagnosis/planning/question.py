@@ -1,14 +1,18 @@
 """What a diagnosis left open, most pressing first: what the next experiment is to answer."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
+from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.planning.separation import Suspect
 from piezoid.diagnosis.planning.tangents import WITHOUT, tangent_of
 from piezoid.errors import ExcitationError
 
 WIDE = 0.25  # half an interval over the size: from here on it is worth a recording
 VISIBLE = 2e-3  # of the stroke, of an effect these recordings could not have shown
+ABOVE = 1.25  # times the least that is ever named: from here on a limit can be lowered
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,12 +23,14 @@ class Question:
     suspects  the effect asked about first, then those it is mistaken for
     finding   where it was found
     absent    where it was not
+    floor_m   rms below which the diagnosis names no such effect, however well it shows
     """
 
     kind: str
     suspects: tuple[Suspect, ...]
     finding: Finding | None = None
     absent: NotDetected | None = None
+    floor_m: float = 0.0
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -32,30 +38,51 @@ class Question:
         return tuple(suspect.name for suspect in self.suspects)
 
 
-def question_of(diagnosis: Diagnosis, effect: str | None) -> Question:
-    """Return what was left open, most pressing first, or what is asked about one effect."""
+def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ...]:
+    """Return what was left open, most pressing first, or what can be asked about one effect.
+
+    Raises ``ExcitationError`` where nothing is left to ask, and for a name that is no question.
+    """
     questions = [
         *_to_separate(diagnosis),
         *_to_tighten(diagnosis),
         *_to_detect(diagnosis),
     ]
     if effect is None:
-        pressing = [q for q in questions if q.kind != "tighten" or _width(q.finding) > WIDE]
-        return pressing[0]
+        return _pressing(questions)
     if effect in WITHOUT:
         raise ExcitationError(
             f"a plan for {effect} was asked for",
             needed="only what a drive can expose is planned for",
             remedy=f"No drive helps: {WITHOUT[effect]}.",
         )
-    asked = [q for q in questions if q.effects[0] == effect]
+    asked = tuple(q for q in questions if q.effects[0] == effect)
     if not asked:
         raise ExcitationError(
             f"the diagnosis says nothing of {effect!r}",
             needed="one of " + ", ".join(sorted({q.effects[0] for q in questions})),
             remedy="Name one of these.",
         )
-    return asked[0]
+    return asked
+
+
+def _pressing(questions: Sequence[Question]) -> tuple[Question, ...]:
+    found = tuple(one for one in questions if is_open(one))
+    if not found:
+        raise ExcitationError(
+            "the diagnosis leaves nothing open that a drive could show better",
+            needed="effects not told apart, wide intervals, or effects that could hide",
+            remedy="No recording is needed; name one with --effect to ask all the same.",
+        )
+    return found
+
+
+def is_open(question: Question) -> bool:
+    """Tell whether a question is worth asking unasked."""
+    if question.kind == "tighten":
+        return _width(question.finding) > WIDE
+    limit_m = None if question.absent is None else question.absent.detection_limit_m
+    return limit_m is None or limit_m > ABOVE * question.floor_m
 
 
 def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
@@ -104,9 +131,19 @@ def _to_detect(diagnosis: Diagnosis) -> list[Question]:
         limit_m = absent.detection_limit_m
         share = VISIBLE if limit_m is None else limit_m / diagnosis.stroke_m
         own = _suspect(absent.effect, share, diagnosis)
+        floor_m = _named_from_m(absent.effect, diagnosis)
         if own:
-            questions.append(Question(kind="detect", suspects=(own,), absent=absent))
+            questions.append(
+                Question(kind="detect", suspects=(own,), absent=absent, floor_m=floor_m)
+            )
     return questions
+
+
+def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
+    """Return the rms below which an effect is not named, m: as the diagnosis itself has it."""
+    effect = next(effect for effect in EFFECTS if effect.name == name)
+    worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.worth)
+    return max(effect.least * diagnosis.stroke_m, worth_m)
 
 
 def _suspect(name: str, share: float, diagnosis: Diagnosis) -> Suspect | None:

@@ -96,7 +96,7 @@ def told_apart(
     ]
     found = []
     for k, (suspect, scale) in enumerate(zip(suspects, scales, strict=True)):
-        strength = suspect.rms_m / max(_moves(suspect.tangent, scale, reference), 1e-30)
+        strength = suspect.rms_m / _moved(suspect.tangent, scale, reference, drives)
         whole = weight * strength * _sum(suspect.tangent, scale, drives)
         beside = [basis, *(basis_of(b) for j, b in enumerate(blocks) if j != k)]
         found.append(_relative_error(whole, np.hstack(beside), weight, drives, errors))
@@ -130,6 +130,16 @@ def block_of(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
 
 def _sum(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> Array:
     return np.concatenate([tangent.columns(one, scale)[one.rows].sum(axis=1) for one in drives])
+
+
+def _moved(
+    tangent: Tangent, scale: float, reference: Sequence[Driven], drives: Sequence[Driven]
+) -> float:
+    """Return the rms that a size is given along: of the reference, where the effect moves it at
+    all; else of the drive in which it moves most, as of a coupling that no recording excites.
+    """
+    there = _moves(tangent, scale, reference)
+    return there or max(_moves(tangent, scale, (one,)) for one in drives) or 1.0
 
 
 def _moves(tangent: Tangent, scale: float, drives: Sequence[Driven]) -> float:

@@ -1,7 +1,8 @@
 """What each effect would add along a drive that has not been played yet: one effect, one entry.
 
 The columns are those of the score test, made from the fitted model alone, in metres for a
-strength of one. Effects that are faults of the data have none: no drive exposes them better.
+strength of one. Effects that are faults of the data, and what the model always follows, have
+none: no drive exposes them better.
 """
 
 from collections.abc import Callable, Mapping
@@ -121,11 +122,6 @@ def _periodic(drive: Driven, _: float) -> Array:
     return 1e-6 * np.column_stack([np.cos(turn), np.sin(turn)])
 
 
-def _asymmetry(drive: Driven, _: float) -> Array:
-    reach_m = float(np.abs(drive.output_m).max())
-    return np.column_stack([drive.output_m**2, drive.output_m**3 / reach_m]) / reach_m
-
-
 def _bias(drive: Driven, _: float) -> Array:
     unit = drive.drive_V / drive.half_range_V
     return np.column_stack([drive.walls_m * unit, drive.walls_m * unit**2])
@@ -144,7 +140,6 @@ TANGENTS: tuple[Tangent, ...] = (
     Tangent(name="mains_interference", columns=_hum, own=True),
     Tangent(name="sensor_periodic_error", columns=_periodic),
     Tangent(name="gain_change", columns=_gain, own=True),
-    Tangent(name="asymmetry", columns=_asymmetry),
     Tangent(name="non_congruence", columns=_bias),
 )
 
@@ -152,6 +147,7 @@ WITHOUT: Mapping[str, str] = {
     "quantisation": "its remedy is a finer converter range, not another drive",
     "timestamp_fault": "its remedy is the acquisition's own counter in a column",
     "outliers": "its remedy is the wiring, not another drive",
+    "asymmetry": "the model has dead zones and follows it, so that nothing of it can be missing",
     "initial_state": "its remedy is to cycle the drive first, as every planned drive does",
 }
 

@@ -1,0 +1,151 @@
+"""A plan says where no drive answers, which limit forbids more, and never promises the absurd."""
+
+import json
+import re
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.experiment import Plan, plan
+from piezoid.diagnosis.planning.answer import answers, expected_limit_m, left_open
+from piezoid.diagnosis.planning.bench import Bench, bench_of
+from piezoid.diagnosis.planning.menu import MENU, played
+from piezoid.diagnosis.planning.plan_file import plan_json
+from piezoid.diagnosis.planning.plan_words import sentences
+from piezoid.diagnosis.planning.question import Question, questions_of
+from piezoid.diagnosis.planning.separation import Told
+from piezoid.diagnosis.planning.table import Table, table_of
+from piezoid.diagnosis.planning.tangents import TANGENTS
+from piezoid.errors import ExcitationError
+from piezoid.records.excitation import DriveLimits
+from piezoid.records.lab import Amplifier, Lab
+from tests.reports.known_diagnosis import diagnosed, finding
+from tests.reports.known_stage import axis_model, stage_model
+
+MODEL = stage_model(axis_model("x"), axis_model("y"))
+CLOCK_Hz = 1000.0
+HIGH_m = 2e-8  # a limit of detection that leaves something to be asked
+
+
+def _open(**limit_m: float) -> Diagnosis:
+    """Return a diagnosis that found nothing, and shows effects from these sizes, others well."""
+    found = diagnosed()
+    absent = tuple(
+        replace(one, detection_limit_m=limit_m.get(one.effect, 1e-12), upper_bound_m=1e-12)
+        for one in found.not_detected
+    )
+    return replace(found, not_detected=absent)
+
+
+def _planned(diagnosis: Diagnosis, slew_V_per_s: float | None = None, **asked: str) -> Plan:
+    lab = Lab(amplifier=Amplifier(slew_V_per_s=slew_V_per_s))
+    return plan(MODEL, diagnosis, lab=lab, clock_Hz=CLOCK_Hz, **asked)
+
+
+@cache
+def _too_slow() -> Plan:
+    return _planned(_open(delay=HIGH_m), 2.0, effect="delay")
+
+
+@cache
+def _table() -> Table:
+    axis = MODEL["x"]
+    bench = bench_of(MODEL, axis, Lab(), (), CLOCK_Hz)
+    return table_of(axis, bench, diagnosed(), (), 0)
+
+
+@pytest.mark.parametrize("effect", [one.name for one in TANGENTS])
+def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str) -> None:
+    diagnosis = _open(**{effect: HIGH_m})
+    (asked,) = questions_of(diagnosis, effect)
+    best = _table().choice(asked).best
+    least = next(one.least for one in EFFECTS if one.name == effect)
+    if best.told is not None and best.score > 0.0:
+        assert expected_limit_m(asked, None, best.told) >= least * diagnosis.stroke_m
+
+
+def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would() -> None:
+    found = diagnosed()
+    absent = tuple(
+        replace(one, detection_limit_m=None, upper_bound_m=None)
+        if one.effect == "cross_coupling"
+        else one
+        for one in found.not_detected
+    )
+    (asked,) = questions_of(replace(found, not_detected=absent), "cross_coupling")
+    best = _table().choice(asked).best
+    assert best.name == "other_axis"
+    assert best.told is not None
+    assert 1e-6 < best.told.errors[0] < 1.0
+
+
+def test_other_axes_that_reach_their_loops_late_are_waited_for() -> None:
+    slow = DriveLimits(voltage_min_V=0.0, voltage_max_V=10.0, slew_V_per_s=1.0)
+    fast = replace(slow, slew_V_per_s=50.0)
+    bench = Bench(axis="x", limits=fast, clock_Hz=CLOCK_Hz, others={"y": slow, "z": fast})
+    drive = played(next(one for one in MENU if one.needs_other), bench, 0)
+    still_V = drive.voltage_V[:, 0] == 5.0
+    for k in (1, 2):
+        moving = np.abs(np.diff(drive.voltage_V[:, k])) > 0.0
+        loops = moving & (drive.voltage_V[1:, k] > 1.0)
+        assert still_V[1:][loops].mean() > 0.7
+
+
+def test_where_speed_is_what_is_missing_the_plan_says_so_and_is_right() -> None:
+    slow = _too_slow()
+    assert not slow.answers
+    assert "No drive of the menu answers that inside these limits" in sentences(slow)[1]
+    said = re.search(
+        r"forbids more is the speed, 2 V/s .*slew_V_per_s.* leave (\d+) % .* not (\d+) %",
+        slow.forbids,
+    )
+    assert said is not None
+    faster = _planned(_open(delay=HIGH_m), 8.0, effect="delay")
+    left = left_open(faster.question, None, faster.after)
+    assert 100 * left == pytest.approx(float(said[1]), abs=0.6)
+    assert left < left_open(slow.question, None, slow.after)
+
+
+def test_a_question_that_no_drive_answers_gives_way_to_one_that_is_answered() -> None:
+    both = _open(delay=HIGH_m, thermal_drift=1e-8)
+    planned = _planned(both, 2.0)
+    assert planned.answers
+    assert planned.question.effects == ("thermal_drift",)
+    assert [one.effects for one in planned.set_aside] == [("delay",)]
+    assert "More pressing, but answered by no drive" in sentences(planned)[-1]
+    assert "whether there is delay" in sentences(planned)[-1]
+
+
+def test_what_shows_already_from_the_least_that_is_named_needs_no_recording() -> None:
+    planned = _planned(_open(), effect="delay")
+    assert not planned.answers
+    assert "no recording is needed" in planned.forbids
+
+
+def test_a_diagnosis_that_leaves_nothing_open_asks_for_nothing() -> None:
+    with pytest.raises(ExcitationError, match="nothing open"):
+        _planned(_open())
+
+
+def test_what_is_said_stands_in_the_file_for_scripts() -> None:
+    planned = _too_slow()
+    content = json.loads(json.dumps(plan_json(planned)))
+    assert content["answers"] is False
+    assert content["forbids"] == planned.forbids
+    assert content["set_aside"] == []
+    assert "e-" not in content["why"]
+
+
+def test_two_that_stay_lost_in_their_errors_are_not_told_apart_however_unlike_they_are() -> None:
+    found = diagnosed(finding("creep", rivals=("thermal_drift",)))
+    asked: Question = questions_of(found, "creep")[0]
+    unlike = Told(separability=0.9, errors=(2.0, 0.1))
+    assert not answers(asked, None, unlike)
+    assert answers(asked, None, replace(unlike, errors=(0.1, 0.1)))
+    assert not answers(
+        asked, replace(unlike, errors=(0.1, 0.1)), replace(unlike, errors=(0.1, 0.1))
+    )
