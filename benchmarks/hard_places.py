@@ -2,10 +2,10 @@
 
     python -m benchmarks.hard_places STAGE [VERB ...]
 
-STAGE is a folder that `piezoid fit` wrote. Each verb writes onto a disk of its own in memory,
-or mounted read only: that needs the right to mount. Whatever stood
-there must stand there still, nothing beside it, and one message must say so with exit status 3.
-Two runs at once into one folder must leave it whole, with the bytes of one of them.
+STAGE is a folder that `piezoid fit` wrote. Each verb writes onto a disk of its own in memory, full
+or mounted read only: that needs the right to mount. Whatever stood there must stand there still,
+nothing beside it, and one message must say so with exit status 3. Two runs at once into one folder
+must leave it whole, with the bytes of one of them.
 """
 
 import os
@@ -22,7 +22,7 @@ from benchmarks.kill_fit import held, recording
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 OLD = {"kept.txt": b"what was there"}
 UNUSABLE = 3
-# What two runs at once may be told: the later one finds the folder taken, where it may not replace.
+# Two runs at once: the later one finds the folder taken, where it may not replace.
 TAKEN = {(0, 0), (0, 2), (2, 0)}
 
 
