@@ -81,6 +81,8 @@ def show(found: "Design") -> None:
 def _table(found: "Design") -> "Table":
     from rich.table import Table
 
+    from piezoid.readable import told
+
     table = Table(title=plain("controllers, worst member of each plant family"))
     for heading in ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed"):
         table.add_column(heading, justify="right")
@@ -90,10 +92,10 @@ def _table(found: "Design") -> "Table":
             table.add_row(
                 plain(axis.axis),
                 loop.method,
-                f"{loop.bandwidth_Hz:.4g} Hz",
+                told(loop.bandwidth_Hz, "Hz"),
                 f"{loop.worst_modulus_margin:.3f}",
-                "any" if delay_s is None else f"{1e6 * delay_s:.0f} us",
-                f"{1e9 * proven.guaranteed_error_m:.0f} nm"
+                "any" if delay_s is None else told(delay_s, "s"),
+                told(proven.guaranteed_error_m, "m")
                 if proven is not None and proven.is_guaranteed
                 else "no bound",
             )

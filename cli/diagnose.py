@@ -120,13 +120,15 @@ def _changed(
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
+    from piezoid.readable import told
+
     console = Console()
     console.print(_table(found))
     console.print(
         plain(
             f"of the explainable error {100 * found.explained_fraction:.0f} % is explained; "
-            f"{1e9 * found.final.rms_m:.3g} nm are left on rows left out, "
-            f"the sensor's noise is {1e9 * found.noise_floor_rms_m:.3g} nm"
+            f"{told(found.final.rms_m, 'm')} are left on rows left out, "
+            f"the sensor's noise is {told(found.noise_floor_rms_m, 'm')}"
         )
     )
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
@@ -134,6 +136,8 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
 def _table(found: "Diagnosis") -> "Table":
     from rich.table import Table
+
+    from piezoid.readable import significant
 
     table = Table(title=plain(f"axis {found.axis}: {len(found.findings)} found"))
     for heading in ("effect", "gain", "size", "95 %", "not separable from"):
@@ -143,8 +147,8 @@ def _table(found: "Diagnosis") -> "Table":
         table.add_row(
             plain(finding.effect),
             f"{100 * finding.held_out_gain:.1f} %",
-            plain(f"{finding.size.value:.4g} {finding.size.unit}"),
-            f"{low:.4g} .. {high:.4g}",
+            plain(f"{significant(finding.size.value)} {finding.size.unit}"),
+            f"{significant(low)} .. {significant(high)}",
             plain(", ".join(finding.not_separable_from)),
         )
     return table

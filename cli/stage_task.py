@@ -95,13 +95,14 @@ def _reason(found: "Calibration") -> str:
 
 
 def _wrong_controllers(made: "Controllers") -> list[str]:
+    from piezoid_cli.verify import failure_of
+
     if made.passed:
         return []
     wrong = [made.reason] if made.reason else []
     wrong += [f"axis {axis} does not ship: {reason}" for axis, reason in made.unshipped.items()]
     return wrong + [
-        f"{verdict.name} ({verdict.scenario}): {verdict.value:.4g}, allowed "
-        f"{verdict.limit:.4g}, {verdict.unit}"
+        failure_of(verdict)
         for verdict in (() if made.verification is None else made.verification.verdicts)
         if not verdict.passed
     ]

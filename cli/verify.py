@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.export.parameter_file import ParameterFile
+    from piezoid.verification.criteria import Verdict
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import Verification
 
@@ -104,19 +105,30 @@ def show(found: "Verification", file: "ParameterFile") -> None:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for verdict in found.verdicts:
         if not verdict.passed:
-            line = (
-                f"failed: {verdict.name} ({verdict.scenario}): {verdict.value:.4g}, "
-                f"allowed {verdict.limit:.4g}, {verdict.unit}"
-            )
-            console.print(plain(line, style="bold red"))
+            console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
     passed = sum(verdict.passed for verdict in found.verdicts)
     console.print(plain(f"{passed} of {len(found.verdicts)} verdicts passed"))
+
+
+def failure_of(verdict: "Verdict") -> str:
+    """Return what was found and what is allowed, in units that are read at a glance."""
+    from piezoid.readable import significant, told
+
+    def shown(value: float) -> str:
+        if verdict.unit == "s":
+            return told(value, "s")
+        return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
+
+    found, allowed = shown(verdict.value), shown(verdict.limit)
+    return f"{verdict.name} ({verdict.scenario}): {found}, allowed {allowed}"
 
 
 def _comparison(found: "Verification") -> "Table":
     from rich.table import Table
 
-    title = f"spirals of radius {1e6 * found.radius_m:.1f} um, errors in nm"
+    from piezoid.readable import told
+
+    title = f"spirals of radius {told(found.radius_m, 'm')}, errors in nm"
     table = Table(title=plain(title))
     for heading in ("turns a second", "method", "rms", "largest", "shape rms", "delay"):
         table.add_column(heading, justify="right")
@@ -127,7 +139,7 @@ def _comparison(found: "Verification") -> "Table":
             f"{1e9 * row.rms_m:.1f}",
             f"{1e9 * row.max_m:.1f}",
             f"{1e9 * row.aligned_rms_m:.1f}",
-            f"{1e6 * row.delay_s:.0f} us",
+            told(row.delay_s, "s"),
         )
     return table
 

@@ -16,6 +16,7 @@ from piezoid.identification.quality import Certificate, FitQuality, Uncertainty,
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.readable import told
 from piezoid.showing import shown
 
 SCHEMA = "piezoid.model/1"
@@ -197,6 +198,6 @@ def _shown(axis: AxisModel) -> tuple[str, str]:
     return (
         f"axis {axis.axis}",
         f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
-        f"error {1e9 * quality.held_out_rms_m:.1f} nm rms, {quality.held_out_rms_percent:.3f} % "
-        f"of the range; noise {1e9 * quality.noise_rms_m:.1f} nm rms",
+        f"error {told(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} % "
+        f"of the range; noise {told(quality.noise_rms_m, 'm')} rms",
     )

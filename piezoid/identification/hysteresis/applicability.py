@@ -18,6 +18,7 @@ from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.readable import told
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
@@ -102,7 +103,7 @@ def _only_lag(
         trial = attempt(pieces, shape, replace(settings, lag_s=None))
         if trial.held_out_rms <= AS_GOOD * choice.best.held_out_rms:
             return (
-                f"a {lag.replace('_', '-')} lag of {1e3 * trial.lag_s:.3g} ms without any "
+                f"a {lag.replace('_', '-')} lag of {told(trial.lag_s, 's')} without any "
                 f"hysteresis leaves {100 * trial.held_out_rms / height:.3g} % of the displacement "
                 "range on held-out data, the hysteresis model "
                 f"{100 * choice.best.held_out_rms / height:.3g} %: the loop "

@@ -10,6 +10,7 @@ from piezoid.identification.hysteresis.order import Choice
 from piezoid.identification.hysteresis.search import Fitted
 from piezoid.identification.model import PieceStart
 from piezoid.operators.play import forgetting_sample
+from piezoid.readable import told
 
 LOOSE_KKT = 1e-6
 
@@ -82,14 +83,14 @@ def _about_lag(fitted: Fitted) -> list[str]:
             "sampled at the same instant?"
         ]
     if lag_s >= 0.999 * fitted.task.longest_lag_s:
-        return [f"The fitted lag lies on its upper bound, {1e3 * lag_s:.3g} ms."]
+        return [f"The fitted lag lies on its upper bound, {told(lag_s, 's')}."]
     return []
 
 
 def _about_zero(starts: Sequence[PieceStart], stroke_m: float) -> list[str]:
     moved = [(start, float(np.ptp(start.zero_m))) for start in starts]
     return [
-        f"{start.recording}: the zero moves by {1e9 * by_m:.3g} nm during the recording; it was "
+        f"{start.recording}: the zero moves by {told(by_m, 'm')} during the recording; it was "
         "followed, not explained."
         for start, by_m in moved
         if by_m > 5e-4 * stroke_m
