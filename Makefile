@@ -33,7 +33,9 @@ format: $(READY)
 	$(BIN)/clang-format -i $(C_FILES)
 
 benchmark: $(READY)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[benchmarks]'
 	$(BIN)/python -m pytest benchmarks -q --benchmark-columns=min,median,rounds
+	$(BIN)/python -m benchmarks.ratios build/benchmarks
 
 # The environment: exactly the versions of constraints.txt, for the build as well.
 $(READY): pyproject.toml constraints.txt $(C_FILES)

@@ -1,0 +1,55 @@
+"""The table: one row for each stage, every figure a ratio of two times of the same run."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from benchmarks.speed.stopwatch import Growth
+
+SIZES = ("samples", "plays", "recordings")
+HEADINGS = (
+    "stage",
+    "NumPy loop",
+    "numba loop",
+    "general solver, all rows",
+    "it takes itself",
+    "grows as samples, plays, recordings to the power",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What one stage was compared with.
+
+    loop, compiled  how many times as long a loop over the samples takes, in NumPy and in numba
+    solvers         the same of general solvers, by their names
+    bounds          how many times as long as something that bounds it the stage itself takes
+    """
+
+    stage: str
+    loop: float | None = None
+    compiled: float | None = None
+    solvers: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, float] = field(default_factory=dict)
+
+
+def short(value: float | None) -> str:
+    """Return two digits of a number; nothing of none."""
+    return "" if value is None else f"{float(f'{value:.2g}'):.10g}"
+
+
+def table(rows: Sequence[Row], growths: Sequence[Growth]) -> str:
+    """Return the table as Markdown."""
+    lines = [HEADINGS, ["---"] * len(HEADINGS), *(_cells(row, growths) for row in rows)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _cells(row: Row, growths: Sequence[Growth]) -> list[str]:
+    power = {one.what: f"{one.exponent:.1f}" for one in growths if one.stage == row.stage}
+    return [
+        row.stage,
+        short(row.loop),
+        short(row.compiled),
+        ", ".join(f"{name} {short(value)}" for name, value in row.solvers.items()),
+        ", ".join(f"{short(value)} {name}" for name, value in row.bounds.items()),
+        ", ".join(power.get(what, "-") for what in SIZES) if power else "",
+    ]
