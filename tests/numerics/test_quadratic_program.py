@@ -7,7 +7,11 @@ from scipy.optimize import nnls
 
 from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quadratic_program import bounded_step, constrained_least_squares
+from piezoid.numerics.quadratic_program import (
+    bounded_step,
+    constrained_least_squares,
+    stationarity,
+)
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.play import play_columns
 
@@ -40,7 +44,41 @@ def test_nonnegative_weights_agree_with_nnls_on_all_rows(
     # OSQP stops at 1e-10 of its residuals; the regressors' condition of 1e4 multiplies that.
     np.testing.assert_allclose(program.x, reference, atol=1e-6)
     assert program.kkt_gap < 1e-10
+    assert program.cost == pytest.approx(float(np.sum((factor @ program.x - right) ** 2)))
     np.testing.assert_allclose(bounded_step(factor, right, zero, none), reference, atol=1e-11)
+
+
+def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
+    rng: np.random.Generator,
+) -> None:
+    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
+    best = np.linalg.lstsq(factor, right)[0]
+    free = np.full(4, -np.inf), np.full(4, np.inf)
+    assert stationarity(factor, best, right, np.eye(4), free) < 1e-14
+    norms = np.linalg.norm(factor, axis=0)
+    gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
+    gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
+    assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
+    # A bound that holds a number back balances its part, in the direction it pushes and no other.
+    pushed = np.where(np.arange(4) == 2, 0.1, 0.0)
+    for sign, balanced in ((1.0, False), (-1.0, True)):
+        x = best + sign * pushed
+        upper = np.where(np.arange(4) == 2, x[2], np.inf)
+        others = stationarity(factor, x, right, np.eye(4), (free[0], upper))
+        alone = stationarity(factor, x, right, np.eye(4), free)
+        assert (others < alone) is balanced
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e-6, 1e13])
+def test_a_step_in_other_units_is_the_same_step(rng: np.random.Generator, scale: float) -> None:
+    # Columns much alike: what a bound holds back, the others take over, some onto their bounds.
+    columns = rng.normal(size=(80, 1)) + 0.3 * rng.normal(size=(80, 10))
+    factor, right = reduced(columns, columns @ rng.normal(size=10) + rng.normal(size=80))
+    lower, upper = np.full(10, -0.5), rng.uniform(0.1, 1.0, 10)
+    known = bounded_step(factor, right, lower, upper)
+    assert 0 < np.count_nonzero((known == lower) | (known == upper)) < 10
+    found = bounded_step(factor, scale * right, scale * lower, scale * upper)
+    np.testing.assert_allclose(found / scale, known, atol=1e-12)
 
 
 def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:

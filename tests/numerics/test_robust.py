@@ -49,6 +49,17 @@ def test_no_trend_is_seen_in_noise_more_often_than_promised() -> None:
 def test_too_few_pairs_have_no_trend() -> None:
     assert trend_of(np.arange(7.0), np.arange(7.0)) is None
     assert trend_of(np.ones(20), np.arange(20.0)) is None
+    assert trend_of(np.arange(20.0), np.ones(20)) is None
+
+
+@pytest.mark.parametrize("height", [1e-9, 1.0, 1e9])
+def test_a_straight_line_is_its_own_trend(height: float) -> None:
+    x = np.linspace(0.0, 1.0, 8)
+    for rise in (height, -height):
+        found = trend_of(x, rise * x)
+        assert found is not None
+        assert found.slope == pytest.approx(rise)
+        assert (found.middle, found.about) == pytest.approx((0.5 * rise, 0.5))
 
 
 def test_holm_is_the_worked_example_and_never_below_the_raw_value() -> None:

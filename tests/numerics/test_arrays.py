@@ -1,0 +1,45 @@
+"""What a record does to its arrays, and how much noise is on one."""
+
+import numpy as np
+import pytest
+
+from piezoid.numerics.arrays import frozen, same_length, strictly_increasing
+from piezoid.numerics.noise import white_noise_rms
+
+
+def test_a_frozen_array_is_a_copy_that_nobody_writes_into() -> None:
+    given = np.arange(3.0)
+    held = frozen(given, "x")
+    given[0] = 7.0
+    np.testing.assert_array_equal(held, [0.0, 1.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        held[0] = 1.0
+    assert frozen([[1, 2]], "x", ndim=2).dtype == np.float64
+    assert frozen(np.ones((2, 3)).T, "x", ndim=2).flags.c_contiguous
+
+
+def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:
+    with pytest.raises(ValueError, match=r"x has 2 axes, expected 1"):
+        frozen([[1.0]], "x")
+    with pytest.raises(ValueError, match=r"x\[1\] is nan, expected"):
+        frozen([0.0, np.nan, np.inf], "x")
+    with pytest.raises(ValueError, match=r"\[1\] = 2.0, \[2\] = 2.0"):
+        strictly_increasing(np.array([1.0, 2.0, 2.0, 1.0]), "x")
+    strictly_increasing(np.array([1.0, 1.0 + 1e-15]), "x")
+    with pytest.raises(ValueError, match="c has 1 values, a has 2"):
+        same_length([("a", np.ones(2)), ("b", np.ones(2)), ("c", np.ones(1))])
+
+
+def test_noise_is_told_from_what_is_smooth_and_from_jumps(rng: np.random.Generator) -> None:
+    k = np.arange(20_000)
+    smooth = 5.0 + 1e-4 * (k - 9000.0) ** 2 + np.sin(k / 300)
+    noise = 0.3 * rng.standard_normal(len(k))
+    jumps = 40.0 * (k > 5000) - 90.0 * (k > 12_000)
+    assert white_noise_rms(smooth + noise + jumps) == pytest.approx(0.3, rel=0.02)
+    assert white_noise_rms(smooth) < 1e-6
+
+
+def test_fewer_than_eight_samples_tell_no_noise() -> None:
+    zigzag = np.array([1.0, -1.0] * 4)
+    assert white_noise_rms(zigzag[:7]) == 0.0
+    assert white_noise_rms(zigzag) > 1.0
