@@ -69,7 +69,7 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
         assert (others < alone) is balanced
 
 
-@pytest.mark.parametrize("scale", [1e-20, 1e-6, 1e13])
+@pytest.mark.parametrize("scale", [1e-9, 1e-6, 1e13])
 def test_a_step_in_other_units_is_the_same_step(rng: np.random.Generator, scale: float) -> None:
     # Columns much alike: what a bound holds back, the others take over, some onto their bounds.
     columns = rng.normal(size=(80, 1)) + 0.3 * rng.normal(size=(80, 10))
