@@ -2,15 +2,12 @@
 
     python -m benchmarks.fuzz_coverage SECONDS [TARGET ...]
 
-Needs the package atheris 3.0.0 beside piezoid's own. The targets and the rules are those of
-fuzz_readers.py; what is new is that an input joins the pool where it reaches a new line of ours,
-of nptdms or of pymatreader. A sealed file is sealed again, an archive packed again, so that damage
-goes past the checksum. Pools are kept in build/fuzz/pool/ from run to run, and begin with the
+Needs the package atheris 3.0.0 beside piezoid's own. Targets and rules are those of fuzz_targets
+and fuzz_readers; what is new is that an input joins the pool where it reaches a new line of ours,
+of nptdms or of pymatreader. Pools are kept in build/fuzz/pool/ from run to run, and begin with the
 small ones of tests/records/corpus.zip; each target runs in a process of its own.
 """
 
-import gzip
-import io
 import json
 import re
 import resource
@@ -18,8 +15,6 @@ import subprocess
 import sys
 import tempfile
 import time
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -31,46 +26,27 @@ TEXTS = (".csv", ".tsv", ".txt", ".dat", ".lvm")
 EVERY = 500  # inputs between two notes of the tally; the library ends without a farewell
 
 
-def repacked(content, rng, damage):
-    """Damage what an archive holds instead of the archive; None where it is none."""
-    try:
-        if content.startswith(b"\x1f\x8b"):
-            return gzip.compress(damage(zlib.decompress(content, 31), rng), 1, mtime=0)
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            held = {name: archive.read(name) for name in archive.namelist()}
-    except (zlib.error, zipfile.BadZipFile, OSError, ValueError, RuntimeError, EOFError):
-        return None
-    if not held:
-        return None
-    chosen = str(rng.choice(list(held)))
-    held[chosen] = damage(held[chosen], rng)
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, member in held.items():
-            archive.writestr(zipfile.ZipInfo(name), member)
-    return buffer.getvalue()
-
-
 def shortened(content):
     """Return a text's first lines: what forty rows cannot show, two hundred do not either."""
     return b"".join(content.splitlines(keepends=True)[:60])
 
 
-def mutator_of(name, atheris, mutations):
+def mutator_of(name, atheris):
     """Return what damages an input of one target: half the library's way, half ours."""
+    from benchmarks import fuzz_damage
 
     def theirs(content, _):
         return atheris.Mutate(content, len(content) + 256)
 
     def mutated(content, most, seed):
         rng = np.random.default_rng(seed)
-        damage = theirs if rng.random() < 0.5 else mutations.mutated_bytes
+        damage = theirs if rng.random() < 0.5 else fuzz_damage.mutated_bytes
         if name.endswith(".json"):
             if damage is theirs:
-                return mutations.resealed(theirs(content, rng))[:most]
-            return mutations.mutated_json(content, rng)[:most]
+                return fuzz_damage.resealed(theirs(content, rng))[:most]
+            return fuzz_damage.mutated_json(content, rng)[:most]
         packed = name.endswith((".gz", ".npz")) and rng.random() < 0.8
-        changed = repacked(content, rng, damage) if packed else None
+        changed = fuzz_damage.repacked(content, rng, damage) if packed else None
         return (damage(content, rng) if changed is None else changed)[:most]
 
     return mutated
@@ -84,9 +60,9 @@ def one(name, options):
         import nptdms  # noqa: F401
         import pymatreader  # noqa: F401
 
-        from benchmarks import fuzz_readers
+        from benchmarks import fuzz_readers, fuzz_targets
     folder = Path(tempfile.mkdtemp(dir=fuzz_readers.memory_disk()))
-    first, answer = fuzz_readers.targets(folder, None)[name]
+    first, answer = fuzz_targets.targets(folder, None)[name]
     first = shortened(first) if name.endswith(TEXTS) else first
     place = folder / "under test" / name
     place.parent.mkdir()
@@ -105,12 +81,12 @@ def one(name, options):
     pool = POOLS / name
     pool.mkdir(parents=True, exist_ok=True)
     (pool / "first").write_bytes(first)
-    for short, content in fuzz_readers.corpus(name).items():
+    for short, content in fuzz_targets.corpus(name).items():
         (pool / short).write_bytes(content)
     longest = max(1 << 14, 2 * len(first))
     fixed = ["-rss_limit_mb=0", "-malloc_limit_mb=0", "-timeout=300", "-verbosity=0"]
     arguments = [sys.argv[0], *fixed, f"-max_len={longest}", *options, str(pool)]
-    mutator = mutator_of(name, atheris, fuzz_readers)
+    mutator = mutator_of(name, atheris)
     atheris.Setup(arguments, test, custom_mutator=mutator)
     atheris.Fuzz()
 
@@ -134,10 +110,10 @@ def main():
     if sys.argv[1] == "--one":
         one(sys.argv[2], sys.argv[3:])
         return
-    from benchmarks import fuzz_readers
+    from benchmarks import fuzz_targets
 
     with tempfile.TemporaryDirectory() as folder:
-        known = list(fuzz_readers.targets(Path(folder), None))
+        known = list(fuzz_targets.targets(Path(folder), None))
     inputs, is_broken = 0, False
     print(f"{'':16}{'inputs':>9}{'refused':>9}{'lines':>9}{'slowest':>10}{'peak':>9}")
     for name in sys.argv[2:] or known:
