@@ -45,13 +45,13 @@ def rows_of(watch: Stopwatch, parts: Sequence[str], samples: int, walk: Walk | N
 def growths_of(
     watch: Stopwatch, parts: Sequence[str], samples: int, walk: Walk | None
 ) -> list[Growth]:
-    """Return how the stages of the parts that are asked for grow."""
+    """Return how the steps of a fit grow, and the stages of the parts that are asked for."""
     found = kernel_growths(watch, samples) if "kernels" in parts else []
     if "programs" in parts:
         found += program_growths(watch, samples // 4)
     if walk is not None:
-        found += [*loop_growths(watch, walk.loop), *step_growths(watch, LENGTHS, NUMBERS)]
-    return found
+        found += loop_growths(watch, walk.loop)
+    return found + step_growths(watch, LENGTHS, NUMBERS)
 
 
 def missing() -> list[str]:

@@ -22,6 +22,7 @@ from piezoid.verification.plant import AxisPlant
 from piezoid.verification.stage import plant_of
 from piezoid_reports.render import render
 
+STEPS = ("fit, all of it", "diagnosis", "design", "report")
 DIGEST = "0" * 64  # nothing here is written, so nothing is sealed
 
 
@@ -56,8 +57,7 @@ def walked(watch: Stopwatch, campaign: Campaign) -> Made:
     times.append(used_s())
     page = render(model, recordings, (), design, diagnoses=(diagnosis,), lab=lab)
     times.append(used_s())
-    names = ("fit, all of it", "diagnosis", "design", "report")
-    found = dict(zip(names, np.diff(times).tolist(), strict=True))
+    found = dict(zip(STEPS, np.diff(times).tolist(), strict=True))
     found["model forward"] = watch.cpu_s(
         lambda: [simulate_recording(model[AXIS], one) for one in recordings]
     )

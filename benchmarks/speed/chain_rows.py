@@ -1,21 +1,21 @@
 """Fit, diagnosis, design, closed loop and report, in units of the same run.
 
-Nothing else does what these do, so their unit is one forward run of the fitted model over all
-recordings of the campaign. Only the closed loop has a rival: the same controller stepped from
-Python.
+Nothing else does what these do: a fit is counted in forward runs of its model over all recordings
+of the campaign, the others in fits. Only the closed loop has a rival: the same controller stepped
+from Python.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 
 from benchmarks.speed import closed_loop
 from benchmarks.speed.campaign import Campaign, made
-from benchmarks.speed.chain import Loop, Made, loop_of, walked
+from benchmarks.speed.chain import STEPS, Loop, Made, loop_of, walked
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row
 
 LOOP = "closed loop"
-STEPS = ("fit, all of it", "diagnosis", "design", "report")
 STEPPED = 2000  # samples of the loop in Python
 PLAYS = (4, 8, 16, 32)
 PARTS = (16, 4, 1)  # one in so many ticks
@@ -39,11 +39,9 @@ def walk_of(watch: Stopwatch, campaign: Campaign, ticks: int) -> Walk:
 def chain_rows(watch: Stopwatch, walk: Walk) -> list[Row]:
     """Return a row for each step of a walk, the closed loop before the report."""
     time_s = walk.made.time_s
-    forward_s = time_s["model forward"]
-    rows = [
-        Row(stage=step, bounds={"forward runs of the campaign": time_s[step] / forward_s})
-        for step in STEPS
-    ]
+    forward_s, fit_s = time_s["model forward"], time_s[STEPS[0]]
+    rows = [Row(stage=STEPS[0], bounds={"forward runs of the campaign": fit_s / forward_s})]
+    rows += [Row(stage=step, bounds={"fits": time_s[step] / fit_s}) for step in STEPS[1:]]
     return [*rows[:-1], loop_row(watch, walk.loop), rows[-1]]
 
 
@@ -78,11 +76,12 @@ def loop_growths(watch: Stopwatch, loop: Loop) -> list[Growth]:
 
 def step_growths(watch: Stopwatch, lengths: Sequence[int], numbers: Sequence[int]) -> list[Growth]:
     """Return how the steps grow with the samples of two recordings, and with their number."""
-    by_length = {2 * samples: walked(watch, made(samples, 2)) for samples in lengths}
-    by_number = {count: walked(watch, made(lengths[0], count)) for count in numbers}
+    walk = cache(lambda samples, count: walked(watch, made(samples, count)).time_s)
+    by_length = {2 * samples: walk(samples, 2) for samples in lengths}
+    by_number = {count: walk(lengths[0], count) for count in numbers}
     found = []
     for what, walks in (("samples", by_length), ("recordings", by_number)):
         for step in STEPS:
-            times = tuple(one.time_s[step] for one in walks.values())
+            times = tuple(time_s[step] for time_s in walks.values())
             found.append(Growth(stage=step, what=what, size=tuple(walks), time_s=times))
     return found

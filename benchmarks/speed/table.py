@@ -38,7 +38,10 @@ def short(value: float | None) -> str:
 
 
 def table(rows: Sequence[Row], growths: Sequence[Growth]) -> str:
-    """Return the table as Markdown."""
+    """Return the table as Markdown; what only grew has a row as well."""
+    compared = {row.stage for row in rows}
+    others = dict.fromkeys(one.stage for one in growths if one.stage not in compared)
+    rows = [*rows, *(Row(stage=stage) for stage in others)]
     lines = [HEADINGS, ["---"] * len(HEADINGS), *(_cells(row, growths) for row in rows)]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
