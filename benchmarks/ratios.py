@@ -1,6 +1,6 @@
 """How fast every stage is, as ratios of processor time within one run, and how it grows.
 
-    python -m benchmarks.ratios [FOLDER] [--samples N] [--parts kernels programs chain growth]
+    python -m benchmarks.ratios [FOLDER] [--samples N] [--parts kernels programs chain campaigns]
 
 Prints the README's table and writes growth.svg and growth.png into FOLDER. A comparison counts
 only where both results are the same. Kernels: 16 plays, 12 dead zones; chain: the bundled axis.
@@ -19,7 +19,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from benchmarks.speed.campaign import bundled_axis
-from benchmarks.speed.chain_rows import Walk, chain_rows, loop_growths, step_growths, walk_of
+from benchmarks.speed.chain_rows import chain_rows, loop_growths, step_growths, walk_of
 from benchmarks.speed.growth_figure import draw
 from benchmarks.speed.kernel_rows import kernel_growths, kernel_rows
 from benchmarks.speed.loops import NO_NUMBA
@@ -28,30 +28,35 @@ from benchmarks.speed.program_rows import program_growths, program_row, shape_ro
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row, table
 
-PARTS = ("kernels", "programs", "chain", "growth")
 TICKS = 20_000  # a second of the closed loop
 LENGTHS, NUMBERS = (2000, 4000, 8000), (1, 2, 4)
+Measured = tuple[list[Row], list[Growth]]
 
 
-def rows_of(watch: Stopwatch, parts: Sequence[str], samples: int, walk: Walk | None) -> list[Row]:
-    """Return the rows of the parts that are asked for."""
-    rows = kernel_rows(watch, samples) if "kernels" in parts else []
-    if "programs" in parts:
-        rows += [weights_row(watch, samples), program_row(watch, samples)]
-        rows.append(shape_row(watch, samples // 8))
-    return rows + ([] if walk is None else chain_rows(watch, walk))
+def kernels(watch: Stopwatch, samples: int) -> Measured:
+    """Return play bank, model and inverse."""
+    return kernel_rows(watch, samples), kernel_growths(watch, samples)
 
 
-def growths_of(
-    watch: Stopwatch, parts: Sequence[str], samples: int, walk: Walk | None
-) -> list[Growth]:
-    """Return how the steps of a fit grow, and the stages of the parts that are asked for."""
-    found = kernel_growths(watch, samples) if "kernels" in parts else []
-    if "programs" in parts:
-        found += program_growths(watch, samples // 4)
-    if walk is not None:
-        found += loop_growths(watch, walk.loop)
-    return found + step_growths(watch, LENGTHS, NUMBERS)
+def programs(watch: Stopwatch, samples: int) -> Measured:
+    """Return weights, Kuhnen's program and the search for one shape."""
+    rows = [weights_row(watch, samples), program_row(watch, samples)]
+    rows.append(shape_row(watch, samples // 8))
+    return rows, program_growths(watch, samples // 4)
+
+
+def chain(watch: Stopwatch, _: int) -> Measured:
+    """Return every step of the bundled axis from its recordings to the report."""
+    walk = walk_of(watch, bundled_axis(), TICKS)
+    return chain_rows(watch, walk), loop_growths(watch, walk.loop)
+
+
+def campaigns(watch: Stopwatch, _: int) -> Measured:
+    """Return how the steps grow with made recordings."""
+    return [], step_growths(watch, LENGTHS, NUMBERS)
+
+
+PARTS = {one.__name__: one for one in (kernels, programs, chain, campaigns)}
 
 
 def missing() -> list[str]:
@@ -65,20 +70,17 @@ def main(words: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", nargs="?", type=Path, default=Path("build/benchmarks"))
     parser.add_argument("--samples", type=int, default=200_000)
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS))
     parser.add_argument("--patience", type=float, default=0.3, help="seconds for each time")
     asked = parser.parse_args(words)
     for sentence in missing():
         print(sentence)
     watch = Stopwatch(patience_s=asked.patience)
-    walk = walk_of(watch, bundled_axis(), TICKS) if "chain" in asked.parts else None
-    rows = rows_of(watch, asked.parts, asked.samples, walk)
-    growths = []
-    if "growth" in asked.parts:
-        growths = growths_of(watch, asked.parts, asked.samples, walk)
-        asked.folder.mkdir(parents=True, exist_ok=True)
-        print("drawn:", *draw(growths, asked.folder))
-    print(table(rows, growths))
+    measured = [PARTS[part](watch, asked.samples) for part in asked.parts]
+    growths = [one for _, grown in measured for one in grown]
+    asked.folder.mkdir(parents=True, exist_ok=True)
+    print("drawn:", *draw(growths, asked.folder))
+    print(table([row for rows, _ in measured for row in rows], growths))
 
 
 if __name__ == "__main__":
