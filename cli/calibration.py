@@ -1,16 +1,15 @@
 """The whole way of one stage: recordings in, every file of its folder out, nothing printed."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.model import ActuatorModel
-    from piezoid.records.lab import Lab
-    from piezoid.records.recording import Recording
     from piezoid_cli.controllers import Controllers
+    from piezoid_cli.stage_jobs import AxisFound, Designed, TipFound
 
 Told = Callable[[str], None]
 
@@ -45,57 +44,85 @@ class Calibration:
         return self.model.applies and self.controllers.passed and not self.stumbled
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Diagnosed:
-    found: "tuple[Diagnosis, ...]"
-    missing: tuple[str, ...]
-    stumbled: bool
-
-
-def calibrate(files: Sequence[Path], lab: Path | None, told: Told) -> Calibration:
+def calibrate(
+    files: Sequence[Path], lab: Path | None, told: Told, processes: int = 1
+) -> Calibration:
     """Fit, diagnose, design, export, verify and report one stage.
+
+    processes  at most so many do the axes, this one among them; the files are the same bytes
 
     Raises what reading and fitting raise; a stage for which no controller can be designed is a
     calibration without one.
     """
     told("reading recordings")
-    from piezoid.identification.fit import fit
     from piezoid.identification.store import write_model
     from piezoid.records.collection import collect
     from piezoid.records.lab import read_lab
     from piezoid_cli.controllers import controllers_of, files_of
+    from piezoid_cli.side_by_side import side_by_side
+    from piezoid_cli.stage_jobs import jobs_of, run_job, weight_of
     from piezoid_reports.render import render
 
     declared = None if lab is None else read_lab(lab)
     held = collect(files, declared)
-    model = fit(held.recordings, lab=declared, sweeps=held.sweeps, progress=told)
-    diagnosed = _diagnosed(held.recordings, declared, model, told)
-    diagnoses = diagnosed.found
-    model = _extended(model, diagnoses)
-    content = {"model.json": write_model(model), **_told_files(diagnoses, lab)}
-    made = controllers_of(model, content["model.json"], declared, told)
+    blank, jobs = jobs_of(held, declared)
+    found = side_by_side(run_job, jobs, told, processes=processes, weight=weight_of)
+    stage = _stage(blank, found)
+    content = {"model.json": write_model(stage.model), **_told_files(stage.diagnoses, lab)}
+    made = controllers_of(
+        stage.model, content["model.json"], declared, told, designed=stage.designed
+    )
     content |= files_of(made)
     told("writing the report")
     page = render(
-        model,
+        stage.model,
         held.recordings,
         held.sweeps,
         made.design,
         made.reason,
-        diagnoses=diagnoses,
-        undiagnosed=diagnosed.missing,
+        diagnoses=stage.diagnoses,
+        undiagnosed=stage.undiagnosed,
         verification=made.verification,
         unshipped=made.unshipped,
         files=content,
         lab=declared,
     )
     return Calibration(
-        model=model,
-        diagnoses=diagnoses,
-        undiagnosed=diagnosed.missing,
+        model=stage.model,
+        diagnoses=stage.diagnoses,
+        undiagnosed=stage.undiagnosed,
         controllers=made,
-        stumbled=diagnosed.stumbled or made.stumbled,
+        stumbled=stage.stumbled or made.stumbled,
         files={**content, "report.html": page.encode()},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stage:
+    """What was found of all axes; ``designed`` in the order of the axes, a tip behind them."""
+
+    model: "ActuatorModel"
+    diagnoses: "tuple[Diagnosis, ...]"
+    undiagnosed: tuple[str, ...]
+    stumbled: bool
+    designed: "tuple[Designed, ...]"
+
+
+def _stage(blank: "ActuatorModel", found: "Sequence[AxisFound | TipFound]") -> _Stage:
+    from piezoid_cli.stage_jobs import AxisFound, TipFound
+
+    axes = [one for one in found if isinstance(one, AxisFound)]
+    tips = [one for one in found if isinstance(one, TipFound)]
+    return _Stage(
+        model=replace(
+            blank,
+            axes={one.model.axis: one.model for one in axes},
+            tunnelling=tips[0].tunnelling if tips else None,
+        ),
+        diagnoses=tuple(one.diagnosis for one in axes if one.diagnosis is not None),
+        undiagnosed=tuple(one.undiagnosed for one in axes if one.undiagnosed),
+        stumbled=any(one.stumbled for one in axes),
+        designed=(*(one.designed for one in axes), *(one.designed for one in tips)),
     )
 
 
@@ -109,34 +136,3 @@ def _told_files(diagnoses: "Sequence[Diagnosis]", lab: Path | None) -> dict[str,
     if lab is not None:
         files["lab.toml"] = lab.read_bytes()
     return files
-
-
-def _diagnosed(
-    recordings: "Sequence[Recording]", lab: "Lab | None", model: "ActuatorModel", told: Told
-) -> _Diagnosed:
-    """Return the diagnoses of all axes, and why there is none where one failed.
-
-    Whatever a diagnosis stumbles over, model and report are there without it.
-    """
-    from piezoid.diagnosis.diagnose import diagnose
-    from piezoid.errors import PiezoidError
-
-    found, missing, stumbled = [], [], False
-    for axis, known in model.axes.items():
-        try:
-            found.append(diagnose(recordings, axis=axis, lab=lab, model=known, progress=told))
-        except PiezoidError as refusal:
-            missing.append(f"axis {axis} is not diagnosed: {refusal}")
-        except Exception as error:  # a fault of ours must not cost the lab its model
-            fault = f"a mistake of ours, {type(error).__name__}: {error}"
-            missing.append(f"axis {axis} is not diagnosed: {fault}")
-            stumbled = True
-    return _Diagnosed(found=tuple(found), missing=tuple(missing), stumbled=stumbled)
-
-
-def _extended(model: "ActuatorModel", diagnoses: "Sequence[Diagnosis]") -> "ActuatorModel":
-    """Return the stage with everything in its axes that their diagnoses found."""
-    from dataclasses import replace
-
-    found = {one.axis: one.model for one in diagnoses if one.model is not None}
-    return replace(model, axes={axis: found.get(axis, one) for axis, one in model.axes.items()})

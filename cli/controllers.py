@@ -1,6 +1,6 @@
 """From a model to what ships: designed, exported, and run against the stage it was made from."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from json import loads
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from piezoid.identification.model import ActuatorModel
     from piezoid.records.lab import Lab
     from piezoid.verification.verification import Verification
+    from piezoid_cli.stage_jobs import Designed
 
 Told = Callable[[str], None]
 
@@ -46,9 +47,17 @@ class Controllers:
 
 
 def controllers_of(
-    model: "ActuatorModel", content: bytes, lab: "Lab | None", told: Told
+    model: "ActuatorModel",
+    content: bytes,
+    lab: "Lab | None",
+    told: Told,
+    *,
+    designed: "Sequence[Designed] | None" = None,
 ) -> Controllers:
     """Return the controllers and what became of them, or why there are none.
+
+    model     and the ``content`` of its file
+    designed  what came of designing its axes; None: they are designed here
 
     Whatever stands in their way, model and report are there without them; a controller that could
     not be verified does not ship.
@@ -59,7 +68,10 @@ def controllers_of(
     design = None
     try:
         digest = loads(content)["digest"]
-        design = design_stage(model, model_digest=digest, lab=lab, progress=told)
+        if designed is None:
+            design = design_stage(model, model_digest=digest, lab=lab, progress=told)
+        else:
+            design = _together(designed, digest)
         return _verified(model, design, lab, told)
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
@@ -67,6 +79,16 @@ def controllers_of(
     except Exception as error:  # a fault of ours must not cost the lab its model
         reason = f"a mistake of ours, {type(error).__name__}: {error}"
         return Controllers(design=design, reason=reason, stumbled=True)
+
+
+def _together(designed: "Sequence[Designed]", digest: str) -> "Design":
+    from piezoid.design.stage import design_of
+
+    for one in designed:
+        if one.fault is not None:
+            raise one.fault
+    outcomes = [outcome for one in designed for outcome in one.outcomes]
+    return design_of(outcomes, model_digest=digest)
 
 
 def _verified(

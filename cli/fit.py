@@ -27,6 +27,12 @@ def fit(
             help="For files larger than memory: in blocks, without dynamics and diagnosis.",
         ),
     ] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            help="At most so many do the axes; not given, as many as there are cores.", min=1
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
     json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
 ) -> None:
@@ -53,6 +59,7 @@ def fit(
     from piezoid_cli.calibration import calibrate
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
+    from piezoid_cli.side_by_side import usable_cores
 
     check_free(out, force=force, inputs=files)
     with shown(quiet=quiet or json) as told:
@@ -61,7 +68,7 @@ def fit(
 
             found = calibrate_streamed(files, lab, out.absolute().parent, told)
         else:
-            found = calibrate(files, lab, told)
+            found = calibrate(files, lab, told, processes or usable_cores())
         write_folder(out, found.files, force=force)
     if json:
         from json import dumps
@@ -176,6 +183,8 @@ def _show_model(model: "ActuatorModel") -> None:
 def _table(model: "ActuatorModel") -> "Table":
     from rich.table import Table
 
+    from piezoid.readable import told
+
     table = Table(title=plain(f"stage {model.stage}"))
     for heading in ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise"):
         table.add_column(heading, justify="right")
@@ -185,9 +194,9 @@ def _table(model: "ActuatorModel") -> "Table":
             plain(axis.axis),
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
-            f"{1e6 * axis.lag.time_s:.0f} us",
-            f"{1e9 * quality.held_out_rms_m:.1f} nm",
+            told(axis.lag.time_s, "s"),
+            told(quality.held_out_rms_m, "m"),
             f"{quality.held_out_rms_percent:.3f} %",
-            f"{1e9 * quality.noise_rms_m:.1f} nm",
+            told(quality.noise_rms_m, "m"),
         )
     return table

@@ -51,6 +51,14 @@ class PiezoidError(Exception):
         super().__init__(f"{self.found}; {self.needed}. {self.remedy}")
         self.numbers = numbers
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # An error comes back from another process as it was said there, word for word.
+        return _said_again, (type(self), str(self)), self.__dict__
+
+
+def _said_again(kind: type[PiezoidError], message: str) -> PiezoidError:
+    return kind.__new__(kind, message)
+
 
 class RecordingError(PiezoidError):
     """The data cannot carry the question."""

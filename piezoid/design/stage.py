@@ -28,6 +28,21 @@ class Asked:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What comes of designing one axis: exactly one of the three.
+
+    design    the controller
+    refusal   no controller meets its limits
+    obstacle  too little is known to begin
+    """
+
+    axis: str
+    design: AxisDesign | None = None
+    refusal: TemplateError | None = None
+    obstacle: PiezoidError | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Task:
     """How one axis is designed, and what it is asked for by default."""
 
@@ -61,29 +76,69 @@ def design_stage(
     Raises what stands in the way of the first axis where no axis can be designed: a
     ``TemplateError`` before anything that is merely not known.
     """
-    declared = lab or Lab()
-    tasks, obstacles = _tasks(model, declared, sampling_rate_Hz, forms)
+    outcomes = design_axes(
+        model,
+        sampling_rate_Hz=sampling_rate_Hz,
+        lab=lab,
+        asked=asked,
+        forms=forms,
+        progress=progress,
+    )
+    if not outcomes:
+        raise _nothing(model)
+    return design_of(outcomes, model_digest=model_digest)
+
+
+def design_axes(
+    model: ActuatorModel,
+    *,
+    sampling_rate_Hz: float | None = None,
+    lab: Lab | None = None,
+    asked: Asked | None = None,
+    forms: Sequence[str] = FORMS,
+    progress: Callable[[str], None] = lambda _: None,
+) -> tuple[Outcome, ...]:
+    """Return what comes of designing every axis, as ``design_stage`` would; none needs another.
+
+    Without ``asked``, a stage may be designed axis by axis and put together by ``design_of``.
+    """
+    tasks, obstacles = _tasks(model, lab or Lab(), sampling_rate_Hz, forms)
+    hindered = tuple(Outcome(axis=name, obstacle=why) for name, why in obstacles.items())
     if not tasks:
-        raise next(iter(obstacles.values()), _nothing(model))
+        return hindered
     defaults = {name: task.specification for name, task in tasks.items()}
     wanted = asked or Asked()
     specifications = specifications_from_toml(wanted.text, defaults, place=wanted.place)
-    designed: list[AxisDesign] = []
-    refused: dict[str, TemplateError] = {}
+    designed = []
     for name, task in tasks.items():
         progress(f"axis {name}: designing")
-        try:
-            designed.append(_designed(task, specifications[name]))
-        except TemplateError as refusal:
-            refused[name] = refusal
+        designed.append(_outcome(name, task, specifications[name]))
+    return (*designed, *hindered)
+
+
+def design_of(outcomes: Sequence[Outcome], *, model_digest: str) -> Design:
+    """Put together what came of the axes of a stage, at least one.
+
+    Raises as ``design_stage`` does where no axis could be designed.
+    """
+    obstacles = [outcome.obstacle for outcome in outcomes if outcome.obstacle is not None]
+    refused = {o.axis: o.refusal for o in outcomes if o.refusal is not None}
+    designed = tuple(outcome.design for outcome in outcomes if outcome.design is not None)
     if not designed:
-        raise next(iter(refused.values()))
+        raise next(iter([*refused.values(), *obstacles]))
     return Design(
-        axes=tuple(designed),
+        axes=designed,
         model_digest=model_digest,
-        remarks=tuple(str(obstacle) for obstacle in obstacles.values()),
+        remarks=tuple(map(str, obstacles)),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
+
+
+def _outcome(name: str, task: _Task, wanted: Specification) -> Outcome:
+    try:
+        return Outcome(axis=name, design=_designed(task, wanted))
+    except TemplateError as refusal:
+        return Outcome(axis=name, refusal=refusal)
 
 
 def _designed(task: _Task, wanted: Specification) -> AxisDesign:

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -9,7 +11,7 @@ from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.lab import Lab
@@ -36,9 +38,26 @@ def fit(
     Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
+    declared = lab or Lab()
+    stage = unfitted(recordings, declared, sweeps)
+    progress("fitting the tunnelling current, where there is one")
+    tunnelling = fit_junction(sweeps, recordings, declared)
+    axes = {
+        axis: fit_axis(recordings, axis, declared, progress=partial(_of_axis, progress, axis))
+        for axis in axes_of(recordings)
+    }
+    return replace(stage, axes=axes, tunnelling=tunnelling)
+
+
+def unfitted(
+    recordings: Sequence[Recording], lab: Lab, sweeps: Sequence[RawTable] = ()
+) -> ActuatorModel:
+    """Return a stage with everything that needs no fit: no axis is known yet, and no junction.
+
+    Raises as ``fit`` does where there is nothing to fit.
+    """
     refuse_one_name_twice(recordings, sweeps)
-    axes = axes_of(recordings)
-    if not axes and not sweeps and not any(is_loop(recording) for recording in recordings):
+    if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
         held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
         raise ExcitationError(
             f"{', '.join(r.name for r in recordings)}: only {', '.join(held)} is recorded",
@@ -46,31 +65,38 @@ def fit(
             "and reference of a tunnelling loop",
             remedy="Record both, or name the columns in lab.toml.",
         )
-    declared = lab or Lab()
     files: list[Recording | RawTable] = [*recordings, *sweeps]
-    progress("fitting the tunnelling current, where there is one")
-    tunnelling = fit_junction(sweeps, recordings, declared)
     return ActuatorModel(
-        stage=declared.name or files[0].name.partition(".")[0],
-        axes={
-            axis: with_dynamics(
-                estimate_axis(
-                    moving(recordings, axis),
-                    axis,
-                    rig_of(declared, axis),
-                    progress=lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
-                ),
-                recordings,
-                stated_Hz=declared.actuator_of(axis).bandwidth_Hz,
-            )
-            for axis in axes
-        },
+        stage=lab.name or files[0].name.partition(".")[0],
+        axes={},
         sources={held.name: held.digest for held in files},
-        lab=declared.digest or None,
-        tunnelling=tunnelling,
+        lab=lab.digest or None,
+        tunnelling=None,
         remarks=remarks_on_currents(recordings),
-        controller_rate_Hz=declared.acquisition.sampling_rate_Hz,
+        controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
+
+
+def fit_axis(
+    recordings: Sequence[Recording],
+    axis: str,
+    lab: Lab,
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> AxisModel:
+    """Fit one axis: its hysteresis, then its dynamics where a recording excites them.
+
+    recordings  any; those without drive and displacement of the axis are passed over
+
+    Raises ``ExcitationError`` where drive or displacement does not move.
+    """
+    held = moving(recordings, axis)
+    fitted = estimate_axis(held, axis, rig_of(lab, axis), progress=progress)
+    return with_dynamics(fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz)
+
+
+def _of_axis(progress: Callable[[str], None], axis: str, text: str) -> None:
+    progress(f"axis {axis}: {text}")
 
 
 def refuse_one_name_twice(
@@ -109,9 +135,14 @@ def axes_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
     """Return the recordings in which this axis has both channels and its drive moves."""
-    both = [r for r in recordings if _has_both(r, axis)]
+    both = recorded_of(recordings, axis)
     widest = max(float(np.ptp(r.voltage_V(axis))) for r in both)
-    return tuple(r for r in both if np.ptp(r.voltage_V(axis)) > STILL * widest) or tuple(both)
+    return tuple(r for r in both if np.ptp(r.voltage_V(axis)) > STILL * widest) or both
+
+
+def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
+    """Return the recordings that have both drive and displacement of an axis."""
+    return tuple(recording for recording in recordings if _has_both(recording, axis))
 
 
 def _has_both(recording: Recording, axis: str) -> bool:

@@ -1,0 +1,210 @@
+"""Jobs of one command side by side: in this process, and in as many more as there are cores.
+
+This process takes jobs as well. The others are started only for what is left, and have one thread
+of linear algebra each; what a job gives does not depend on who does it.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from threading import Lock, Thread
+from typing import Any, TypeVar
+
+from piezoid.errors import PiezoidError
+from piezoid_cli.letters import received, send
+
+Told = Callable[[str], None]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def side_by_side(
+    work: Callable[[Job, Told], Result],
+    jobs: Sequence[Job],
+    told: Told,
+    *,
+    processes: int,
+    weight: Callable[[Job], float],
+) -> list[Result]:
+    """Return ``work(job, told)`` of every job, in their order.
+
+    work       found by its name in its module; jobs and results are frozen records
+    told       says what is being done, here and elsewhere
+    processes  at most so many, this one among them; 1 does one job after the other
+    weight     of a job: with several processes, the heaviest begin
+
+    A ``PiezoidError`` is raised as if every job had been done here, that of the first job in
+    order. Whatever else ends another process, a mistake of ours, memory that is full, somebody's
+    kill, costs time and no result: its job is done here. None of them outlives this call.
+    """
+    others = min(processes, len(jobs)) - 1
+    if others < 1:
+        return [work(job, told) for job in jobs]
+    order = sorted(range(len(jobs)), key=lambda index: -weight(jobs[index]))
+    board = _Board(order, told)
+    settled: list[Future[Result]] = [Future() for _ in jobs]
+    with _workers(others) as channels:
+        for channel in channels:
+            Thread(target=_serve, args=(channel, work, jobs, board, settled), daemon=True).start()
+        for index in board.taken():
+            _settle(settled[index], work, jobs[index], board.teller(index))
+            board.done(index, settled[index])
+        return [_result(s, work, job, told) for s, job in zip(settled, jobs, strict=True)]
+
+
+class _LostError(Exception):
+    """A process ended without an answer."""
+
+
+def _result(
+    settled: "Future[Result]", work: Callable[[Job, Told], Result], job: Job, told: Told
+) -> Result:
+    try:
+        return settled.result()
+    except _LostError:
+        return work(job, told)
+
+
+def _settle(
+    settled: "Future[Result]", work: Callable[[Job, Told], Result], job: Job, told: Told
+) -> None:
+    try:
+        settled.set_result(work(job, told))
+    except PiezoidError as refusal:
+        settled.set_exception(refusal)
+
+
+def _serve(
+    channel: Connection,
+    work: Callable[[Job, Told], Result],
+    jobs: Sequence[Job],
+    board: "_Board",
+    settled: "Sequence[Future[Result]]",
+) -> None:
+    """Let one process do jobs until none is left, or until it is gone."""
+    for index in board.taken():
+        try:
+            send(channel, (work, jobs[index]))
+            settled[index].set_result(_answer(channel, board.teller(index)))
+        except PiezoidError as refusal:
+            settled[index].set_exception(refusal)
+        except Exception:
+            settled[index].set_exception(_LostError())
+            board.done(index, settled[index])
+            return
+        board.done(index, settled[index])
+
+
+def _answer(channel: Connection, told: Told) -> Any:
+    while True:
+        kind, content = received(channel)
+        if kind == "told":
+            told(content)
+        elif kind == "refused":
+            raise content
+        else:
+            return content
+
+
+class _Board:
+    """Which jobs wait, and what is being done of those that do not."""
+
+    def __init__(self, order: Sequence[int], told: Told) -> None:
+        self._lock = Lock()
+        self._waiting = list(order)
+        self._doing: dict[int, str] = {}
+        self._told = told
+
+    def taken(self) -> Iterator[int]:
+        """Give one job after the other, until none waits."""
+        while True:
+            with self._lock:
+                if not self._waiting:
+                    return
+                index = self._waiting.pop(0)
+            yield index
+
+    def done(self, index: int, settled: "Future[Any]") -> None:
+        """Forget a job; behind a refusal, nothing begins that stands behind it."""
+        with self._lock:
+            self._doing.pop(index, None)
+            if settled.exception() is not None:
+                self._waiting = [other for other in self._waiting if other < index]
+
+    def teller(self, index: int) -> Told:
+        """Return what a job says what it does to."""
+
+        def told(text: str) -> None:
+            with self._lock:
+                self._doing[index] = text
+                said = " | ".join(self._doing[place] for place in sorted(self._doing))
+            self._told(said)
+
+        return told
+
+
+@contextmanager
+def _workers(count: int) -> Iterator[list[Connection]]:
+    """Give channels to processes of our own; they end with the block, whatever they do."""
+    context = get_context("spawn")
+    processes: list[SpawnProcess] = []
+    channels: list[Connection] = []
+    try:
+        for _ in range(count):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs,), daemon=True)
+            with suppress(OSError), theirs, _deaf():  # no room for one more: fewer do it all
+                process.start()
+                processes.append(process)
+                channels.append(ours)
+        yield channels
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Let whoever is started here not hear Ctrl-C, which goes to all processes at once.
+
+    This one hears it afterwards: what is blocked is not lost, even while it is ignored.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    hears = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, hears)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _work(channel: Connection) -> None:
+    """Do what comes until nobody is there any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anybody loads linear algebra
+    with suppress(Exception):  # where the job is done again, it shows itself
+        while True:
+            work, job = received(channel)
+            try:
+                answer = ("done", work(job, lambda text: send(channel, ("told", text))))
+            except PiezoidError as refusal:
+                answer = ("refused", refusal)
+            send(channel, answer)

@@ -1,0 +1,186 @@
+"""What of a stage can be done apart: the way of each axis, and that of the tip."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from piezoid.design.stage import Outcome
+    from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.tunnelling.model import TunnellingModel
+    from piezoid.records.collection import Collection
+    from piezoid.records.lab import Lab
+    from piezoid.records.recording import Recording
+    from piezoid.records.table import RawTable
+
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisJob:
+    """An axis to be fitted, diagnosed and designed.
+
+    stage       without any axis
+    recordings  that hold the axis, and no others
+    """
+
+    stage: "ActuatorModel"
+    axis: str
+    recordings: "Sequence[Recording]"
+    lab: "Lab | None"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TipJob:
+    """The tunnelling tip, to be fitted and designed.
+
+    stage       without any axis
+    recordings  closed loops
+    sweeps      over height
+    axes        names of the stage's other axes: a tip of that name is not designed twice
+    """
+
+    stage: "ActuatorModel"
+    recordings: "Sequence[Recording]"
+    sweeps: "Sequence[RawTable]"
+    axes: tuple[str, ...]
+    lab: "Lab | None"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Designed:
+    """What came of designing one axis.
+
+    outcomes  of the axis; none where there was nothing to design
+    fault     what else ended it
+    """
+
+    outcomes: "tuple[Outcome, ...]" = ()
+    fault: Exception | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisFound:
+    """What one axis is.
+
+    model        with everything in it that the diagnosis found
+    diagnosis    None where there is none, and ``undiagnosed`` says why
+    stumbled     a fault of ours ended the diagnosis
+    """
+
+    model: "AxisModel"
+    diagnosis: "Diagnosis | None"
+    undiagnosed: str
+    stumbled: bool
+    designed: Designed
+
+
+@dataclass(frozen=True, kw_only=True)
+class TipFound:
+    """What the tip is; None where there is none."""
+
+    tunnelling: "TunnellingModel | None"
+    designed: Designed
+
+
+def jobs_of(
+    held: "Collection", lab: "Lab | None"
+) -> "tuple[ActuatorModel, list[AxisJob | TipJob]]":
+    """Return the stage before any fit, and what is to be done of it: the tip first.
+
+    Raises what ``fit`` raises where there is nothing to fit.
+    """
+    from piezoid.identification.fit import axes_of, recorded_of, unfitted
+    from piezoid.identification.tunnelling.loop_files import is_loop
+    from piezoid.records.lab import Lab
+
+    stage = unfitted(held.recordings, lab or Lab(), held.sweeps)
+    axes = axes_of(held.recordings)
+    tip = TipJob(
+        stage=stage,
+        recordings=tuple(filter(is_loop, held.recordings)),
+        sweeps=held.sweeps,
+        axes=axes,
+        lab=lab,
+    )
+    ways = [
+        AxisJob(stage=stage, axis=axis, recordings=recorded_of(held.recordings, axis), lab=lab)
+        for axis in axes
+    ]
+    return stage, [*([tip] if tip.recordings or tip.sweeps else []), *ways]
+
+
+def weight_of(job: "AxisJob | TipJob") -> float:
+    """Return how long a job takes beside the others: samples of axes, and the tip last."""
+    if isinstance(job, TipJob):
+        return 0.0
+    return float(sum(recording.samples for recording in job.recordings))
+
+
+def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
+    """Do all that needs nothing of the other axes.
+
+    Raises what fitting raises; whatever a diagnosis or a design stumbles over, the model is there
+    without it.
+    """
+    return _run_axis(job, told) if isinstance(job, AxisJob) else _run_tip(job, told)
+
+
+def _run_axis(job: AxisJob, told: Told) -> AxisFound:
+    from piezoid.identification.fit import fit_axis
+    from piezoid.records.lab import Lab
+
+    def of_axis(text: str) -> None:
+        told(f"axis {job.axis}: {text}")
+
+    model = fit_axis(job.recordings, job.axis, job.lab or Lab(), progress=of_axis)
+    diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
+    if diagnosis is not None and diagnosis.model is not None:
+        model = diagnosis.model
+    return AxisFound(
+        model=model,
+        diagnosis=diagnosis,
+        undiagnosed=missing,
+        stumbled=stumbled,
+        designed=_designed(replace(job.stage, axes={job.axis: model}), job.lab, told),
+    )
+
+
+def _diagnosed(
+    job: AxisJob, model: "AxisModel", told: Told
+) -> "tuple[Diagnosis | None, str, bool]":
+    """Return the diagnosis, or why there is none and whether that is our fault."""
+    from piezoid.diagnosis.diagnose import diagnose
+    from piezoid.errors import PiezoidError
+
+    refused = f"axis {job.axis} is not diagnosed"
+    try:
+        found = diagnose(job.recordings, axis=job.axis, lab=job.lab, model=model, progress=told)
+    except PiezoidError as refusal:
+        return None, f"{refused}: {refusal}", False
+    except Exception as error:  # a fault of ours must not cost the lab its model
+        return None, f"{refused}: a mistake of ours, {type(error).__name__}: {error}", True
+    return found, "", False
+
+
+def _run_tip(job: TipJob, told: Told) -> TipFound:
+    from piezoid.design.from_junction import axis_of
+    from piezoid.identification.tunnelling.junction import fit_junction
+    from piezoid.records.lab import Lab
+
+    told("fitting the tunnelling current")
+    tunnelling = fit_junction(job.sweeps, job.recordings, job.lab or Lab())
+    if tunnelling is None or axis_of(tunnelling) in job.axes:
+        return TipFound(tunnelling=tunnelling, designed=Designed())
+    stage = replace(job.stage, tunnelling=tunnelling)
+    return TipFound(tunnelling=tunnelling, designed=_designed(stage, job.lab, told))
+
+
+def _designed(stage: "ActuatorModel", lab: "Lab | None", told: Told) -> Designed:
+    from piezoid.design.stage import design_axes
+
+    try:
+        return Designed(outcomes=design_axes(stage, lab=lab, progress=told))
+    except Exception as fault:  # told where the controllers of the whole stage are
+        return Designed(fault=fault)
