@@ -14,7 +14,6 @@ from typing import Any
 from piezoid.errors import ParameterFileError
 
 _ZEROS = "0" * 64
-_HALF = re.compile(rb"\\u[dD][89a-fA-F]")
 _DIGEST = re.compile(rb'"digest": "sha256:([0-9a-f]{64})"')
 
 
@@ -65,8 +64,8 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
         )
     try:
         record = json.loads(content)
-        if _HALF.search(content):  # half of a pair, perhaps: a text that nothing can be written of
-            json.dumps(record, ensure_ascii=False).encode()
+        # No NaN, no infinity, no half of a character: nothing that ``seal`` would not write.
+        json.dumps(record, allow_nan=False, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:  # sealed all the same: not by piezoid
         raise ParameterFileError(
             f"{place}: {type(error).__name__}: {error}",

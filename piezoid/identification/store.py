@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from msgspec import ValidationError, convert
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
@@ -13,13 +14,16 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import SCHEMA, ActuatorModel, AxisModel, Lag, PieceStart
-from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
+from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.provenance import seal, unseal
 
+_WRONG = (
+    ValidationError, LookupError, ArithmeticError, TypeError, ValueError, AttributeError,
+)  # fmt: skip
 GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"
 
 
@@ -49,15 +53,15 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
     record = unseal(content, SCHEMA, place)
     try:
         return ActuatorModel(
-            stage=record["stage"],
+            stage=convert(record["stage"], str),
             axes={name: _axis_from_json(axis) for name, axis in record["axes"].items()},
-            sources=record["sources"],
-            lab=record["lab"],
+            sources=convert(record["sources"], dict[str, str]),
+            lab=convert(record["lab"], str | None),
             tunnelling=_tunnelling_from_json(record["tunnelling"]),
-            remarks=tuple(record["remarks"]),
-            controller_rate_Hz=record["controller_rate_Hz"],
+            remarks=convert(record["remarks"], tuple[str, ...]),
+            controller_rate_Hz=convert(record["controller_rate_Hz"], float | None),
         )
-    except (LookupError, ArithmeticError, TypeError, ValueError, AttributeError) as error:
+    except _WRONG as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
             needed=f"every entry of schema {SCHEMA}, of its own kind",
@@ -157,8 +161,8 @@ def _uncertainty_to_json(found: Uncertainty) -> dict[str, Any]:
 def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
     hysteresis = record["hysteresis"]
     return AxisModel(
-        axis=record["axis"],
-        polarity=record["polarity"],
+        axis=convert(record["axis"], str),
+        polarity=convert(record["polarity"], int),
         hysteresis=ModifiedPrandtlIshlinskii(
             plays=PrandtlIshlinskii(
                 threshold=np.array(hysteresis["play_threshold_V"]),
@@ -172,21 +176,17 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
                 threshold=np.array(hysteresis["envelope_threshold_V"]),
                 weight=np.array(hysteresis["envelope_weight"]),
             ),
-            voltage_offset_V=hysteresis["voltage_offset_V"],
-            displacement_offset_m=hysteresis["displacement_offset_m"],
+            voltage_offset_V=convert(hysteresis["voltage_offset_V"], float),
+            displacement_offset_m=convert(hysteresis["displacement_offset_m"], float),
         ),
-        lag=Lag(**record["lag"]),
-        rig=Rig(**record["rig"]),
-        starts=tuple(PieceStart(**start) for start in record["starts"]),
-        voltage_V=(record["valid_range"]["voltage_V"][0], record["valid_range"]["voltage_V"][1]),
-        verdict=Verdict(
-            applies=record["verdict"]["applies"],
-            reason=record["verdict"]["reason"],
-            remarks=tuple(record["verdict"]["remarks"]),
-        ),
-        quality=_quality_from_json(record["quality"]),
+        lag=convert(record["lag"], Lag),
+        rig=convert(record["rig"], Rig),
+        starts=tuple(_start_from_json(start) for start in record["starts"]),
+        voltage_V=convert(record["valid_range"]["voltage_V"], tuple[float, float]),
+        verdict=convert(record["verdict"], Verdict),
+        quality=convert(record["quality"], FitQuality),
         uncertainty=_uncertainty_from_json(record["uncertainty"]),
-        certificate=Certificate(**record["certificate"]),
+        certificate=convert(record["certificate"], Certificate),
         dynamics=_dynamics_from_json(record["dynamics"]),
         joint=None if record["joint"] is None else JointFit.from_json(record["joint"]),
         # Files of before there were any have no such entries.
@@ -195,13 +195,21 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
     )
 
 
-def _quality_from_json(record: Mapping[str, Any]) -> FitQuality:
-    # The percentage is a property of the record, written for readers of the file.
-    kept = {name: value for name, value in record.items() if name != "held_out_rms_percent"}
-    orders = tuple(Order(**order) for order in record["orders"])
-    return FitQuality(**{**kept, "orders": orders})
+def _start_from_json(record: Mapping[str, Any]) -> PieceStart:
+    return PieceStart(
+        recording=convert(record["recording"], str),
+        memory_V=record["memory_V"],
+        zero_m=record["zero_m"],
+        first=convert(record["first"], int),
+        last=convert(record["last"], int),
+    )
 
 
 def _uncertainty_from_json(record: Mapping[str, Any]) -> Uncertainty:
-    width = (record["loop_width_m"][0], record["loop_width_m"][1])
-    return Uncertainty(**{**record, "names": tuple(record["names"]), "loop_width_m": width})
+    told = {
+        "blocks": convert(record["blocks"], int),
+        "names": convert(record["names"], tuple[str, ...]),
+        "upper_limit": convert(record["upper_limit"], dict[str, float]),
+        "loop_width_m": convert(record["loop_width_m"], tuple[float, float]),
+    }
+    return Uncertainty(**{**record, **told})

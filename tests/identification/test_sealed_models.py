@@ -1,0 +1,73 @@
+"""model.json is taken only as it could have been written: every entry of its own kind."""
+
+import hashlib
+import json
+from typing import Any
+
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.identification.model import SCHEMA
+from piezoid.identification.store import read_model, write_model
+from piezoid.provenance import seal
+from tests.reports.known_stage import axis_model, stage_model
+
+WRITTEN = json.loads(write_model(stage_model(axis_model())))
+WRONG: dict[str, Any] = {"a text": "x", "a list": [1], "a table": {"x": 1}, "truth": True}
+KINDS = {
+    "stage": ("a list", "a table", "truth"),
+    "sources": ("a text", "a list", "truth"),
+    "remarks": ("a text", "a table", "truth"),
+    "controller_rate_Hz": tuple(WRONG),
+    "axes x axis": ("a list", "a table", "truth"),
+    "axes x polarity": tuple(WRONG),
+    "axes x hysteresis voltage_offset_V": tuple(WRONG),
+    "axes x lag": ("a text", "a list", "truth"),
+    "axes x lag time_s": tuple(WRONG),
+    "axes x rig amplifier_bandwidth_Hz": tuple(WRONG),
+    "axes x verdict applies": ("a text", "a list", "a table"),
+    "axes x verdict remarks": ("a text", "a table", "truth"),
+    "axes x valid_range voltage_V": tuple(WRONG),
+    "axes x quality rms_m": tuple(WRONG),
+    "axes x quality range_m": tuple(WRONG),
+    "axes x quality orders": tuple(WRONG),
+    "axes x quality held_out_kind": ("a list", "a table", "truth"),
+    "axes x uncertainty blocks": tuple(WRONG),
+    "axes x uncertainty names": ("a text", "a table", "truth"),
+    "axes x uncertainty upper_limit": ("a text", "a list", "truth"),
+    "axes x uncertainty loop_width_m": tuple(WRONG),
+    "axes x certificate plays_m": tuple(WRONG),
+}
+
+
+def with_entry(place: str, value: Any) -> bytes:
+    """The model, sealed with one entry replaced."""
+    record = json.loads(json.dumps(WRITTEN))
+    *above, last = place.split()
+    holder = record
+    for name in above:
+        holder = holder[name]
+    assert last in holder
+    holder[last] = value
+    content = {key: held for key, held in record.items() if key not in ("schema", "digest")}
+    return seal(SCHEMA, content)
+
+
+@pytest.mark.parametrize("place", KINDS)
+def test_an_entry_of_another_kind_is_refused(place: str) -> None:
+    for kind in KINDS[place]:
+        with pytest.raises(ParameterFileError, match="of its own kind"):
+            read_model(with_entry(place, WRONG[kind]))
+
+
+def test_a_whole_number_stands_for_a_measured_one_and_comes_back() -> None:
+    model = read_model(with_entry("axes x lag time_s", 0))
+    assert write_model(read_model(write_model(model))) == write_model(model)
+
+
+@pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e999"])
+def test_a_sealed_number_that_is_none_is_refused(number: str) -> None:
+    blank = f'{{"schema": "{SCHEMA}", "digest": "sha256:{"0" * 64}", "stage": {number}}}'.encode()
+    digest = hashlib.sha256(blank).hexdigest().encode()
+    with pytest.raises(ParameterFileError, match="JSON text"):
+        read_model(blank.replace(b"0" * 64, digest, 1))
