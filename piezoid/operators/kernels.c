@@ -274,3 +274,34 @@ void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma,
     }
     *state = z;
 }
+
+void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
+                 double *state, size_t stride, double *column) {
+    for (size_t j = 0; j < states; ++j) {
+        double x = state[j];
+        double *own = column + j * stride;
+        for (size_t k = 0; k < samples; ++k) {
+            const double way = k > 0 ? input[k] - input[k - 1] : 0.0;
+            if (way > 0.0 || way < 0.0) {
+                const double end = way > 0.0 ? reach[j] : -reach[j];
+                x = end + (x - end) * exp(-fabs(way) / reach[j]);
+            }
+            own[k] = x;
+        }
+        state[j] = x;
+    }
+}
+
+void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
+                    const double *column, const double *scale, const double *power,
+                    const double *bias, double *output) {
+    for (size_t i = 0; i < columns; ++i) {
+        const double *z = column + i * stride;
+        const double c1 = power[i], c2 = power[columns + i], c3 = power[2 * columns + i];
+        const double c4 = power[3 * columns + i], a = bias[i], b = bias[columns + i];
+        for (size_t k = 0; k < samples; ++k) {
+            const double x = z[k] * scale[i], u = input[k];
+            output[k] += x * (c1 + u * (a + u * b) + x * (c2 + x * (c3 + x * c4)));
+        }
+    }
+}

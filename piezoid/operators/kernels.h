@@ -94,4 +94,20 @@ void pk_activated(size_t samples, const double *input, double step, double wide,
 void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
                  double longest, double *state, double *output);
 
+/* Friction states, one for each reach r; over a straight part of the input
+ *   x[k] = e x[k-1] + sgn(du) r (1 - e),   e = exp(-|du| / r)
+ *   state  (states,)          in/out: at the first sample, then at the last one
+ *   column (states, stride)   out
+ */
+void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
+                 double *state, size_t stride, double *column);
+
+/* Add a polynomial of every column, whose first coefficient goes with the input u:
+ *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i
+ * scale_i power  (4, columns)   c bias   (2, columns)   a, b
+ */
+void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
+                    const double *column, const double *scale, const double *power,
+                    const double *bias, double *output);
+
 #endif

@@ -35,6 +35,8 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_creep": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
+    "pk_friction": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, _POINTER),
+    "pk_polynomials": (_SIZE, _POINTER, _SIZE, _SIZE, *[_POINTER] * 5),
     "pk_activated": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),
 }
 
@@ -58,13 +60,16 @@ def _open() -> ctypes.CDLL:
 KERNELS = _open()
 
 
-def address(array: Array | None) -> int | None:
-    """Return where a contiguous float64 array begins, for a kernel; None stays NULL."""
+def address(array: Array | None) -> ctypes.c_void_p | None:
+    """Return where a contiguous float64 array begins, for a kernel; None stays NULL.
+
+    The array lives as long as what is returned, so a copy may be made for one call.
+    """
     if array is None:
         return None
     if array.dtype != np.float64 or not array.flags.forc:
         raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
-    return int(array.ctypes.data)
+    return array.ctypes.data_as(ctypes.c_void_p)
 
 
 def contiguous(values: Array) -> Array:

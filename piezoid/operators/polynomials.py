@@ -1,0 +1,38 @@
+"""Sums of polynomials of many states, without a column for every power."""
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.operators.library import KERNELS, address, contiguous
+
+
+def sum_of_polynomials(
+    states: Array, drive: Array, *, scale: Array, power: Array, bias: Array
+) -> Array:
+    """Return a sum of polynomials, one of each state, whose slopes at zero go with the drive.
+
+        y = sum_i z_i (c_i1 + u a_i + u^2 b_i + z_i (c_i2 + z_i (c_i3 + z_i c_i4)))
+
+    z  states * scale  (samples, states)     scale (states,)
+    u  drive           (samples,)
+    c  power           (<= 4, states)        left out powers are zero
+    a, b  bias         (2, states)
+    y  returned        (samples,)
+    """
+    given = np.asfortranarray(states, dtype=np.float64)
+    samples, count = given.shape
+    found = np.zeros(samples)
+    powers = np.zeros((4, count))
+    powers[: len(power)] = power
+    KERNELS.pk_polynomials(
+        samples,
+        address(contiguous(drive)),
+        count,
+        samples,
+        address(given),
+        address(contiguous(scale)),
+        address(powers),
+        address(np.array(bias, dtype=np.float64)),
+        address(found),
+    )
+    return found

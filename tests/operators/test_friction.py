@@ -1,0 +1,59 @@
+"""Friction states and sums of polynomials against what shares no code with them."""
+
+import weakref
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from piezoid.operators.friction import friction_states
+from piezoid.operators.library import address
+from piezoid.operators.polynomials import sum_of_polynomials
+
+REACH = np.array([0.05, 0.4, 3.0])
+
+
+def test_friction_solves_its_equation_of_motion() -> None:
+    way = np.sin(np.linspace(0.0, 9.0, 40_001)) * np.linspace(1.0, 0.3, 40_001)
+    expected = np.zeros((len(way), len(REACH)))
+    for k, step in enumerate(np.diff(way)):
+        middle = expected[k] + 0.5 * (step - abs(step) * expected[k] / REACH)
+        expected[k + 1] = expected[k] + step - abs(step) * middle / REACH
+    found = friction_states(way, REACH, np.zeros(len(REACH)))
+    np.testing.assert_allclose(found, expected, atol=1e-7)
+
+
+def test_friction_knows_only_the_turns_of_the_drive() -> None:
+    turns = np.array([0.0, 1.0, -0.6, 0.2, -0.1])
+    places = [np.linspace(a, b, 50) for a, b in pairwise(turns.tolist())]
+    start = np.array([0.01, -0.1, 0.3])
+    finely = friction_states(np.concatenate(places), REACH, start)[-1]
+    np.testing.assert_allclose(friction_states(turns, REACH, start)[-1], finely, rtol=1e-12)
+
+
+def test_friction_ends_at_its_reach_and_rests_with_the_drive() -> None:
+    found = friction_states(np.array([0.0, 500.0, 500.0]), REACH, -REACH)
+    np.testing.assert_allclose(found[1:], [REACH, REACH], rtol=1e-12)
+
+
+@pytest.mark.parametrize("powers", [2, 3, 4])
+def test_sums_of_polynomials_are_what_their_columns_would_give(powers: int) -> None:
+    draw = np.random.default_rng(powers)
+    states, drive = draw.normal(size=(70, 5)), draw.normal(size=70)
+    scale, power = draw.uniform(0.5, 2.0, 5), draw.normal(size=(powers, 5))
+    bias = draw.normal(size=(2, 5))
+    z = states * scale
+    expected = sum(z ** (n + 1) @ power[n] for n in range(powers))
+    expected = expected + drive * (z @ bias[0]) + drive**2 * (z @ bias[1])
+    found = sum_of_polynomials(states, drive, scale=scale, power=power, bias=bias)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_a_copy_made_for_a_kernel_lives_until_the_kernel_returns() -> None:
+    copy = np.array([1.0, 2.0])
+    alive = weakref.ref(copy)
+    place = address(copy)
+    del copy
+    assert alive() is not None
+    del place
+    assert alive() is None
