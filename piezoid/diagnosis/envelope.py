@@ -22,11 +22,13 @@ from functools import cached_property
 
 import numpy as np
 
-from piezoid.diagnosis.friction import FRICTION, friction_states, rubbed
+from piezoid.diagnosis.friction import FRICTION, rubbed
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.friction import friction_states
 from piezoid.operators.play import first_carry, play_columns, play_tangents
+from piezoid.operators.polynomials import sum_of_polynomials
 
 PLAYS = 18
 POWERS = 4
@@ -98,18 +100,15 @@ def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
     power = weight[: plays * POWERS].reshape(POWERS, plays)
     bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
     rub = weight[plays * POWERS + 2 * PLAYS :].reshape(5, len(FRICTION))
-    z, x = states / (1.05 - THRESHOLD), friction / np.minimum(FRICTION, 1.0)
     u = drive
-    total = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
-    for i in range(PLAYS):
-        c, of_bias = power[:, i + 1], bias[0, i] + u * bias[1, i]
-        total += z[:, i] * (
-            c[0] + u * of_bias + z[:, i] * (c[1] + z[:, i] * (c[2] + z[:, i] * c[3]))
-        )
-    for j in range(len(FRICTION)):
-        c, of_bias = rub[:3, j], rub[3, j] + u * rub[4, j]
-        total += x[:, j] * (c[0] + u * of_bias + x[:, j] * (c[1] + x[:, j] * c[2]))
-    return np.asarray(total)
+    base = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
+    of_plays = sum_of_polynomials(
+        states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
+    )
+    of_friction = sum_of_polynomials(
+        friction, u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
+    )
+    return np.asarray(base + of_plays + of_friction)
 
 
 def knee_columns(state: Array, drive: Array) -> Array:
@@ -177,12 +176,11 @@ class Envelope:
             tangents = play_tangents(track.drive, THRESHOLD, memory)
             columns[rows, :SHARED] = shape_columns(
                 tangents.state[track.place],
-                friction_states(track.drive, rubbed(track.drive, self.turns[k]))[track.place],
+                friction_states(track.drive, FRICTION, rubbed(track.drive, self.turns[k]))[
+                    track.place
+                ],
                 track.drive[track.place],
             )
-            if self.knee:
-                state = self.bent(self.turns[k], track.drive)[track.place]
-                columns[rows, SHARED : self.shared] = knee_columns(state, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
             if not self.free:
@@ -190,7 +188,18 @@ class Envelope:
             groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
             for g, group in enumerate(groups):
                 columns[rows, first + 1 + g] = tangents.memory[track.place][:, group].mean(axis=1)
+        if self.knee:
+            columns[:, SHARED : self.shared] = self.bent_rows
         return columns
+
+    @property
+    def bent_rows(self) -> Array:
+        """Return the columns of the Bouc-Wen state at all rows."""
+        parts = []
+        for track, turns in zip(self.tracks, self.turns, strict=True):
+            state = self.bent(turns, track.drive)[track.place]
+            parts.append(knee_columns(state, track.drive[track.place]))
+        return np.concatenate(parts)
 
     def static(self, k: int, weight: Array) -> Array:
         """Return what the shared columns make of a track's drive, (samples,)."""
@@ -199,7 +208,7 @@ class Envelope:
     def along(self, drive: Array, turns: Turns, weight: Array) -> Array:
         """Return what the shared columns make of any drive that turned before, (samples,)."""
         memory = past(drive, turns)
-        friction = friction_states(drive, rubbed(drive, turns))
+        friction = friction_states(drive, FRICTION, rubbed(drive, turns))
         parts = []
         for first in range(0, len(drive), CHUNK):
             part = np.asarray(drive[first : first + CHUNK])
@@ -221,7 +230,7 @@ class Envelope:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""
         place = self.tracks[k].place
         states, _ = play_columns(drive, THRESHOLD, past(drive, self.turns[k]))
-        friction = friction_states(drive, rubbed(drive, self.turns[k]))
+        friction = friction_states(drive, FRICTION, rubbed(drive, self.turns[k]))
         rows = shape_columns(states[place], friction[place], drive[place]) @ weight[:SHARED]
         if self.knee:
             rows = (

@@ -31,6 +31,7 @@ NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for st
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 LEFT_OVER = 0.3  # of a rival's share
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
+FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
 Progress = Callable[[str], None]
 
 
@@ -144,7 +145,7 @@ def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
     closest = min((rms for rms, _, _ in first), default=0.0)
     finer = []
     for rms, one, found in first:
-        if rms > NEAR * closest:
+        if rms > NEAR * closest and found.total < FOREMOST * best:
             continue
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, far.clean, far.accepted)

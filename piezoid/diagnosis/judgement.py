@@ -13,7 +13,7 @@ from piezoid.diagnosis.view import View
 CERTAIN = 8.0  # standard errors: so sure a thing
 SMALL = 0.5  # may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
-BEYOND_TWIN = 0.9  # times what the twin leaves, and that
+BEYOND_TWIN = 0.9  # times what the twin leaves above the noise, and that
 SURER = 2.5  # standard errors less in the blocks
 
 
@@ -58,8 +58,9 @@ class Judged:
     def _beats_its_twin(self) -> bool:
         if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
             return True
-        left = (1.0 - self.held.gain) / (1.0 - self.twin.gain)
-        return left < BEYOND_TWIN and surely(self.twin.loss, self.held.loss) > SURER
+        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.held, self.twin))
+        clear = surely(self.twin.loss, self.held.loss) > SURER
+        return own < BEYOND_TWIN**2 * others and clear
 
 
 def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judged:

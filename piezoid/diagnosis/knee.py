@@ -3,14 +3,18 @@
 It is structure, not a cause: it is taken in only where it leaves less than any effect does.
 """
 
+import numpy as np
+
+from piezoid.diagnosis.envelope import Knee
 from piezoid.diagnosis.view import View, with_knee
 
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
 EXPONENTS = (1.0, 1.6)
 PARTS = (1.0, 0.5, 0.25, 0.1)
-FACTORS = (1.4, 1.0, 1.35)  # of beta and exponent by a full step
-STEP = 0.25  # of the ratio
+BETA, EXPONENT = 1.4, 1.35  # factors of a full step
+RATIO = 0.25  # its step
+RCOND = 1e-9  # of lengths: columns that the others already have
 LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0))
 
 
@@ -19,32 +23,40 @@ Law = tuple[float, float, float]  # beta, gamma / beta, exponent
 
 def with_best_knee(view: View) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
+    bare = with_knee(view, None)
     laws: list[Law] = [(b, r, n) for b in BETAS for r in RATIOS for n in EXPONENTS]
-    best, law = min(((_with(view, law), law) for law in laws), key=lambda pair: pair[0].rms)
+    best = min(((_left(bare, law), law) for law in laws), key=lambda pair: pair[0])
     for part in PARTS:
-        for place in range(len(law)):
-            best, law = _better(view, best, law, place, part)
-    return best
+        for place in range(len(LIMITS)):
+            best = _better(bare, best, place, part)
+    return with_knee(view, _knee(best[1]))
 
 
-def _better(view: View, best: View, law: Law, place: int, part: float) -> tuple[View, Law]:
+def _left(bare: View, law: Law) -> float:
+    """Return the sum of squares left beside a view whose own columns are taken out of all."""
+    across = bare.null.without(with_knee(bare, _knee(law)).envelope.bent_rows)
+    found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
+    return float(np.sum((bare.null.residual - across @ found) ** 2))
+
+
+def _better(bare: View, best: tuple[float, Law], place: int, part: float) -> tuple[float, Law]:
     for sign in (1.0, -1.0):
-        there = _stepped(law, place, sign * part)
-        other = _with(view, there)
-        if other.rms < best.rms:
-            return other, there
-    return best, law
+        there = _stepped(best[1], place, sign * part)
+        left = _left(bare, there)
+        if left < best[0]:
+            return left, there
+    return best
 
 
 def _stepped(law: Law, place: int, part: float) -> Law:
     beta, ratio, exponent = law
-    steps = (beta * FACTORS[0] ** part, ratio + STEP * part, exponent * FACTORS[2] ** part)
+    steps = (beta * BETA**part, ratio + RATIO * part, exponent * EXPONENT**part)
     low, high = LIMITS[place]
     there = [*law]
     there[place] = min(max(steps[place], low), high)
     return there[0], there[1], there[2]
 
 
-def _with(view: View, law: Law) -> View:
+def _knee(law: Law) -> Knee:
     beta, ratio, exponent = law
-    return with_knee(view, (beta, ratio * beta, exponent))
+    return beta, ratio * beta, exponent

@@ -24,10 +24,11 @@ from piezoid.diagnosis.envelope import (
     shape,
 )
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.friction import FRICTION, friction_states, rubbed
+from piezoid.diagnosis.friction import FRICTION, rubbed
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.friction import friction_states
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: then all is forgotten
@@ -138,6 +139,6 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
         drive=np.asarray(track.drive[points]),
         response=np.asarray(track.response[points]),
         began=began,
-        friction=friction_states(track.drive, began)[points],
+        friction=friction_states(track.drive, FRICTION, began)[points],
         way=way[points],
     )

@@ -51,7 +51,9 @@ class View:
     @cached_property
     def null(self) -> Null:
         """Return the envelope with everything accepted."""
-        columns = np.hstack([self.envelope.columns, self.accepted])
+        columns = self.envelope.columns
+        if self.accepted.shape[1]:
+            columns = np.hstack([columns, self.accepted])
         return Null(columns=columns, response=self.response, block=self.block)
 
     @cached_property

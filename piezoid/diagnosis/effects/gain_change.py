@@ -5,8 +5,8 @@ What you see
 Why it happens
     A load was put on, a connector moved, a heater switched.
 How it is detected
-    A step of the gain at one instant explains what static hysteresis cannot, better than a ramp or
-    a passing change of the gain at the same place.
+    A step of the gain at one instant explains what static hysteresis and a gain of each
+    recording's own cannot, better than a ramp or a passing change of the gain at the same place.
 What the extension adds
     A gain that changes at an instant; the remedy is two models, one for each condition.
 Source
@@ -38,16 +38,21 @@ def _turned(share: Array, place: float, kind: str) -> Array:
 
 
 def _change(view: View, k: int, place: float, kind: str) -> Array:
-    """Return the change in one track, its zero, and what other tracks may differ by."""
-    own, columns = [], []
-    for n, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
-        response = static[track.place]
-        if n == k:
-            share = _turned(track.place / len(track.drive), place, kind)
-            own = [view.of_track(n, share * response), view.of_track(n, share)]
-        else:
-            columns.append(view.of_track(n, response))
-    return np.column_stack([*own, *columns])
+    """Return the change in one track, and of its zero."""
+    track = view.tracks[k]
+    share = _turned(track.place / len(track.drive), place, kind)
+    response = view.static[k][track.place]
+    return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
+
+
+def _beside(view: View) -> Array:
+    """Return what all tracks but the first may differ by: no evidence of an instant."""
+    columns = [
+        view.of_track(n, static[track.place])
+        for n, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
+        if n > 0
+    ]
+    return np.column_stack([np.zeros((len(view.offset), 0)), *columns])
 
 
 def _trials(view: View) -> list[Trial]:
@@ -113,6 +118,7 @@ EFFECT = Effect(
     rivals=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,
+    beside=_beside,
     size=_size,
     inject=inject,
     extend=extend,
