@@ -47,13 +47,24 @@ TRUE_SIZE: dict[str, Callable[[Numbers, Rig], float]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
+class Told:
+    value: float
+    ci95: tuple[float, float]
+    truth: float
+
+    @property
+    def held(self) -> bool:
+        return bool(self.ci95[0] <= self.truth <= self.ci95[1])
+
+
+@dataclass(frozen=True, kw_only=True)
 class Case:
     seed: int
     hidden: tuple[str, ...]
     truth: str = ""
     named: tuple[str, ...] = ()
     alike: tuple[str, ...] = ()
-    held: Mapping[str, bool] = field(default_factory=dict)
+    sizes: Mapping[str, "Told"] = field(default_factory=dict)
     time_s: float = 0.0
     skipped: str = ""
 
@@ -99,7 +110,7 @@ def case_of(numbered: tuple[int, int]) -> Case:
         truth=campaign.answer.truth,
         named=found.names,
         alike=tuple(name for f in found.findings for name in f.not_separable_from),
-        held={f.effect: _held(f, campaign) for f in found.findings if _sized(f, hidden)},
+        sizes={f.effect: _told(f, campaign) for f in found.findings if _sized(f, hidden)},
         time_s=time_s,
     )
 
@@ -108,10 +119,10 @@ def _sized(finding: Finding, hidden: tuple[str, ...]) -> bool:
     return finding.effect in hidden and finding.effect in TRUE_SIZE
 
 
-def _held(finding: Finding, campaign: Campaign) -> bool:
+def _told(finding: Finding, campaign: Campaign) -> Told:
     numbers = next(e.numbers for e in campaign.answer.effects if e.name == finding.effect)
-    low, high = finding.size.ci95
-    return bool(low <= TRUE_SIZE[finding.effect](numbers, campaign.rig) <= high)
+    truth = TRUE_SIZE[finding.effect](numbers, campaign.rig)
+    return Told(value=finding.size.value, ci95=finding.size.ci95, truth=truth)
 
 
 def told(case: Case) -> str:
@@ -119,9 +130,13 @@ def told(case: Case) -> str:
         return f"{case.seed}: skipped, {case.skipped}"
     wrong = "" if set(case.named) == set(case.hidden) else "  <<<"
     alike = f" (or {', '.join(case.alike)})" if case.alike else ""
+    sizes = "".join(
+        f"; {name} {told.value:.4g} [{told.ci95[0]:.4g}, {told.ci95[1]:.4g}] is {told.truth:.4g}"
+        for name, told in case.sizes.items()
+    )
     return (
         f"{case.seed} {case.truth}: {', '.join(case.hidden) or 'null'} -> "
-        f"{', '.join(case.named) or 'none'}{alike} ({case.time_s:.1f} s){wrong}"
+        f"{', '.join(case.named) or 'none'}{alike} ({case.time_s:.1f} s){sizes}{wrong}"
     )
 
 
@@ -156,8 +171,8 @@ def main(cases: int, first_seed: int, processes: int) -> None:
                 confusion[name]["found" if name in case.named else "missed"] += 1
             for name in set(case.named) - set(case.hidden):
                 confusion["+".join(case.hidden) or "null"][f"+{name}"] += 1
-            for name, held in case.held.items():
-                intervals[name].append(held)
+            for name, size in case.sizes.items():
+                intervals[name].append(size.held)
     for title, count in counts.items():
         print(
             f"{title}: recall {count['hits']}/{count['hidden']} (and {count['alike']} said to be "
