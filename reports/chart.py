@@ -4,22 +4,21 @@ Paths are written with whole numbers, each relative to the one before: short, an
 every machine. One step is a twentieth of a pixel, so a curve may be magnified before it shows.
 """
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import Scale
 from piezoid_reports.polyline import envelope, thinned, whole_parts
-from piezoid_reports.quantities import MINUS, scale_for
+from piezoid_reports.quantities import scale_for
+from piezoid_reports.ticks import decade_ticks, even_ticks
 
 WIDTH, HEIGHT = 640, 360
 FINE = 20
 INVISIBLE = 0.15 * FINE
 BINS = 520
-TICKS = 7  # the most intervals between labels
 ROOM = 0.04  # of the range, left free at both ends of an axis
 
 
@@ -30,26 +29,21 @@ class Axis:
     label      what is along it, without unit
     scale      the unit it is shown in
     low, high  its ends, in that unit
+    decades    values along it are log10 of what is shown; labels are the numbers themselves
     """
 
     label: str
     scale: Scale
     low: float
     high: float
+    decades: bool = False
 
     @property
     def ticks(self) -> tuple[tuple[float, str], ...]:
         """Round numbers along the axis: place as a share of its length, and label."""
-        step = _round_step((self.high - self.low) / TICKS)
-        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
-        return tuple(
-            (
-                (k * step - self.low) / (self.high - self.low),
-                f"{k * step + 0.0:.{decimals}f}".replace("-", MINUS),
-            )
-            for k in range(first, last + 1)
-        )
+        found = (decade_ticks if self.decades else even_ticks)(self.low, self.high)
+        length = self.high - self.low
+        return tuple(((place - self.low) / length, label) for place, label in found)
 
     def places(self, values: Array, length: int) -> Array:
         """Return where SI values lie, in fine steps from the low end."""
@@ -91,6 +85,12 @@ def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = Fa
         low=(low - room) / scale.factor,
         high=(high + room) / scale.factor,
     )
+
+
+def decades_over(label: str, values: Sequence[Array], unit: str) -> Axis:
+    """Return a logarithmic axis; values are log10 of numbers in ``unit``, prefix included."""
+    even = axis_over(label, values, "")
+    return replace(even, scale=Scale(factor=1.0, unit=unit), decades=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,11 +158,3 @@ class Canvas:
         # The separator before a minus is the minus itself.
         text = " ".join(steps).replace(" -", "-").replace(",-", "-")
         return f"M{x[0]},{y[0]}l{text or '0,0'}"
-
-
-def _round_step(size: float) -> float:
-    power = 10.0 ** math.floor(math.log10(size))
-    for digit in (1.0, 2.0, 5.0):
-        if size <= digit * power * 1.0000001:
-            return digit * power
-    return 10.0 * power

@@ -7,7 +7,7 @@ from piezoid.identification.dynamics.distortion import DistortionFound, distorti
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.chart import Canvas, axis_over, decades_over
 from piezoid_reports.page import Figure, Page, Part
 from piezoid_reports.quantities import percent, told
 
@@ -32,7 +32,7 @@ def _figure(axis: AxisModel, found: DistortionFound) -> Figure:
         decibel(np.maximum(values[:, 0], floor_m))
         for values in (lines.driven_m, lines.amplitude_m, lines.noise_m)
     )
-    x = axis_over("log10 of the frequency over 1 Hz", [decades, silent], "")
+    x = decades_over("frequency", [decades, silent], "Hz")
     y = axis_over("amplitude [dB of 1 m]", [driven_dB, silent_dB, noise_dB], "")
     canvas = Canvas(x=x, y=y)
     return Figure(

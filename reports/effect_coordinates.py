@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity
+from piezoid_reports.chart import Axis, axis_over, decades_over
 from piezoid_reports.traces import Trace
 
 STILL = 1e-4  # of the drive's range: a change below it is a hold
@@ -27,6 +28,7 @@ class Coordinate:
     along    (trace) -> place of every sample, NaN where it does not count, and a sign that the
              residual is multiplied by
     reading  how to read the picture
+    decades  whether places are log10 of numbers in ``unit``
     """
 
     effects: tuple[str, ...]
@@ -35,6 +37,12 @@ class Coordinate:
     kind: str
     along: Along
     reading: str
+    decades: bool = False
+
+    def axis(self, place: Array) -> Axis:
+        """Return the axis over some places."""
+        over = decades_over if self.decades else axis_over
+        return over(self.label, [place], self.unit)
 
 
 def _same(place: Array) -> tuple[Array, Array]:
@@ -91,8 +99,9 @@ def _window(trace: Trace) -> tuple[Array, Array]:
 COORDINATES: tuple[Coordinate, ...] = (
     Coordinate(
         effects=("creep",),
-        label="log10 of the time in a hold over 1 s",
-        unit="",
+        label="time in a hold",
+        unit="s",
+        decades=True,
         kind="classes",
         along=_hold,
         reading="Times the direction of the last step. Creep: as much in every decade.",
@@ -125,8 +134,9 @@ COORDINATES: tuple[Coordinate, ...] = (
     ),
     Coordinate(
         effects=("resonance", "mains_interference"),
-        label="log10 of the frequency over 1 Hz",
-        unit="",
+        label="frequency",
+        unit="Hz",
+        decades=True,
         kind="spectrum",
         along=_time,
         reading="A mode: a hill where the stage rings. Hum: needles at 50 or 60 Hz and multiples.",

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.compared import Compared
 from piezoid_reports.effect_coordinates import Coordinate, coordinate_of, over_time
 from piezoid_reports.effect_words import words
@@ -45,7 +45,7 @@ def _clearest(pictures: tuple[Compared, ...]) -> Compared:
 
 def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
     place, sign = (values[one.rows] for values in where.along(one.trace))
-    x = axis_over(where.label, [place], where.unit)
+    x = where.axis(place)
     curves = [sign * values for values in (one.before_m, one.after_m, one.injected_m)]
     y = axis_over("residual", curves, "m", even=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
@@ -85,7 +85,7 @@ def _in_classes(
     classes = [_classes(place, values) for values in (before, after, injected)]
     if any(len(one) < 2 for one in classes):
         return None
-    x = axis_over(where.label, [place], where.unit)
+    x = where.axis(place)
     y = axis_over(
         "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
     )
@@ -133,8 +133,8 @@ def _spectrum(finding: Finding, where: Coordinate, one: Compared) -> Figure | No
     curves = [_density(values, rate_Hz) for values in (one.before_m, one.after_m, one.injected_m)]
     if len(curves[0]) < 2:
         return None
-    x = axis_over(where.label, [curves[0][:, 0]], where.unit)
-    y = axis_over("log10 of the amplitude density over 1 nm/√Hz", [c[:, 1] for c in curves], "")
+    x = where.axis(curves[0][:, 0])
+    y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     drawn = (
         ("before", "without it", curves[0]),
@@ -176,8 +176,9 @@ def _titled(
             f"{words(finding.effect).capitalize()}, {recording}: residual against {where.label}"
         ),
         numbers=(
-            f"In this picture {told(before_m, 'm')} rms without the effect and "
-            f"{told(after_m, 'm')} with it; the effect is {percent(finding.share)} of the stroke."
+            f"In this picture {told(before_m, 'm')} rms without the effect, the rest of the model "
+            f"as it is, and {told(after_m, 'm')} with it; the effect is {percent(finding.share)} "
+            "of the stroke."
         ),
         look=f"{where.reading} {ALIKE}",
         x=canvas.x,

@@ -66,4 +66,6 @@ def told_interval(value: float, interval: tuple[float, float], unit: str) -> str
         ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
         shown = f"{significant(value, 4)}{NARROW}{unit}" if unit else significant(value, 4)
         return f"{shown} ({ends[0]} to {ends[1]})"
+    if not math.isfinite(high):
+        return f"{told(value, unit)} ({told(low, unit)} or more)"
     return f"{told(value, unit)} ({told(low, unit)} to {told(high, unit)})"

@@ -21,12 +21,13 @@ def tables(found: Diagnosis) -> tuple[Part, ...]:
     if causes:
         parts.append(
             Table(
-                caption="What was looked for and not found, what hides best first. Bound: the "
-                "most it could be (rms, 95 %). Limit: from this size on it would have been found "
-                f"in four of five cases. Beside the noise: the larger of both, in parts of "
-                f"{told(noise_m, 'm')} rms.",
-                columns=("effect", "at most", "would show from", "beside the noise", "why not"),
+                caption="What was looked for and not found, what hides best first. At most: what "
+                "it could be (rms, 95 %). Would show from: the size found in four of five cases. "
+                f"Beside the noise: the larger of both, in parts of {told(noise_m, 'm')} rms."
+                f"{_twins(causes)}",
+                columns=("effect", "at most", "would show from", "beside the noise", "evidence"),
                 rows=tuple(_row(one, noise_m) for one in causes),
+                wordy=(4,),
             )
         )
     if faults:
@@ -34,9 +35,9 @@ def tables(found: Diagnosis) -> tuple[Part, ...]:
             Table(
                 caption="Faults of the data that were looked for and not found: heights of single "
                 "spikes and steps.",
-                columns=("fault", "would show from", "why not"),
+                columns=("fault", "would show from", "found"),
                 rows=tuple(
-                    (words(one.effect), _length(one.detection_limit_m), one.reason)
+                    (words(one.effect), _length(one.detection_limit_m), _sign(one))
                     for one in faults
                 ),
             )
@@ -100,7 +101,27 @@ def _row(one: NotDetected, noise_m: float) -> tuple[str, ...]:
         _length(one.upper_bound_m),
         _length(one.detection_limit_m),
         _times(_hidden_m(one), noise_m) if tested else "",
-        one.reason,
+        _besides(one),
+    )
+
+
+def _besides(one: NotDetected) -> str:
+    """Return the reason without the size that stands beside it in the table already."""
+    first, _, rest = one.reason.partition("; ")
+    return rest if rest and first.startswith("at most ") else one.reason
+
+
+def _sign(one: NotDetected) -> str:
+    """Return what was found of a fault, without the size beside it."""
+    return one.reason.partition("; ")[0]
+
+
+def _twins(causes: list[NotDetected]) -> str:
+    if not any("unphysical twin" in one.reason for one in causes):
+        return ""
+    return (
+        " An unphysical twin has the same freedom and no physics (creep run backwards, hum "
+        "between the grids): what it takes off, chance takes off."
     )
 
 

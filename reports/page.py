@@ -116,6 +116,7 @@ class Table:
     columns  headings with units
     rows     texts; a row as long as ``columns``
     digests  numbers of the columns that hold digests, which may break anywhere
+    wordy    numbers of the columns that hold sentences, which keep some width on a phone
     links    for each row the relative place its first entry leads to; empty for none
     """
 
@@ -124,6 +125,7 @@ class Table:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     digests: tuple[int, ...] = ()
+    wordy: tuple[int, ...] = ()
     links: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

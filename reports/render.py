@@ -86,7 +86,7 @@ def render(
 def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
     page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
-    return html(f"Stage {model.stage}", _sections(page, OF_DESIGN))
+    return html(_title(model), _sections(page, OF_DESIGN))
 
 
 def render_diagnosis(
@@ -128,7 +128,12 @@ def _digest(model: ActuatorModel) -> str:
 
 def _written(page: Page, chapters: Sequence[Render]) -> str:
     sections = _sections(page, chapters)
-    return html(f"Stage {page.model.stage}", sections, alarm=_alarm(page))
+    return html(_title(page.model), sections, alarm=_alarm(page))
+
+
+def _title(model: ActuatorModel) -> str:
+    """Return the stage's name, with the word before it where the name does not say it."""
+    return model.stage if "stage" in model.stage.lower() else f"Stage {model.stage}"
 
 
 def _sections(page: Page, chapters: Sequence[Render]) -> list[Section]:

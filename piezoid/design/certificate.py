@@ -14,6 +14,7 @@ from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import grid_Hz
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+from piezoid.readable import told
 
 _TAIL = 1e-12
 _LONGEST = 400_000
@@ -214,7 +215,7 @@ def _refuse_unstable(reached: Margins) -> None:
 def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> tuple[str, ...]:
     return (
         f"the linear plant is one of the {count} members",
-        f"the reference moves at most {operation.reference_slew_m_per_s:g} m/s",
-        f"the command stays within {bounds.reach_V:g} V and inside the converter's limits",
+        f"the reference moves at most {told(operation.reference_slew_m_per_s, 'm/s')}",
+        f"the command stays within {told(bounds.reach_V, 'V')} and inside the converter's limits",
         "sensor noise comes on top, as its own line",
     )

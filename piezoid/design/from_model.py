@@ -188,6 +188,6 @@ def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
     return (
         *(known if poles else ()),
         "the stage has no mode within the band of the loop that the model does not know",
-        f"the drive stays within {axis.voltage_V[0]:.6g} to {axis.voltage_V[1]:.6g} V, as in the "
+        f"the drive stays within {axis.voltage_V[0]:.4g} to {axis.voltage_V[1]:.4g} V, as in the "
         "recordings",
     )

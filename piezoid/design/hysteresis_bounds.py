@@ -16,6 +16,7 @@ from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.operators.worst_case import worst_case
+from piezoid.readable import told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +78,9 @@ def affine_bounds(
         error_m=error,
         reach_V=reach_V,
         conditions=(
-            f"the command stays within {reach_V:g} V of the model's centre",
+            f"the command stays within {told(reach_V, 'V')} of the model's centre",
             "the stage started de-poled, or has passed an extreme larger than the scan",
-            f"the hysteresis model errs by at most {remainder_m:g} m",
+            f"the hysteresis model errs by at most {told(remainder_m, 'm')}",
         ),
     )
 
@@ -122,9 +123,9 @@ def inverse_bounds(
         error_m=float(np.quantile(errors, confidence)) + remainder_m,
         reach_V=reach_V,
         conditions=(
-            f"the drive stays within {reach_V:g} V of the model's centre",
+            f"the drive stays within {told(reach_V, 'V')} of the model's centre",
             f"the true hysteresis lies within {100.0 * confidence:g} % of {len(truths)} refits",
-            f"what no such model explains stays below {remainder_m:g} m",
+            f"what no such model explains stays below {told(remainder_m, 'm')}",
         ),
     )
 

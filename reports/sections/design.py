@@ -8,10 +8,10 @@ from piezoid.design.sensitivity import sensitivities
 from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.loop_figures import nyquist, pole_map
 from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
-from piezoid_reports.quantities import significant, told
+from piezoid_reports.quantities import MINUS, significant, told
 
 GRID = 240
 LOWEST = 300.0  # parts of the bandwidth: below, attenuation is only a straight line
@@ -93,7 +93,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
     )
     limits = _limits(axis, function, frequency_Hz)
     decades = np.log10(frequency_Hz)
-    x = axis_over("log10 of the frequency over 1 Hz", [decades], "")
+    x = decades_over("frequency", [decades], "Hz")
     shown = [np.maximum(level_dB, -80.0), *(limit for _, limit in limits)]
     y = axis_over(f"|{function}| [dB]", [part.ravel() for part in shown], "")
     canvas = Canvas(x=x, y=y)
@@ -109,7 +109,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         title=f"Axis {axis.axis}: {what}, |{function}|",
         numbers=(
             f"{len(loop.members)} members; greatest "
-            f"{significant(float(level_dB.max()), 3)} dB at "
+            f"{_decibels(float(level_dB.max()))} at "
             f"{told(float(frequency_Hz[level_dB.max(axis=0).argmax()]), 'Hz')}. Bandwidth "
             f"{told(loop.bandwidth_Hz, 'Hz')}: every member attenuates by 3 dB there."
         ),
@@ -118,6 +118,11 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         y=y,
         layers=tuple(layers),
     )
+
+
+def _decibels(level: float) -> str:
+    """Return a level to a hundredth of a decibel: below, a curve is flat."""
+    return f"{round(level, 2) + 0.0:.2f} dB".replace("-", MINUS)
 
 
 def _limits(axis: AxisDesign, function: str, frequency_Hz: Array) -> list[tuple[str, Array]]:
@@ -178,7 +183,7 @@ def _rejections(axis: AxisDesign, loop: LoopDesign) -> Table:
 def _loops(axis: AxisDesign) -> Table:
     return Table(
         caption=f"Axis {axis.axis}: every way it was designed. Chosen within a loop is what meets "
-        "the limits with the least figure.",
+        f"the limits with the least figure: {_figure_names(axis)}.",
         columns=("loop", "bandwidth", "way", "meets every limit", "figure", "chosen"),
         rows=tuple(
             (
@@ -186,13 +191,23 @@ def _loops(axis: AxisDesign) -> Table:
                 told(loop.bandwidth_Hz, "Hz"),
                 candidate.name,
                 "yes" if candidate.is_feasible else "no",
-                significant(candidate.figure),
+                _told_figure(axis, candidate.figure),
                 "yes" if candidate.is_chosen else "",
             )
             for loop in axis.loops
             for candidate in loop.candidates
         ),
     )
+
+
+def _figure_names(axis: AxisDesign) -> str:
+    names = dict.fromkeys(one.figure_name for loop in axis.loops for one in loop.candidates)
+    return "; ".join(names)
+
+
+def _told_figure(axis: AxisDesign, figure: float) -> str:
+    """Return what a choice minimises, a length on an axis that is controlled in metres."""
+    return told(figure, "m") if axis.output_unit == "m" else significant(figure)
 
 
 def _proven(loop: LoopDesign) -> tuple[Part, ...]:

@@ -90,6 +90,7 @@ def _gains(found: Diagnosis) -> Table:
         "that goes with this effect alone in or out of the model, refitted both times. p: chance "
         "of such evidence without the effect, times the number of effects tried.",
         columns=("effect", "gain", "without it", "with it", "size", "p"),
+        wordy=(4,),
         rows=tuple(
             (
                 words(f.effect),
@@ -112,17 +113,7 @@ def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> lis
     figure = figure_of(finding, pictures)
     if figure is not None:
         parts.append(figure)
-    parts.append(
-        Listing(
-            items=(
-                f"Size: {_size(finding)}.",
-                f"Gain: {percent(finding.held_out_gain)} of the error on rows left out, from "
-                f"{told(finding.held_out_rms_before_m, 'm')} to "
-                f"{told(finding.held_out_rms_after_m, 'm')} rms.",
-                f"For control: {CONTROL[finding.effect]}",
-            )
-        )
-    )
+    parts.append(Prose(text=f"For control: {CONTROL[finding.effect]}"))
     return parts
 
 

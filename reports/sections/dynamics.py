@@ -15,7 +15,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.readable import UNKNOWN
-from piezoid_reports.chart import Axis, Canvas, axis_over
+from piezoid_reports.chart import Axis, Canvas, axis_over, decades_over
 from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
@@ -66,7 +66,7 @@ def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part
     measured = measure_behind_hysteresis(axis, held[0][0])
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
-    x = axis_over("log10 of the frequency over 1 Hz", [np.log10(measured.frequency_Hz)], "")
+    x = decades_over("frequency", [np.log10(measured.frequency_Hz)], "Hz")
     return [
         _gain(axis, dynamics, measured, x),
         _phase(axis, dynamics, measured, x),

@@ -19,11 +19,8 @@ def render(page: Page) -> Section:
 def _table(axis: AxisModel) -> Table:
     quality = axis.quality
     least_m = min((order.held_out_rms_m for order in quality.orders), default=0.0)
-    kind = (
-        "recordings left out in turn"
-        if quality.held_out_kind == "other recordings"
-        else ("the second half of the only recording")
-    )
+    alone = len({start.recording for start in axis.starts}) == 1
+    kind = "the second half of the only recording" if alone else "recordings left out in turn"
     return Table(
         caption=(
             f"Axis {axis.axis}: free-run error on {kind}. After the choice the final fit uses "

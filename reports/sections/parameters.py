@@ -151,7 +151,7 @@ def _on_play(axis: AxisModel, i: int, known: Known, limits: Mapping[str, float])
 
 def _sign_of(name: str, known: Known) -> str:
     value, half = known.get(name, (0.0, 0.0))
-    return "interval holds 0" if 0.0 < abs(value) <= half else ""
+    return "interval holds 0" if half > 0.0 and abs(value) <= half else ""
 
 
 def _on_lag(axis: AxisModel) -> str:

@@ -8,7 +8,7 @@ from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.junction import curves_of
 from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.junction_words import confidence_of, judged, told_interval
 from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, told
@@ -124,7 +124,7 @@ def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
     logs = [np.log10(np.where(i > 0.0, i, np.nan) / 1e-12) for _, i in rows]
     line = np.log10(_modelled(law, heights) / 1e-12)
     x = axis_over("height", [heights], "m")
-    y = axis_over("log10 of the current over 1 pA", [*logs, np.array([floor])], "")
+    y = decades_over("current", [*logs, np.array([floor])], "pA")
     canvas = Canvas(x=x, y=y)
     seen = line > floor - 1.0  # far below the noise the law has nothing to be compared with
     layers: list[Layer] = [
@@ -134,7 +134,7 @@ def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
     layers.append(canvas.line("model", "gap law", heights[seen], line[seen])[0])
     layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor))[0])
     return Figure(
-        title=f"Current over height, {len(curves)} sweeps",
+        title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
         numbers=(
             f"Offset of {told(law.offset_A, 'A')} taken off, polarity {POLARITY[law.polarity]}. "
             f"The fit weighs every point by its own noise and takes no logarithm; points at or "

@@ -12,7 +12,7 @@ from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, Layer, axis_over
+from piezoid_reports.chart import Canvas, Layer, decades_over
 from piezoid_reports.junction_words import SOURCES, loop_judged, told_interval
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
@@ -178,8 +178,8 @@ def _figures(page: Page, loop: LoopPlant) -> list[Part]:
 def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord) -> Figure:
     """Current, drive and unrest in one unit: what they amount to in the gap."""
     curves = _curves(loop, rig, summary, record)
-    x = axis_over("log10 of the frequency over 1 Hz", [f for _, _, f, _ in curves], "")
-    y = axis_over("log10 of the density over 1 m/√Hz", [level for *_, level in curves], "")
+    x = decades_over("frequency", [f for _, _, f, _ in curves], "Hz")
+    y = decades_over("density", [level for *_, level in curves], "pm/√Hz")
     canvas = Canvas(x=x, y=y)
     mains = () if summary.unrest is None else summary.unrest.mains
     ends = np.array([y.low, y.high])
@@ -206,7 +206,7 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
 def _curves(
     loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRecord
 ) -> list[tuple[str, str, Array, Array]]:
-    """Return role, name, log10 of the frequency, log10 of the density of every curve."""
+    """Return role, name, log10 of the frequency in Hz and of the density in pm/√Hz."""
     rate_Hz, per_V = record.sampling_rate_Hz, rig.drive_gain_m_per_V
     current_m, drive_m = per_V / summary.gain * record.log_current, per_V * record.drive_V
     shown = [
@@ -217,9 +217,13 @@ def _curves(
     if noise is not None:
         shown.append(("trend", "unrest of the gap", noise.frequency_Hz, noise.density_m2_per_Hz))
     return [
-        (role, name, np.log10(f_Hz[1:]), 0.5 * np.log10(np.maximum(density[1:], LEAST_m2_per_Hz)))
+        (role, name, np.log10(f_Hz[1:]), _in_pm(np.maximum(density[1:], LEAST_m2_per_Hz)))
         for role, name, f_Hz, density in shown
     ]
+
+
+def _in_pm(density_m2_per_Hz: Array) -> Array:
+    return np.asarray(0.5 * np.log10(density_m2_per_Hz) + 12.0)
 
 
 def _numbers(summary: LoopSummary) -> str:

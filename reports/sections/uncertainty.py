@@ -127,7 +127,7 @@ def _figure(found: DisplacementBudget, bound_m: float) -> Figure:
     canvas = Canvas(x=x, y=y, height=240)
     upright = np.array([0.0, 1.0])
     return Figure(
-        title=f"axis {found.axis}: how large an error is",
+        title=f"Axis {found.axis}: how large an error is",
         numbers=f"95 % of single positions are within {told(held.propagated, 'm')}; of "
         f"{held.positions} positions the largest is within {told(held.largest[1], 'm')} in "
         f"97.5 % of cases; the certificate bounds every one by {told(bound_m, 'm')}.",

@@ -5,7 +5,7 @@ import numpy as np
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
 from piezoid.verification.verification import Verification
-from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Figure, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
 from piezoid_reports.spirals import METHODS, spiral
@@ -44,6 +44,7 @@ def _summary(found: Verification) -> Prose:
     failed = [verdict for verdict in found.verdicts if not verdict.passed]
     differing = [proof.build for proof in found.proofs if not proof.passed]
     ships = ", ".join(f"axis {axis}: {METHODS[m]}" for axis, m in found.methods.items())
+    ships = f"What ships: {ships}"
     text = (
         f"{len(found.verdicts) - len(failed)} of {len(found.verdicts)} verdicts passed. {ships}."
     )
@@ -71,8 +72,8 @@ def _shape_figure(found: Verification) -> Figure:
         )
         for m, rows in curves.items()
     }
-    x = axis_over("log10 of the turns a second over 1 Hz", [p[0] for p in points.values()], "")
-    y = axis_over("log10 of the shape error over 1 nm", [p[1] for p in points.values()], "")
+    x = decades_over("turns a second", [p[0] for p in points.values()], "Hz")
+    y = decades_over("shape error", [p[1] for p in points.values()], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [canvas.line(STROKES[m], METHODS[m], *points[m])[0] for m in methods]
     shipped = curves[methods[0]]
@@ -115,13 +116,19 @@ def _table(found: Verification) -> Table:
         caption=f"Spirals of radius {told(found.radius_m, 'm')}, by turns a second and method: "
         "distance from the path, rms, in percent of the diameter, and largest; what the best "
         "common delay leaves, and that delay (negative: early); error of the radius; scatter of "
-        "the distance between turns.",
+        f"the distance between turns. {_methods(found)}.",
         columns=(
             *("turns a second", "method", "rms", "of diameter", "largest"),
             *("shape rms", "delay", "radial rms", "pitch"),
         ),
         rows=tuple(rows),
     )
+
+
+def _methods(found: Verification) -> str:
+    """Say in words what the short names of the table stand for."""
+    short = dict.fromkeys(row.method for row in found.comparison)
+    return "; ".join(f"{name}: {METHODS[name]}" for name in short)
 
 
 def _currents(found: Verification) -> list[Part]:
@@ -163,11 +170,16 @@ def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
     return (
         verdict.name,
         "every run" if verdict.scenario == _EVERY else verdict.scenario,
-        significant(verdict.value),
-        significant(verdict.limit),
-        "" if verdict.unit == "1" else verdict.unit,
+        _measured(verdict, verdict.value),
+        _measured(verdict, verdict.limit),
+        "" if verdict.unit in ("1", "s") else verdict.unit,
         "passed" if verdict.passed else "failed",
     )
+
+
+def _measured(verdict: Verdict, value: float) -> str:
+    """Return a number of a verdict; a time carries its unit."""
+    return told(value, "s") if verdict.unit == "s" else significant(value)
 
 
 def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:

@@ -4,6 +4,7 @@
   const SVG = "http://www.w3.org/2000/svg";
   const REACH = 30; // pixels of the figure: a pointer farther from a curve reads nothing
   const TICKS = 7; // the most intervals between labels
+  const MANTISSAS = [[1], [1, 2, 5], [1, 2, 3, 4, 5, 6, 7, 8, 9]]; // of a logarithmic axis
   const DEEPEST = 60; // times the full view
 
   function roundStep(size) {
@@ -15,6 +16,37 @@
   function written(value, step) {
     const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
     return (value + 0).toFixed(Math.min(decimals, 12)).replace("-", "\u2212");
+  }
+
+  function evenTicks(low, high) {
+    const step = roundStep((high - low) / TICKS), found = [];
+    for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) {
+      found.push([k * step, written(k * step, step)]);
+    }
+    return found;
+  }
+
+  function power(mantissa, k) {
+    if (k >= 0 && k < 6) return String(mantissa * 10 ** k);
+    if (k >= -4 && k < 0) return (mantissa * 10 ** k).toFixed(-k);
+    return `${mantissa}e${k}`.replace("-", "\u2212");
+  }
+
+  // The ends are log10 of what is shown.
+  function decadeTicks(low, high) {
+    for (const mantissas of MANTISSAS) {
+      const found = [];
+      for (let k = Math.floor(low); k <= Math.ceil(high); k++) {
+        for (const m of mantissas) {
+          const at = k + Math.log10(m);
+          if (low - 1e-9 <= at && at <= high + 1e-9) found.push([at, power(m, k), k]);
+        }
+      }
+      const apart = mantissas.length > 1 ? 1 : Math.ceil(found.length / TICKS);
+      if (found.length >= 3) return found.filter((tick) => tick[2] % apart === 0);
+    }
+    return evenTicks(10 ** low, 10 ** high).filter((tick) => tick[0] > 0)
+      .map(([value, label]) => [Math.log10(value), label]);
   }
 
   function element(name, attributes, text) {
@@ -54,12 +86,17 @@
     const pageX = (x) => left + (x - seen.x) / seen.w * width;
     const pageY = (y) => top + (y - seen.y) / seen.h * height;
 
-    function ticks(group, low, high, place) {
+    function ticks(name, low, high, place) {
+      const group = figure.querySelector(`.ticks-${name}`);
       group.replaceChildren();
-      const step = roundStep((high - low) / TICKS);
-      for (let k = Math.ceil(low / step - 1e-9); k <= Math.floor(high / step + 1e-9); k++) {
-        place(group, k * step, written(k * step, step));
-      }
+      const made = (data.decades.includes(name) ? decadeTicks : evenTicks)(low, high);
+      for (const [value, label] of made) place(group, value, label);
+    }
+
+    // A value under the pointer, to a thousandth of what is seen.
+    function told(name, value, seenLow, seenHigh) {
+      if (data.decades.includes(name)) return String(Number((10 ** value).toPrecision(3)));
+      return written(value, roundStep((seenHigh - seenLow) / 1000));
     }
 
     function show(next) {
@@ -71,13 +108,13 @@
       };
       plot.setAttribute("viewBox", `${seen.x} ${seen.y} ${seen.w} ${seen.h}`);
       view.classList.toggle("near", seen.w < full.w);
-      ticks(figure.querySelector(".ticks-x"), valueX(seen.x), valueX(seen.x + seen.w),
+      ticks("x", valueX(seen.x), valueX(seen.x + seen.w),
         (group, value, label) => {
           const at = pageX((value - ends.x[0]) / (ends.x[1] - ends.x[0]) * full.w).toFixed(1);
           group.append(element("path", { class: "grid", d: `M${at},${top}v${height}` }),
             element("text", { class: "tick", x: at, y: top + height + 18, "text-anchor": "middle" }, label));
         });
-      ticks(figure.querySelector(".ticks-y"), valueY(seen.y + seen.h), valueY(seen.y),
+      ticks("y", valueY(seen.y + seen.h), valueY(seen.y),
         (group, value, label) => {
           const at = pageY((ends.y[1] - value) / (ends.y[1] - ends.y[0]) * full.h);
           group.append(element("path", { class: "grid", d: `M${left},${at.toFixed(1)}h${width}` }),
@@ -128,8 +165,8 @@
       if (!best.name) { readout.textContent = ""; return; }
       here.setAttribute("cx", pageX(best.x).toFixed(1));
       here.setAttribute("cy", pageY(best.y).toFixed(1));
-      const x = written(valueX(best.x), roundStep((valueX(seen.x + seen.w) - valueX(seen.x)) / 1000));
-      const y = written(valueY(best.y), roundStep((valueY(seen.y) - valueY(seen.y + seen.h)) / 1000));
+      const x = told("x", valueX(best.x), valueX(seen.x), valueX(seen.x + seen.w));
+      const y = told("y", valueY(best.y), valueY(seen.y + seen.h), valueY(seen.y));
       readout.textContent =
         `${best.name}: ${data.xName} ${x} ${data.xUnit}, ${data.yName} ${y} ${data.yUnit}`;
     }

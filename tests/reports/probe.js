@@ -46,10 +46,17 @@
     const flickering = [...figure.querySelectorAll(".layer.off")].length;
     figure.querySelector(".flicker").click();
     const after = [...figure.querySelectorAll(".layer.off")].length;
+    // The script writes the ticks anew: they must be those that stood there.
+    const ticksOf = (one) => [...one.querySelectorAll(".tick")].map((tick) => tick.textContent.trim()).join(" ");
+    const rewritten = [...document.querySelectorAll("figure.chart")].map((one) => {
+      const before = ticksOf(one);
+      send(one.querySelector(".view"), "keydown", { key: "0" });
+      return { decades: one.querySelector(".frame").dataset.decades, before, after: ticksOf(one) };
+    });
     const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
     document.body.dataset.probe = JSON.stringify({
       errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
-      astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide,
+      astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide, rewritten,
     });
   });
 })();

@@ -11,7 +11,10 @@ from typing import Any
 
 import pytest
 
+from piezoid_reports.render import render
 from tests.reports.anatomy import Anatomy
+from tests.reports.known_diagnosis import diagnosed, finding
+from tests.reports.known_stage import axis_model, recording, stage_model
 
 BROWSER = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -20,6 +23,13 @@ PROBE = (Path(__file__).parent / "probe.js").read_text()
 PHONE = "420,900"
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    """A stage with a spectrum among its figures, and a long table."""
+    found = diagnosed(finding("mains_interference"))
+    return render(stage_model(axis_model()), [recording()], diagnoses=(found,))
 
 
 def _browse(folder: Path, page: str, *arguments: str) -> tuple[str, str]:
@@ -99,6 +109,14 @@ def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
     assert found["ticksAgain"] == "".join(found["ticksBefore"].split())
 
 
+def test_even_and_logarithmic_ticks_of_every_figure_are_those_python_wrote(
+    found: dict[str, Any],
+) -> None:
+    assert {figure["decades"] for figure in found["rewritten"]} == {"", "xy"}
+    for figure in found["rewritten"]:
+        assert figure["after"] == figure["before"]
+
+
 def test_the_wheel_belongs_to_the_page_until_the_figure_is_chosen(found: dict[str, Any]) -> None:
     assert found["stolenWheel"] is False
     assert found["keptWheel"] is True
@@ -129,8 +147,10 @@ def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: P
         check=True,
     ).stdout
     sheets = text.split("\f")
+    looks = Anatomy(page).all("p", "look")
     for number in range(1, page.count("<figure") + 1):
         holding = [sheet for sheet in sheets if f"Figure {number}." in sheet]
         assert len(holding) == 1
         # The caption follows the figure it belongs to on the same sheet.
-        assert "Good:" in holding[0].partition(f"Figure {number}.")[2]
+        first_words = " ".join(looks[number - 1].text.split()[:3])
+        assert first_words in holding[0].partition(f"Figure {number}.")[2]

@@ -50,9 +50,8 @@ def test_every_effect_can_be_told_with_its_size_gain_and_meaning(effect: str) ->
     wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
     found = diagnosed(finding(effect))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [_with(wave_m)], found))
-    text = " ".join(e.text for e in page.all("li"))
-    assert CONTROL[effect] in text
-    assert "<b>percent</b>" in text
+    assert f"For control: {CONTROL[effect]}" in [e.text for e in page.all("p", "prose")]
+    assert any("<b>percent</b> (95 %: 0.400 to 0.600)" in e.text for e in page.all("td"))
     assert not page.all("b") or all("percent" not in e.text for e in page.all("b"))
 
 

@@ -178,7 +178,7 @@ def test_line_and_model_are_judged_on_the_same_samples() -> None:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"held_out_kind": "second half"}, "second half"),
+        ({"held_out_kind": "second half"}, "parts of it that were left out"),
         ({"converged": False}, "limit of iterations"),
         ({"held_out_rms_m": 6e-9}, "this sensor sees no more"),
         ({"held_out_rms_m": 6e-8}, "12.0 times the sensor noise"),
