@@ -1,12 +1,13 @@
 """Break a module on purpose, one slip at a time, and count how many its own tests notice.
 
-    python -m benchmarks.mutation_score PART [--count 80] [--seed 1] [--seconds 420]
+    python -m benchmarks.mutation_score PART [--count 80] [--seed 1] [--seconds 420] [--longest 5]
 
 Parts: see ``PARTS``. The first run times the tests and notes which functions each of them enters;
 a mutant then meets first those that enter its function, the quickest first, then all others of
 the same files, up to the first failure. Everything happens in forked processes: nothing is
 written into the tree, but for build/mutation/PART.json, in which a run that was cut off by
-``--seconds`` is continued. ``benchmarks/equivalent_mutants.toml`` names those that change nothing
+``--seconds`` is continued. Tests longer than ``--longest`` are left out: the score is then a bound
+from below. ``benchmarks/equivalent_mutants.toml`` names those that change nothing
 a test could see, each with its reason; they are left out of the score.
 """
 
@@ -121,6 +122,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=80)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--seconds", type=float, default=420.0)
+    parser.add_argument("--longest", type=float, default=float("inf"))
     asked = parser.parse_args()
     part, began_s = PARTS[asked.part], time.monotonic()
     for name in part.loaded:
@@ -131,13 +133,14 @@ def main() -> None:
     if "tests" not in state:
         state = {"tests": timed_tests(part.tests, part.without), "judged": {}}
         kept.write_text(json.dumps(state))
-    seconds = sum(test["seconds"] for test in state["tests"].values())
-    print(f"{len(state['tests'])} tests, {seconds:.1f} s of processor time", flush=True)
-    sample = sampled(part, state["tests"], asked.count, asked.seed)
+    tests = {n: test for n, test in state["tests"].items() if test["seconds"] <= asked.longest}
+    seconds = sum(test["seconds"] for test in tests.values())
+    print(f"{len(tests)} tests, {seconds:.1f} s of processor time", flush=True)
+    sample = sampled(part, tests, asked.count, asked.seed)
     for mutant in sample:
         if mutant.name in state["judged"] or time.monotonic() - began_s > asked.seconds:
             continue
-        state["judged"][mutant.name] = verdict(mutant, state["tests"])
+        state["judged"][mutant.name] = verdict(mutant, tests)
         kept.write_text(json.dumps(state))
     left = sum(mutant.name not in state["judged"] for mutant in sample)
     report(state["judged"], sample)
