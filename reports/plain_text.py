@@ -12,7 +12,7 @@ _OURS = {"\u202f"}
 
 def printable(value: object) -> object:
     """Return a text with its unprintable characters as codes; anything else as it is."""
-    if not isinstance(value, str) or hasattr(value, "__html__"):
+    if not isinstance(value, str) or hasattr(value, "__html__") or value.isprintable():
         return value
     return "".join(_shown(character) for character in value)
 

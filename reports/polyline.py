@@ -57,8 +57,11 @@ def _worst(x: Array, y: Array, first: int, last: int) -> tuple[float, int, int, 
     a, b = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
     across, up = x[last] - x[first], y[last] - y[first]
     length = across * across + up * up
-    along = np.clip((a * across + b * up) / length, 0.0, 1.0) if length > 0 else 0.0
-    distance = np.hypot(a - along * across, b - along * up)
+    if length > 0:
+        along = np.minimum(np.maximum((a * across + b * up) / length, 0.0), 1.0)
+        distance = np.hypot(a - along * across, b - along * up)
+    else:
+        distance = np.hypot(a, b)
     place = int(distance.argmax())
     return -float(distance[place]), first + 1 + place, first, last
 

@@ -8,13 +8,14 @@ is the exact inverse of the hysteresis model at v, and d holds only what the mod
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from piezoid.design.plant import Plant
-from piezoid.design.state_feedback import placed_gain
+from piezoid.design.state_feedback import PlacementForm, placement_form
 from piezoid.numerics.arrays import Array, frozen
 
 FORMS = ("affine", "inverse")
@@ -110,11 +111,8 @@ def place_observer(
     Past inputs are known exactly, so the observer is placed without them; see ``extended``.
     """
     model = disturbance or disturbance_model(plant.sampling_rate_Hz)
-    A_e, C_e = extended(plant, model)
-    gain = placed_gain(A_e.T, C_e @ A_e, observer_poles)
-    return observer_with_gain(
-        plant, gain, feedback_poles=feedback_poles, form=form, disturbance=model
-    )
+    frame = ObserverFrame(plant=plant, disturbance=model, form=form)
+    return frame.placed(feedback_poles=feedback_poles, observer_poles=observer_poles)
 
 
 def observer_with_gain(
@@ -129,25 +127,78 @@ def observer_with_gain(
 
     gain  (n + w,)  of the plant without its delays, then of the disturbance
     """
-    order = len(plant.state_matrix)
-    A, B, C = plant.realised()
-    late = len(A) - order
-    poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), np.zeros(late)])
-    K = placed_gain(A, B, poles)
-    state_gain, disturbance_gain = gain[:order], gain[order:]
-    return DisturbanceObserver(
-        form=form,
-        A=A,
-        B=B,
-        C=C,
-        disturbance=disturbance,
-        state_gain=np.concatenate(
-            [state_gain, _past_outputs(disturbance, late) @ disturbance_gain]
-        ),
-        disturbance_gain=disturbance_gain,
-        feedback_gain=K,
-        reference_gain=_resting_gain(A, B, C, K),
-    )
+    frame = ObserverFrame(plant=plant, disturbance=disturbance, form=form)
+    return frame.with_gain(gain, feedback_poles=feedback_poles)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ObserverFrame:
+    """All that the observers of one plant have in common: a search asks for thousands of them.
+
+    plant, disturbance  what they estimate
+    form                ``affine`` or ``inverse``
+    """
+
+    plant: Plant
+    disturbance: DisturbanceModel
+    form: str
+
+    def placed(
+        self, *, feedback_poles: ArrayLike, observer_poles: ArrayLike
+    ) -> DisturbanceObserver:
+        """Return the observer with these poles; see ``place_observer``."""
+        gain = self._correction.gain(observer_poles)
+        return self.with_gain(gain, feedback_poles=feedback_poles)
+
+    def with_gain(self, gain: Array, *, feedback_poles: ArrayLike) -> DisturbanceObserver:
+        """Return the observer with this correction gain; see ``observer_with_gain``."""
+        order = len(self.plant.state_matrix)
+        A, B, C = self._realised
+        late = np.zeros(len(A) - order)
+        poles = np.concatenate([np.asarray(feedback_poles, dtype=np.complex128), late])
+        K = self._feedback.gain(poles)
+        state_gain, disturbance_gain = gain[:order], gain[order:]
+        return DisturbanceObserver(
+            form=self.form,
+            A=A,
+            B=B,
+            C=C,
+            disturbance=self.disturbance,
+            state_gain=np.concatenate([state_gain, self._past @ disturbance_gain]),
+            disturbance_gain=disturbance_gain,
+            feedback_gain=K,
+            reference_gain=float((1.0 + K @ self._rest) / (C @ self._rest)),
+        )
+
+    @cached_property
+    def _realised(self) -> tuple[Array, Array, Array]:
+        return self.plant.realised()
+
+    @cached_property
+    def _past(self) -> Array:
+        late = len(self._realised[0]) - len(self.plant.state_matrix)
+        return _past_outputs(self.disturbance, late)
+
+    @cached_property
+    def _feedback(self) -> PlacementForm:
+        A, B, _ = self._realised
+        return placement_form(A, B)
+
+    @cached_property
+    def _correction(self) -> PlacementForm:
+        A_e, C_e = extended(self.plant, self.disturbance)
+        return placement_form(A_e.T, C_e @ A_e)
+
+    @cached_property
+    def _rest(self) -> Array:
+        """State at rest under one volt: N = (1 + K x) / (C x), x = (I - A)^-1 B makes y = r.
+
+        These are the runtime's own words. 1 / (C (I - A + B K)^-1 B) is the same number, but
+        metres beside volts make that matrix so ill-conditioned that the runtime's check sees the
+        rounding.
+        """
+        A, B, _ = self._realised
+        return np.asarray(np.linalg.solve(np.eye(len(A)) - A, B), dtype=np.float64)
 
 
 def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]:
@@ -168,16 +219,6 @@ def extended(plant: Plant, disturbance: DisturbanceModel) -> tuple[Array, Array]
         ]
     )
     return A_e, np.concatenate([plant.output_vector, np.zeros(states)])
-
-
-def _resting_gain(A: Array, B: Array, C: Array, K: Array) -> float:
-    """Return N = (1 + K x) / (C x), x = (I - A)^-1 B: what makes y = r at rest.
-
-    These are the runtime's own words. 1 / (C (I - A + B K)^-1 B) is the same number, but metres
-    beside volts make that matrix so ill-conditioned that the runtime's check sees the rounding.
-    """
-    rest = np.linalg.solve(np.eye(len(A)) - A, B)
-    return float((1.0 + K @ rest) / (C @ rest))
 
 
 def _past_outputs(disturbance: DisturbanceModel, count: int) -> Array:

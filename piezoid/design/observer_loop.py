@@ -33,14 +33,22 @@ def linear_controller(observer: DisturbanceObserver) -> LinearController:
     With M = I - L C_e the state matrix is (A_e - B_e K_e) M and
     S its characteristic polynomial; T = N det(I - q^-1 A_e M), the observer's own polynomial.
     """
+    R, S = feedback_polynomials(observer)
+    A_e, _, C_e, L, _ = _stacked(observer)
+    correct = np.eye(len(A_e)) - np.outer(L, C_e)
+    T = observer.reference_gain * _characteristic(A_e @ correct)
+    return LinearController(R=R, S=S, T=T)
+
+
+def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
+    """Return R and S alone: all that a search wants to know of its candidates."""
     A_e, B_e, C_e, L, K_e = _stacked(observer)
     correct = np.eye(len(A_e)) - np.outer(L, C_e)
     closed = A_e - np.outer(B_e, K_e)
-    direct = -float(K_e @ L)
-    from_output = _response_polynomial(closed @ correct, closed @ L, -K_e @ correct, direct)
-    S = _characteristic(closed @ correct)
-    T = observer.reference_gain * _characteristic(A_e @ correct)
-    return LinearController(R=-from_output, S=S, T=T)
+    transition = closed @ correct
+    S = _characteristic(transition)
+    impulse = _impulse(transition, closed @ L, -K_e @ correct, -float(K_e @ L), len(S))
+    return -np.convolve(impulse, S)[: len(S)], S
 
 
 def error_poles(observer: DisturbanceObserver) -> Complex:
@@ -94,19 +102,18 @@ def _stacked(observer: DisturbanceObserver) -> tuple[Array, Array, Array, Array,
     return A_e, B_e, C_e, L, np.concatenate([observer.feedback_gain, model.output])
 
 
-def _response_polynomial(A: Array, B: Array, C: Array, direct: float) -> Array:
-    """Return the numerator of C (zI - A)^-1 B + direct over det(zI - A), in q^-1.
+def _impulse(A: Array, B: Array, C: Array, direct: float, samples: int) -> Array:
+    """Return the first samples of the impulse response of C (zI - A)^-1 B + direct.
 
-    Multiplying the first samples of the impulse response by the denominator keeps the digits
-    that differences of characteristic polynomials lose.
+    Multiplied by the denominator they are the numerator, with the digits that differences of
+    characteristic polynomials lose.
     """
-    denominator = _characteristic(A)
-    impulse = np.empty(len(denominator))
+    impulse = np.empty(samples)
     impulse[0], state = direct, B
-    for k in range(1, len(impulse)):
+    for k in range(1, samples):
         impulse[k] = C @ state
         state = A @ state
-    return np.convolve(impulse, denominator)[: len(denominator)]
+    return impulse
 
 
 def _characteristic(matrix: Array) -> Array:

@@ -1,13 +1,14 @@
 """What is controlled: a sampled linear plant, and the family it may really be."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.numerics.polynomial import spectral_radius, trimmed
+from piezoid.numerics.polynomial import Roots, roots_of, spectral_radius, trimmed
 from piezoid.numerics.zero_order_hold import SampledSystem, realised
 
 
@@ -77,6 +78,11 @@ class Plant:
     def period_s(self) -> float:
         """The sampling period."""
         return 1.0 / self.sampling_rate_Hz
+
+    @cached_property
+    def poles(self) -> Roots:
+        """Values of z where A vanishes, without those at z = 0."""
+        return roots_of(self.A)
 
     @property
     def system(self) -> SampledSystem:

@@ -36,8 +36,7 @@ def slow_and_fast(plant: Plant) -> tuple[Poles, Poles]:
 
     Slow means small |ln z|; a conjugate pair counts as one.
     """
-    poles = roots_of(plant.A)
-    poles = poles[np.argsort(np.abs(np.log(poles)), kind="stable")]
+    poles = plant.poles[np.argsort(np.abs(np.log(plant.poles)), kind="stable")]
     count = 1 if abs(poles[0].imag) < 1e-9 else 2
     return poles[:count], poles[count:]
 

@@ -71,6 +71,11 @@ class Specification:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0")
 
     @property
+    def oscillation_Hz(self) -> tuple[float, ...]:
+        """Frequencies at which the observer carries an oscillator."""
+        return tuple(h * self.scan_frequency_Hz for h in self.resonant_harmonics)
+
+    @property
     def all_templates(self) -> tuple[Template, ...]:
         """The attenuation template of the bandwidth, then the further ones."""
         return (attenuation("attenuation", self.bandwidth_Hz, AT_BANDWIDTH_dB), *self.templates)

@@ -1,5 +1,7 @@
 """Pole placement by state feedback for one input, without forming a characteristic polynomial."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import hessenberg, matrix_balance
@@ -10,21 +12,59 @@ from piezoid.numerics.arrays import Array
 _UNREACHABLE = 1e-12
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacementForm:
+    """A system as pole placement needs it: the same for whatever poles are wanted.
+
+    form     (n, n)  Hessenberg, beginning at the input
+    links    (n,)    |b|, h_21, h_32, ...
+    Q        (n, n)  from ``form`` to the reflected states
+    reflect  (n, n)  orthogonal, its first column along the balanced input
+    basis    (n,)    powers of two by which the states were balanced
+    """
+
+    form: Array
+    links: Array
+    Q: Array
+    reflect: Array
+    basis: Array
+
+    def gain(self, poles: ArrayLike) -> Array:
+        """Return K such that A - B K has the wanted eigenvalues; repeated ones are welcome.
+
+        poles  (n,)  values of z, complex ones in pairs
+        """
+        order = len(self.form)
+        row = np.zeros(order, dtype=np.complex128)
+        row[-1] = 1.0
+        for k, pole in enumerate(np.asarray(poles, dtype=np.complex128)):
+            row = (row @ self.form - pole * row) / self.links[order - 1 - k]
+        return np.asarray((row.real @ self.Q.T @ self.reflect.T) / self.basis)
+
+
 def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
-    """Return K such that A - B K has the wanted eigenvalues; repeated ones are welcome.
-
-        K = e_n' (H - p_1 I) ... (H - p_n I) Q' / (b h_21 h_32 ... )
-
-    Ackermann's formula in the Hessenberg basis that starts at B: the powers of A and the
-    controllability matrix, which cost all digits at order eight, are never formed.
+    """Return K such that A - B K has the wanted eigenvalues; see ``placement_form``.
 
     A      (n, n)
     B      (n,)
     poles  (n,)  values of z, complex ones in pairs
+    """
+    return placement_form(A, B).gain(poles)
+
+
+def placement_form(A: Array, B: Array) -> PlacementForm:
+    """Return a system in the Hessenberg basis that starts at B, in which poles are placed by
+
+        K = e_n' (H - p_1 I) ... (H - p_n I) Q' / (b h_21 h_32 ... )
+
+    Ackermann's formula there: the powers of A and the controllability matrix, which cost all
+    digits at order eight, are never formed.
+
+    A  (n, n)
+    B  (n,)
 
     Raises ``DesignError`` where a part of the state cannot be reached from B.
     """
-    order = len(A)
     # Powers of two that make rows and columns alike: states in m and in V differ by 1e6.
     balanced, (basis, _) = matrix_balance(A, permute=False, separate=True)
     reflect, size = _reflector(np.asarray(B, dtype=np.float64) / basis)
@@ -37,11 +77,7 @@ def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
             needed="every state must answer the input, and be seen in the output",
             remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
         )
-    row = np.zeros(order, dtype=np.complex128)
-    row[-1] = 1.0
-    for k, pole in enumerate(np.asarray(poles, dtype=np.complex128)):
-        row = (row @ form - pole * row) / links[order - 1 - k]
-    return np.asarray((row.real @ Q.T @ reflect.T) / basis)
+    return PlacementForm(form=form, links=links, Q=Q, reflect=reflect, basis=basis)
 
 
 def _reflector(B: Array) -> tuple[Array, float]:

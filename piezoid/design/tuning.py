@@ -8,13 +8,8 @@ import numpy as np
 from piezoid.design.chain import Section
 from piezoid.design.family_grid import FamilyGrid, Judgement, family_grid, judge
 from piezoid.design.kalman import kalman_gain
-from piezoid.design.observer import (
-    DisturbanceObserver,
-    disturbance_model,
-    observer_with_gain,
-    place_observer,
-)
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import DisturbanceObserver, ObserverFrame, disturbance_model
+from piezoid.design.observer_loop import feedback_polynomials
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.search import search
@@ -85,9 +80,12 @@ def tune_observer(
     choices = _placed_choices(plant) if method == "placed" else _kalman_choices(plant)
     names = [choice.name for choice in choices]
 
+    disturbance = disturbance_model(plant.sampling_rate_Hz, specification.oscillation_Hz)
+    frame = ObserverFrame(plant=plant, disturbance=disturbance, form=form)
+
     def build(logarithms: Array) -> DisturbanceObserver:
         chosen = dict(zip(names, np.exp(logarithms).tolist(), strict=True))
-        return _observer(plant, specification, chosen, form, method)
+        return _observer(frame, specification, chosen, method)
 
     found = search(
         lambda x: _cost(grid, build, x),
@@ -97,12 +95,12 @@ def tune_observer(
         until_met=until_met,
     )
     observer = build(found.parameters)
-    controller = linear_controller(observer)
+    R, S = feedback_polynomials(observer)
     return TunedObserver(
         method=method,
         observer=observer,
         parameters=dict(zip(names, np.exp(found.parameters).tolist(), strict=True)),
-        judgement=judge(grid, controller.R, controller.S),
+        judgement=judge(grid, R, S),
         evaluations=found.evaluations,
     )
 
@@ -110,10 +108,10 @@ def tune_observer(
 def _cost(grid: FamilyGrid, build: Build, parameters: Array) -> tuple[float, float]:
     """Return the logarithm of the predicted error, and the excess; a failed build is hopeless."""
     try:
-        controller = linear_controller(build(parameters))
+        R, S = feedback_polynomials(build(parameters))
     except DesignError:
         return _HOPELESS
-    judgement = judge(grid, controller.R, controller.S)
+    judgement = judge(grid, R, S)
     return float(np.log(max(judgement.predicted_error, 1e-300))), judgement.excess_dB
 
 
@@ -150,17 +148,10 @@ def _frequency(name: str, f: float, highest: float, multiples: tuple[float, ...]
 
 
 def _observer(
-    plant: Plant,
-    specification: Specification,
-    chosen: dict[str, float],
-    form: str,
-    method: str,
+    frame: ObserverFrame, specification: Specification, chosen: dict[str, float], method: str
 ) -> DisturbanceObserver:
     """Build one candidate from named parameters."""
-    oscillation_Hz = tuple(
-        h * specification.scan_frequency_Hz for h in specification.resonant_harmonics
-    )
-    disturbance = disturbance_model(plant.sampling_rate_Hz, oscillation_Hz)
+    plant = frame.plant
     feedback = Section(frequency_Hz=chosen["feedback_Hz"], damping=chosen["feedback_damping"])
     poles = feedback_poles(plant, feedback)
     if method == "placed":
@@ -168,21 +159,14 @@ def _observer(
         choice = PoleChoice(
             feedback=feedback, observer=observer, disturbance_Hz=chosen["disturbance_Hz"]
         )
-        return place_observer(
-            plant,
-            feedback_poles=poles,
-            observer_poles=observer_poles(plant, choice, oscillation_Hz),
-            form=form,
-            disturbance=disturbance,
-        )
+        wanted = observer_poles(plant, choice, specification.oscillation_Hz)
+        return frame.placed(feedback_poles=poles, observer_poles=wanted)
     unit = max(specification.sensor_noise_rms, 1e-12 * abs(plant.gain)) ** 2
     gain = kalman_gain(
         plant,
-        disturbance,
+        frame.disturbance,
         input_variance=chosen["input_ratio"] * unit / plant.gain**2,
         drift_variance=chosen["drift_ratio"] * unit / plant.gain**2,
         sensor_variance=unit,
     )
-    return observer_with_gain(
-        plant, gain.gain, feedback_poles=poles, form=form, disturbance=disturbance
-    )
+    return frame.with_gain(gain.gain, feedback_poles=poles)
