@@ -8,11 +8,11 @@ from benchmarks.speed.stopwatch import Growth
 SIZES = ("samples", "plays", "recordings")
 HEADINGS = (
     "stage",
-    "NumPy loop",
-    "numba loop",
+    "sample loop",
+    "numba",
     "general solver, all rows",
-    "it takes itself",
-    "grows as samples, plays, recordings to the power",
+    "itself",
+    "grows with samples, plays, recordings",
 )
 
 
@@ -20,7 +20,8 @@ HEADINGS = (
 class Row:
     """What one stage was compared with.
 
-    loop, compiled  how many times as long a loop over the samples takes, in NumPy and in numba
+    loop, compiled  how many times as long a loop over the samples takes, in NumPy (of the closed
+                    loop: calls from Python) and in numba
     solvers         the same of general solvers, by their names
     bounds          how many times as long as something that bounds it the stage itself takes
     """
