@@ -119,7 +119,18 @@ def _axis(axis: "AxisModel", found: "Calibration") -> FleetAxis:
         applies=axis.verdict.applies,
         values={name: value for name, value in values.items() if value is not None},
         parameters=_parameters(axis),
+        errors=_errors(axis),
     )
+
+
+def _errors(axis: "AxisModel") -> dict[str, float]:
+    """Return the standard errors that the fit knows, by quantity."""
+    from math import isfinite
+
+    from piezoid_reports.fleet.quantities import QUANTITIES
+
+    found = {quantity.name: quantity.error(axis) for quantity in QUANTITIES}
+    return {name: error for name, error in found.items() if error is not None and isfinite(error)}
 
 
 def _parameters(axis: "AxisModel") -> dict[str, float | list[float]]:

@@ -1,6 +1,6 @@
 """Statistics of many samples that one broken sample cannot move: middle, spread, trend."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ _MAD_TO_SIGMA = 1.4826022185056018
 # Where more than half of the values are equal, the deviation is taken from the mean instead
 # [Iglewicz & Hoaglin 1993].
 _MEAN_TO_SIGMA = 1.2533141373155003
+_HALVINGS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,11 +66,48 @@ def spread_of(values: Array) -> Spread:
     return Spread(count=len(held), median=median, sigma=sigma, low=float(low), high=float(high))
 
 
-def deviations(values: Array, spread: Spread) -> Array:
-    """Return how many sigma each value lies from the middle, signed; 0 where nothing varies."""
-    if spread.sigma == 0.0:
-        return np.where(np.isfinite(values), 0.0, np.nan)
-    return np.asarray((values - spread.median) / spread.sigma)
+def spread_beyond(values: Array, errors: Array) -> Spread:
+    """Return middle and width of what values scatter beyond their own errors.
+
+        median |x - m| / sqrt(sigma^2 + e^2) = 1 / 1.4826,   m the median weighted by the same
+
+    values  (samples,)  finite
+    errors  (samples,)  their standard errors; all 0: the plain spread
+
+    The random effects of [DerSimonian & Laird 1986] with a median for the mean. Where the errors
+    alone explain the scatter, sigma is 0.
+    """
+    plain = spread_of(values)
+    if not errors.any():
+        return plain
+    low, high = 0.0, 2.0 * float(np.abs(values - plain.median).max())
+    if _scatter(values, errors, low)[1] > 1.0:
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            above = _scatter(values, errors, middle)[1] > 1.0
+            low, high = (middle, high) if above else (low, middle)
+    median, _ = _scatter(values, errors, low)
+    return replace(plain, median=median, sigma=low)
+
+
+def _scatter(values: Array, errors: Array, sigma: float) -> tuple[float, float]:
+    """Return the weighted median, and how wide values scatter about it over what they should."""
+    # Where sigma is 0 a value without an error counts as if it had the smallest that another has.
+    known = np.sqrt(sigma**2 + np.maximum(errors, errors[errors > 0.0].min()) ** 2)
+    order = np.argsort(values, kind="stable")
+    weight = np.cumsum(1.0 / known[order])
+    median = float(values[order][np.searchsorted(weight, 0.5 * weight[-1])])
+    return median, _MAD_TO_SIGMA * float(np.median(np.abs(values - median) / known))
+
+
+def deviations(values: Array, spread: Spread, errors: Array | None = None) -> Array:
+    """Return how many sigma each value lies from the middle, signed; 0 where nothing varies.
+
+    errors  (samples,)  of each value, which widen its own sigma
+    """
+    sigma = np.hypot(spread.sigma, np.zeros(len(values)) if errors is None else errors)
+    away = np.divide(values - spread.median, sigma, out=np.zeros(len(values)), where=sigma > 0.0)
+    return np.where(np.isfinite(values), away, np.nan)
 
 
 def trend_of(x: Array, y: Array) -> Trend | None:

@@ -13,8 +13,9 @@ from piezoid_reports.fleet.records import (
     FleetStage,
 )
 from piezoid_reports.page import Part, Prose, Section, Table
-from piezoid_reports.quantities import significant, told
+from piezoid_reports.quantities import significant, told, told_between
 
+HALF_95 = 1.96  # standard errors
 PLACE = "stages"  # folder of the stages beside the page
 
 
@@ -93,9 +94,10 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
     limit = min((one.limit for one in found), default=0.0)
     lead = (
         f"At least {limit:.1f} robust standard deviations from the others, of the logarithm where "
-        "a quantity has a long tail. The limit knows how often was looked and how well the spread "
-        "is known: in a batch where nothing is wrong, chance alone names "
-        f"{FALSE_ALARMS:g} stages at most."
+        "a quantity has a long tail. What a value's own interval allows is counted in: a stage "
+        "whose data hardly tell a number does not stand out by it. The limit knows how often was "
+        "looked and how well the spread is known: in a batch where nothing is wrong, chance alone "
+        f"names {FALSE_ALARMS:g} stages at most."
     )
     if not rows:
         return Section(
@@ -124,11 +126,18 @@ def _odd_row(one: Distribution, k: int) -> tuple[str, ...]:
         one.stages[k],
         one.axis,
         one.quantity.label,
-        told(float(one.values[k]), one.quantity.unit),
+        _value(one, k),
         told(one.spread.median, one.quantity.unit),
         f"{significant(float(one.away[k]), 2)} sigma",
         one.quantity.means,
     )
+
+
+def _value(one: Distribution, k: int) -> str:
+    """Return a value with its own 95 % interval, where it is known."""
+    if not one.errors[k] > 0.0:
+        return told(float(one.values[k]), one.quantity.unit)
+    return told_between(float(one.values[k]), HALF_95 * float(one.errors[k]), one.quantity.unit)
 
 
 def stages(fleet: Fleet) -> Section:

@@ -3,14 +3,21 @@
 Every look at a stage is a chance to be wrong, so the thresholds know how often was looked.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import norm
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import Spread, Trend, deviations, holm, spread_of, trend_of
+from piezoid.numerics.robust import (
+    Spread,
+    Trend,
+    deviations,
+    holm,
+    spread_beyond,
+    spread_of,
+    trend_of,
+)
 from piezoid_reports.fleet.quantities import QUANTITIES, Quantity
 from piezoid_reports.fleet.records import Fleet
 
@@ -29,10 +36,13 @@ class Distribution:
     stages   (count,)  names
     serials  (count,)  NaN where a name holds no number
     values   (count,)  SI
-    away     (count,)  in robust standard deviations; from the trend, where there is one; of the
-             logarithm where ratios count
+    errors   (count,)  their standard errors; 0 where none is known
+    spread   of the values, as they are
+    away     (count,)  in robust standard deviations of the stages and of the value itself, which
+             may hardly be known; from the trend, where there is one; of the logarithm where
+             ratios count
     limit    beyond which a stage stands out
-    normal   the values between which none does, about the middle of all
+    normal   the values between which none does that is known as well as most, about the middle
     trend    over serial numbers, its p-value corrected for all that were looked at
     """
 
@@ -41,6 +51,7 @@ class Distribution:
     stages: tuple[str, ...]
     serials: Array
     values: Array
+    errors: Array
     spread: Spread
     away: Array
     limit: float
@@ -66,11 +77,11 @@ def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
         found
         for axis in fleet.axes
         for quantity in QUANTITIES
-        if len((found := _held(fleet, axis, quantity))[2]) >= FEWEST
+        if len((found := _held(fleet, axis, quantity)).stages) >= FEWEST
     ]
-    looks = sum(len(values) for *_, values, _ in held)
+    looks = sum(len(one.values) for one in held)
     limit = float(norm.isf(FALSE_ALARMS / max(looks, 1) / 2))
-    trends = [trend_of(serials, values) for *_, values, serials in held]
+    trends = [trend_of(one.serials, one.values) for one in held]
     p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
     return tuple(
         _distribution(one, limit, trend, float(p))
@@ -78,40 +89,55 @@ def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
     )
 
 
-Scale = Callable[[Array], Array]
-_Held = tuple[str, Quantity, tuple[str, ...], Array, Array]
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Held:
+    axis: str
+    quantity: Quantity
+    stages: tuple[str, ...]
+    values: Array
+    errors: Array
+    serials: Array
 
 
 def _held(fleet: Fleet, axis: str, quantity: Quantity) -> _Held:
-    """Return axis, quantity, and name, value and serial of every stage that has it."""
+    """Return name, value, error and serial of every stage that has a quantity."""
+    name = quantity.name
     rows = [
-        (stage.name, found.values[quantity.name], stage.serial)
+        (stage.name, found.values[name], found.errors.get(name, 0.0), stage.serial)
         for stage in fleet.stages
         for found in stage.axes
-        if found.axis == axis and found.applies and quantity.name in found.values
+        if found.axis == axis and found.applies and name in found.values
     ]
-    serials = np.array([np.nan if serial is None else float(serial) for *_, serial in rows])
-    values = np.array([value for _, value, _ in rows], dtype=float)
-    return axis, quantity, tuple(name for name, *_ in rows), values, serials
+    return _Held(
+        axis=axis,
+        quantity=quantity,
+        stages=tuple(stage for stage, *_ in rows),
+        values=np.array([value for _, value, _, _ in rows], dtype=float),
+        errors=np.array([error for _, _, error, _ in rows], dtype=float),
+        serials=np.array([np.nan if serial is None else float(serial) for *_, serial in rows]),
+    )
 
 
 def _distribution(held: _Held, limit: float, trend: Trend | None, p_value: float) -> Distribution:
-    axis, quantity, stages, values, serials = held
+    values, errors = held.values, held.errors
     drifts = trend is not None and p_value < TREND_P
-    level = values - trend.slope * (serials - trend.about) if trend and drifts else values
-    scale: Scale = np.log if quantity.ratio and level.min() > 0.0 else np.asarray
-    compared = spread_of(scale(level))
+    level = values - trend.slope * (held.serials - trend.about) if trend and drifts else values
+    ratio = held.quantity.ratio and level.min() > 0.0
+    scaled, own = (np.log(level), errors / level) if ratio else (level, errors)
+    compared = spread_beyond(scaled, own)
     reach = limit * (1.0 + WIDENED / len(values))
-    ends = compared.median + reach * compared.sigma * np.array([-1.0, 1.0])
-    low, high = np.exp(ends) if scale is np.log else ends
+    usual = float(np.hypot(compared.sigma, np.median(own)))
+    ends = compared.median + reach * usual * np.array([-1.0, 1.0])
+    low, high = np.exp(ends) if ratio else ends
     return Distribution(
-        axis=axis,
-        quantity=quantity,
-        stages=stages,
-        serials=serials,
+        axis=held.axis,
+        quantity=held.quantity,
+        stages=held.stages,
+        serials=held.serials,
         values=values,
+        errors=errors,
         spread=spread_of(values),
-        away=deviations(scale(level), compared),
+        away=deviations(scaled, compared, own),
         limit=reach,
         normal=(float(low), float(high)),
         trend=trend,

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from scipy.stats import t as student
+
 from piezoid.design.design import AxisDesign
 from piezoid.identification.model import AxisModel
 
@@ -16,6 +18,7 @@ class Quantity:
     unit    SI
     of      takes it from an axis and its design; None where there is none
     means   what a stage that stands out in it may be
+    error   its standard error, where the fit knows one
     ratio   stages are told apart by how many times, not by how much: an error that cannot fall
             below zero has a long tail upwards
     """
@@ -25,6 +28,7 @@ class Quantity:
     unit: str
     of: Callable[[AxisModel, AxisDesign | None], float | None]
     means: str
+    error: Callable[[AxisModel], float | None] = lambda _: None
     ratio: bool = False
 
 
@@ -35,6 +39,29 @@ def _sensitivity(axis: AxisModel, _: AxisDesign | None) -> float | None:
 
 def _loop_width(axis: AxisModel, _: AxisDesign | None) -> float | None:
     return 100.0 * axis.uncertainty.loop_width_m[0] / axis.quality.range_m
+
+
+def _quantile(axis: AxisModel) -> float:
+    """Return how many standard errors half a 95 % interval is."""
+    return float(student.ppf(0.975, max(axis.uncertainty.blocks - 1, 1)))
+
+
+def _sensitivity_error(axis: AxisModel) -> float | None:
+    known = axis.uncertainty
+    reach_V = float(known.reach_V[-1])
+    return float(known.loading_half_m[-1]) / reach_V / _quantile(axis) if reach_V > 0.0 else None
+
+
+def _loop_width_error(axis: AxisModel) -> float | None:
+    return 100.0 * axis.uncertainty.loop_width_m[1] / axis.quality.range_m / _quantile(axis)
+
+
+def _lag_error(axis: AxisModel) -> float | None:
+    known = axis.uncertainty
+    if "lag_s" not in known.names:
+        return None
+    place = known.names.index("lag_s")
+    return float(max(known.covariance[place, place], 0.0) ** 0.5)
 
 
 def _modulus_margin(_: AxisModel, design: AxisDesign | None) -> float | None:
@@ -51,6 +78,7 @@ QUANTITIES = (
         label="sensitivity",
         unit="m/V",
         of=_sensitivity,
+        error=_sensitivity_error,
         means="another ceramic, a cracked stack, a preload that is off, a wrong sensor gain",
     ),
     Quantity(
@@ -58,6 +86,7 @@ QUANTITIES = (
         label="loop width, of the range",
         unit="%",
         of=_loop_width,
+        error=_loop_width_error,
         means="another ceramic, a depoled stack, friction, or a lag that looks like hysteresis",
     ),
     Quantity(
@@ -81,6 +110,7 @@ QUANTITIES = (
         label="lag beyond the declared poles",
         unit="s",
         of=lambda axis, _: axis.lag.time_s,
+        error=_lag_error,
         means="an undeclared filter, a capacitance that is off, channels sampled apart",
     ),
     Quantity(

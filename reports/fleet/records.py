@@ -27,12 +27,14 @@ class FleetAxis:
 
     values      what is compared over stages, by the name of the quantity, in its SI unit
     parameters  every number of the model by its name in model.json
+    errors      standard errors of values, where the fit knows them
     """
 
     axis: str
     applies: bool
     values: Mapping[str, float]
     parameters: Mapping[str, float | list[float]]
+    errors: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)

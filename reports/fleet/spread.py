@@ -86,14 +86,14 @@ def _histogram(one: Distribution) -> Figure:
     layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
     for level in inside:
         line = canvas.line(
-            "limit", "limit for standing out", np.array([level, level]), np.array([0.0, y.high])
+            "limit", "limit for most stages", np.array([level, level]), np.array([0.0, y.high])
         )
         layers.append(line[0])
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
         numbers=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
         f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
-        f"{len(one.outliers)} beyond {one.limit:.1f} of them{_counted_as(one)}.",
+        f"{_beyond(one)}.",
         look=LOOK_SPREAD,
         x=canvas.x,
         y=canvas.y,
@@ -102,8 +102,10 @@ def _histogram(one: Distribution) -> Figure:
     )
 
 
-def _counted_as(one: Distribution) -> str:
-    return ", counted in the logarithm" if one.quantity.ratio else ""
+def _beyond(one: Distribution) -> str:
+    many = f"{len(one.outliers)} beyond {one.limit:.1f} of them"
+    own = ", each value's own interval counted in" if one.errors.any() else ""
+    return f"{many}{', counted in the logarithm' if one.quantity.ratio else ''}{own}"
 
 
 def _course(one: Distribution) -> Figure:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.numerics.robust import deviations, holm, spread_of, trend_of
+from piezoid.numerics.robust import deviations, holm, spread_beyond, spread_of, trend_of
 
 
 def test_the_spread_of_a_normal_sample_is_its_standard_deviation() -> None:
@@ -27,6 +27,25 @@ def test_where_most_values_are_equal_the_odd_one_still_stands_out() -> None:
     values = np.array([1.0] * 20 + [2.0])
     assert np.argmax(np.abs(deviations(values, spread_of(values)))) == 20
     assert np.all(deviations(np.ones(5), spread_of(np.ones(5))) == 0.0)
+
+
+@pytest.mark.parametrize("true", [0.0, 0.5, 3.0])
+def test_what_values_scatter_beyond_their_own_errors_is_found(true: float) -> None:
+    rng = np.random.default_rng(4)
+    errors = rng.choice([0.2, 1.0, 20.0], 20_000)
+    values = 7.0 + true * rng.standard_normal(20_000) + errors * rng.standard_normal(20_000)
+    found = spread_beyond(values, errors)
+    assert found.median == pytest.approx(7.0, abs=0.05)
+    assert found.sigma == pytest.approx(true, rel=0.06, abs=0.05)
+    assert np.std(deviations(values, found, errors)) == pytest.approx(1.0, rel=0.06)
+
+
+def test_values_without_errors_have_the_plain_spread() -> None:
+    values = np.random.default_rng(5).normal(size=31)
+    assert spread_beyond(values, np.zeros(31)) == spread_of(values)
+    assert np.array_equal(
+        deviations(values, spread_of(values), np.zeros(31)), deviations(values, spread_of(values))
+    )
 
 
 def test_a_line_is_found_through_gross_errors() -> None:

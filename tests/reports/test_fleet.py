@@ -1,5 +1,8 @@
 """The page of a batch: what was put into the fleet is named, and nothing else."""
 
+import re
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
@@ -21,13 +24,19 @@ from tests.reports.anatomy import Anatomy
 MIDDLE = {"sensitivity_m_per_V": 3.3e-6, "noise_rms_m": 1e-8, "held_out_rms_percent": 0.1}
 
 
-def stage(serial: int, rng: np.random.Generator, **changes: float) -> FleetStage:
+def stage(
+    serial: int,
+    rng: np.random.Generator,
+    errors: Mapping[str, float] | None = None,
+    **changes: float,
+) -> FleetStage:
     values = {name: value * (1 + 0.02 * rng.standard_normal()) for name, value in MIDDLE.items()}
     axis = FleetAxis(
         axis="x",
         applies=True,
         values=values | changes,
         parameters={"play_weight_m_per_V": [1e-6, 2e-6], "voltage_offset_V": 5.0},
+        errors=errors or {},
     )
     return FleetStage(name=f"unit {serial:03d}", state=PASSED, axes=(axis,), version="1")
 
@@ -69,6 +78,42 @@ def test_a_long_tail_of_errors_names_no_more_stages_than_the_page_says() -> None
         found = distributions(Fleet(name="night", stages=tuple(made)))
         named += sum(len(one.outliers) for one in found)
     assert named / 60 < FALSE_ALARMS * 1.2
+
+
+def lags(seed: int, true_s: Mapping[int, float] | None = None) -> Fleet:
+    """Sixty stages of 50 us; every sixth was swept so short that its lag is hardly known."""
+    rng = np.random.default_rng([11, seed])
+    made = []
+    for k in range(60):
+        error_s = 1.5e-4 if k % 6 == 0 else 4e-6
+        lag_s = (true_s or {}).get(k, 5e-5 + 5e-6 * rng.standard_normal())
+        measured_s = lag_s + error_s * rng.standard_normal()
+        made.append(stage(k, rng, {"lag_s": error_s}, lag_s=float(measured_s)))
+    return Fleet(name="night", stages=tuple(made))
+
+
+def _odd_lags(fleet: Fleet) -> list[str]:
+    (found,) = (one for one in distributions(fleet) if one.quantity.name == "lag_s")
+    return [found.stages[k] for k in found.outliers]
+
+
+def test_a_lag_that_a_short_sweep_hardly_knows_is_nothing_to_stand_out_by() -> None:
+    named = [len(_odd_lags(lags(seed))) for seed in range(60)]
+    assert np.mean(named) < FALSE_ALARMS
+
+
+def test_a_lag_that_is_known_and_off_stands_out_among_those_that_are_not_known() -> None:
+    # 30 us off by a lag known to 4 us; 30 us of a lag known to 150 us is nothing.
+    found = [_odd_lags(lags(seed, {20: 9e-5, 24: 9e-5})) for seed in range(20)]
+    assert sum("unit 020" in names for names in found) >= 18
+    assert sum("unit 024" in names for names in found) <= 1
+
+
+def test_a_value_that_stands_out_is_shown_with_its_own_interval() -> None:
+    page = render_fleet(lags(1, {20: 1.5e-4})).replace("\u202f", " ")
+    row = next(row.text for row in Anatomy(page).all("tr") if "sigma" in row.text)
+    assert "unit 020" in row
+    assert re.search(r"\(1\d\d\.\d ± 7\.8\) µs", row)
 
 
 def test_the_farthest_stage_leads_the_verdict_and_the_rest_are_counted() -> None:
