@@ -17,8 +17,10 @@ def draw(growths: Sequence[Growth], folder: Path) -> tuple[Path, ...]:
     """Write growth.svg and growth.png into a folder, and return where they are."""
     mpl.rcParams.update({"svg.hashsalt": "piezoid", "font.size": 9, "svg.fonttype": "none"})
     stages = list(dict.fromkeys(one.stage for one in growths))
-    figure, panels = plt.subplots(1, len(SIZES), figsize=(11, 4.2))
-    for what, panel in zip(SIZES, panels, strict=True):
+    grew = [what for what in SIZES if any(one.what == what for one in growths)]
+    figure, grid = plt.subplots(1, len(grew), figsize=(11, 4.2), squeeze=False)
+    panels = grid[0]
+    for what, panel in zip(grew, panels, strict=True):
         _panel(panel, what, [one for one in growths if one.what == what], stages)
     handles = {
         label: handle
@@ -47,7 +49,7 @@ def _panel(panel: Axes, what: str, growths: Sequence[Growth], stages: Sequence[s
             lw=1,
             label=one.stage,
         )
-    reach = max((one.size[-1] / one.size[0] for one in growths), default=2.0)
+    reach = max(one.size[-1] / one.size[0] for one in growths)
     panel.plot([1, reach], [1, reach], ":", color="#888888", lw=1)
     panel.set(xlabel=f"{what}, times the fewest", ylabel="time, times that of the fewest")
     for scale, axis in ((panel.set_xscale, panel.xaxis), (panel.set_yscale, panel.yaxis)):
