@@ -39,13 +39,13 @@ def maximise_likelihood(
     shape     (shapes,)                 a start, for example from vector fitting
     """
     bounds = _bounds(lines, structure)
-    here = _evaluate(response, weight, lines, structure, np.clip(shape, *bounds))
+    here = _point(_fitted(response, weight, lines, structure, np.clip(shape, *bounds)))
     damping = 1e-3
     for _ in range(ROUNDS):
-        there = _evaluate(response, weight, lines, structure, _move(here, damping, bounds))
+        there = _fitted(response, weight, lines, structure, _move(here, damping, bounds))
         gained = here.cost - there.cost
-        if gained > 0:
-            here, damping = there, max(damping / 10, 1e-12)
+        if gained > 0:  # only where it goes on is it worth knowing where to
+            here, damping = _point(there), max(damping / 10, 1e-12)
         else:
             damping *= 10
         if (0 <= gained < ENOUGH) or damping > 1e8:
@@ -83,37 +83,88 @@ def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
     return low, high
 
 
-def _evaluate(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Path:
+    """The best gains of one path at one shape: a linear problem, solved.
+
+    Q, root   weighted columns = Q root^-1
+    target    weighted response, (values,)
+    residual  what the columns leave of it
+    """
+
+    weight: Array
+    Q: Array
+    root: Array
+    gains: Array
+    residual: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Fitted:
+    """A shape with its best gains, (outputs, inputs) of paths, and what they leave."""
+
+    lines: Lines
+    structure: Structure
+    shape: Array
+    paths: list[list[_Path]]
+
+    @property
+    def cost(self) -> float:
+        """The sum of squares of all residuals."""
+        return float(
+            sum(float(path.residual @ path.residual) for row in self.paths for path in row)
+        )
+
+
+def _fitted(
     response: ComplexArray, weight: Array, lines: Lines, structure: Structure, shape: Array
-) -> Point:
+) -> _Fitted:
     columns = basis(lines, structure, shape)
-    slopes = _slopes(lines, structure, shape)
-    paths = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
-    gains = np.empty((*response.shape[1:], structure.columns))
-    curvature = np.zeros((structure.shapes, structure.shapes))
-    scores = np.zeros((len(columns), structure.shapes))
-    cost, roots, drags = 0.0, [], []
-    for i, j in paths:
-        w = weight[:, i, j, None]
-        weighted = stacked(columns * w)
-        size = np.linalg.norm(weighted, axis=0)
-        Q, R = np.linalg.qr(weighted / size)
-        target = stacked(response[:, i, j, None] * w)[:, 0]
-        root = _inverse_triangle(R) / size[:, None]
-        gains[i, j] = root @ (Q.T @ target)
-        tangent = stacked(_tangent(slopes, gains[i, j]) * w)
-        inside = Q.T @ tangent
-        tangent -= Q @ inside
-        residual = target - Q @ (Q.T @ target)
-        cost += float(residual @ residual)
-        curvature += tangent.T @ tangent
-        scores += (tangent * residual[:, None]).reshape(2, len(columns), -1).sum(axis=0)
-        roots.append(root)
-        drags.append(-root @ inside)
-    return Point(
+    outputs, inputs = response.shape[1:]
+    return _Fitted(
+        lines=lines,
+        structure=structure,
         shape=shape,
-        cost=cost,
-        gains=gains,
+        paths=[
+            [
+                _solved(columns, response[:, i, j, None], weight[:, i, j, None])
+                for j in range(inputs)
+            ]
+            for i in range(outputs)
+        ],
+    )
+
+
+def _solved(columns: ComplexArray, response: ComplexArray, weight: Array) -> _Path:
+    weighted = stacked(columns * weight)
+    size = np.linalg.norm(weighted, axis=0)
+    Q, R = np.linalg.qr(weighted / size)
+    target = stacked(response * weight)[:, 0]
+    root = _inverse_triangle(R) / size[:, None]
+    inside = Q.T @ target
+    return _Path(weight=weight, Q=Q, root=root, gains=root @ inside, residual=target - Q @ inside)
+
+
+def _point(fitted: _Fitted) -> Point:
+    """Return where a shape leads to."""
+    structure = fitted.structure
+    slopes = _slopes(fitted.lines, structure, fitted.shape)
+    curvature = np.zeros((structure.shapes, structure.shapes))
+    scores = np.zeros((len(fitted.lines.frequency_Hz), structure.shapes))
+    roots, drags = [], []
+    for path in (path for row in fitted.paths for path in row):
+        tangent = stacked(_tangent(slopes, path.gains) * path.weight)
+        inside = path.Q.T @ tangent
+        tangent -= path.Q @ inside
+        curvature += tangent.T @ tangent
+        weighted = tangent * path.residual[:, None]
+        scores += weighted.reshape(2, len(scores), -1).sum(axis=0)
+        roots.append(path.root)
+        drags.append(-path.root @ inside)
+    return Point(
+        shape=fitted.shape,
+        cost=fitted.cost,
+        gains=np.array([[path.gains for path in row] for row in fitted.paths]),
         gradient=scores.sum(axis=0),
         curvature=curvature,
         line_scores=scores,

@@ -89,9 +89,14 @@ class Lines:
     def look_at(self, system: ContinuousSystem) -> ComplexArray:
         """Return the response of a system of one input behind the declared chain."""
         if self.hold == "zero_order":
-            whole = cascade(*[known.system() for known in self.declared], system)
+            whole = system if self._before is None else cascade(self._before, system)
             return sample(whole, self.sampling_rate_Hz).response(self.frequency_Hz)[:, :, 0]
         return system.response(self.frequency_Hz)[:, :, 0] * self._chain[:, None]
+
+    @cached_property
+    def _before(self) -> ContinuousSystem | None:
+        """The declared filters one after the other, the same for every shape."""
+        return cascade(*[f.system() for f in self.declared]) if self.declared else None
 
     @cached_property
     def _chain(self) -> ComplexArray:
