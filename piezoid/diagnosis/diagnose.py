@@ -195,8 +195,9 @@ def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
     across_m = 2.0 * outcome.final.stroke_m
     doubt = found.bound - found.share
     needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
-    limit_m = across_m * max(POWER * doubt, needed, found.effect.least)
     bound_m = across_m * found.bound
+    # what may be there and was not named has not shown either
+    limit_m = max(across_m * max(POWER * doubt, needed, found.effect.least, found.floor), bound_m)
     return NotDetected(
         effect=found.effect.name,
         upper_bound_m=bound_m,

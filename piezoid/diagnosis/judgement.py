@@ -10,8 +10,8 @@ from piezoid.diagnosis.folds import Held, compared, surely
 from piezoid.diagnosis.screening import Screened, null_of, screened
 from piezoid.diagnosis.view import View
 
-CERTAIN = 8.0  # standard errors: so sure a thing
-SMALL = 0.5  # may be that part of the gain which is asked for
+CERTAIN = 8.0  # standard errors: so sure a thing,
+SMALL = 0.5  # or so large a thing may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves above the noise, and that
 SURER = 2.5  # standard errors less in the blocks
@@ -49,10 +49,14 @@ class Judged:
         return (
             self.sound
             and self.held.z > self.effect.sure
-            and self.held.gain > self.effect.worth * (SMALL if self.held.z > CERTAIN else 1.0)
+            and self.held.gain > self.effect.worth * (SMALL if self._clear else 1.0)
             and self.share > self.effect.least
             and self._beats_its_twin
         )
+
+    @property
+    def _clear(self) -> bool:
+        return self.held.z > CERTAIN or abs(self.held.coefficient[0]) > self.effect.large
 
     @property
     def _beats_its_twin(self) -> bool:

@@ -25,6 +25,7 @@ class Screened:
     twin   what the best unphysical twin brings, None where there is none
     share  rms of what it adds, of the whole stroke
     bound  the largest such share the data allow, one-sided 95 %
+    floor  the share below which the trial counts its first coefficient as none
     sound  whether physics allows it
     apart  whether the null leaves enough of it to tell it from hysteresis
     total  1 - rms / rms without, all that comes with it included
@@ -36,6 +37,7 @@ class Screened:
     twin: Held | None
     share: float
     bound: float
+    floor: float
     sound: bool
     apart: bool
     total: float
@@ -81,6 +83,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
         twin=max(twins, key=lambda held: held.gain, default=None),
         share=share,
         bound=bound,
+        floor=trial.least * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
         sound=bool(allowed),
         apart=any(_apart(trial, across) for trial, _, across in real),
         total=held.gain,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.consistency import is_alike
-from piezoid.diagnosis.effects import delay, lag
+from piezoid.diagnosis.effects import delay, lag, non_congruence
 from piezoid.diagnosis.envelope import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null, surely
@@ -22,7 +22,7 @@ from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import healthy, recorded, view_of_recordings
+from .bench import healthy, healthy_view, recorded, view_of_recordings
 
 LATE_s = 3e-4
 
@@ -81,6 +81,12 @@ def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     found = with_own_pasts(view)
     assert found.rms < 0.9 * view.rms
     assert cycled(found).rms == pytest.approx(view.rms)
+
+
+def test_an_opening_below_the_least_one_is_below_its_limit():
+    found = screen(non_congruence.EFFECT, healthy_view())
+    opening = abs(float(found.held.coefficient[0]))
+    np.testing.assert_allclose(found.floor, found.share * non_congruence.OPENING / opening)
 
 
 def test_one_bouc_wen_state_follows_a_bouc_wen_ceramic_to_its_noise():

@@ -48,6 +48,15 @@ def test_drawn_causes_are_named_and_hardly_anything_else():
     assert named(*null).names == ()
 
 
+def test_no_limit_lies_below_what_may_be_there_unnamed():
+    for case in drawn():
+        for silent in named(*case).not_detected:
+            if silent.detection_limit_m is None or silent.upper_bound_m is None:
+                assert silent.reason
+                continue
+            assert 0.0 < silent.upper_bound_m <= silent.detection_limit_m
+
+
 def test_what_is_explained_leaves_less():
     for seed, hidden, plans in drawn()[:-1]:
         found = named(seed, hidden, plans)

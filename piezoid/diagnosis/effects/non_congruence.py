@@ -89,5 +89,6 @@ EFFECT = Effect(
     shows_at=4e-3,
     quiet=2.0,
     sure=3.3,
-    worth=0.1,
+    worth=0.11,
+    large=0.3,
 )
