@@ -36,13 +36,35 @@ NAMES = (
 VALUES = (0.8, 2.1, 2e-6, 4e-7, 5e-7, -4e-6, 0.0, 5e-6, -0.05, 1.0, 0.04, 0.0)
 
 
+CERTIFICATE = Certificate(
+    plays_m=3e-8,
+    dead_zones_m=2e-8,
+    remainder_m=9e-8,
+    found_m=1e-8,
+    reach_V=5.0,
+    slew_V_per_s=40.0,
+)
+QUALITY = FitQuality(
+    rms_m=6e-9,
+    held_out_rms_m=3e-8,
+    held_out_kind="other recordings",
+    range_m=2.4e-5,
+    noise_rms_m=NOISE_m,
+    rows=3000,
+    kkt_gap=1e-9,
+    gradient=1e-6,
+    converged=True,
+    orders=(
+        Order(plays=1, dead_zones=0, bends=0, lag="delay", held_out_rms_m=9e-8),
+        Order(plays=2, dead_zones=2, bends=0, lag="delay", held_out_rms_m=3e-8),
+    ),
+)
+
+
 def axis_model(
     axis: str = "x", recordings: tuple[str, ...] = ("sweep.csv",), *, reason: str = ""
 ) -> AxisModel:
     """Return the axis; each recording has one break and so two starts."""
-    half = np.array([1e-2 * abs(value) for value in VALUES])
-    reach_V = np.linspace(0.0, 5.0, 41)
-    loading_m = HYSTERESIS.plays.loading_curve(reach_V)
     return AxisModel(
         axis=axis,
         hysteresis=HYSTERESIS,
@@ -52,40 +74,26 @@ def axis_model(
         starts=tuple(start for name in recordings for start in starts(name)),
         voltage_V=(0.0, 10.0),
         verdict=Verdict(applies=not reason, reason=reason, remarks=("A remark of the fit.",)),
-        quality=FitQuality(
-            rms_m=6e-9,
-            held_out_rms_m=3e-8,
-            held_out_kind="other recordings",
-            range_m=2.4e-5,
-            noise_rms_m=NOISE_m,
-            rows=3000,
-            kkt_gap=1e-9,
-            gradient=1e-6,
-            converged=True,
-            orders=(
-                Order(plays=1, dead_zones=0, bends=0, lag="delay", held_out_rms_m=9e-8),
-                Order(plays=2, dead_zones=2, bends=0, lag="delay", held_out_rms_m=3e-8),
-            ),
-        ),
-        uncertainty=Uncertainty(
-            blocks=24,
-            names=NAMES,
-            values=np.array(VALUES),
-            covariance=np.diag(half**2),
-            upper_limit={"play_weight_m_per_V[2]": 3e-8},
-            reach_V=reach_V,
-            loading_m=loading_m,
-            loading_half_m=0.01 * loading_m,
-            loop_width_m=(1.6e-6, 4e-8),
-        ),
-        certificate=Certificate(
-            plays_m=3e-8,
-            dead_zones_m=2e-8,
-            remainder_m=9e-8,
-            found_m=1e-8,
-            reach_V=5.0,
-            slew_V_per_s=40.0,
-        ),
+        quality=QUALITY,
+        uncertainty=_uncertainty(),
+        certificate=CERTIFICATE,
+    )
+
+
+def _uncertainty() -> Uncertainty:
+    half = np.array([1e-2 * abs(value) for value in VALUES])
+    reach_V = np.linspace(0.0, 5.0, 41)
+    loading_m = HYSTERESIS.plays.loading_curve(reach_V)
+    return Uncertainty(
+        blocks=24,
+        names=NAMES,
+        values=np.array(VALUES),
+        covariance=np.diag(half**2),
+        upper_limit={"play_weight_m_per_V[2]": 3e-8},
+        reach_V=reach_V,
+        loading_m=loading_m,
+        loading_half_m=0.01 * loading_m,
+        loop_width_m=(1.6e-6, 4e-8),
     )
 
 

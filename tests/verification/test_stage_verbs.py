@@ -12,39 +12,33 @@ from piezoid.design.stage import design_stage
 from piezoid.errors import LabFileError, ParameterFileError
 from piezoid.export.parameter_file import from_json, to_json
 from piezoid.export.stage import export_stage
-from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.identification.store import read_model, write_model
-from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_model import LoopPlant
-from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import read_lab
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.plant import Hysteresis, lateral_plant
-from piezoid.verification.stage import plant_of, verify_stage
-from piezoid.verification.uncertainty import varied_plants
+from piezoid.verification.stage import plant_of
 from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
 from piezoid_cli.verify import verify
-from tests.identification.dynamics.stage import truth
-from tests.reports.known_stage import axis_model
-from tests.verification.rig import NEPERS_PER_V, lateral_parameters, stage
+from tests.verification.known_fit import RATE_Hz, fitted, junction_model
 
-RATE_Hz = 20e3
 APP = typer.Typer()
 APP.command()(export)
 APP.command()(verify)
-SOURCES = {"sweep.csv": "sha256:" + "0" * 64}
-
-
-def fitted():
-    axis = replace(
-        axis_model(),
-        lag=Lag(kind="first_order", time_s=2.5e-4),
-        rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3),
-    )
-    return ActuatorModel(stage="known", axes={"x": axis}, sources=SOURCES)
+TIGHT = "aligned_percent = 1e-4\n"
+LAB_TOML = """
+[sensor]
+gain_V_per_m = 2e5
+[acquisition]
+dac_bits = 16
+adc_bits = 16
+input_range_V = [-10, 10]
+[tunnelling]
+set_point_A = 1e-9
+floor_A = 1e-11
+feedback_ohm = 1e9
+barrier_range_eV = [0.25, 4]
+"""
+GUARDED = LAB_TOML + "ceiling_A = 9e-9\n"
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +104,6 @@ def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
     assert not verification_from_json((folder / "verification.json").read_bytes()).passed
 
 
-TIGHT = "aligned_percent = 1e-4\n"
-
-
 def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(folder):
     called("export", folder)
     (folder / "limits.toml").write_text(TIGHT)
@@ -121,22 +112,6 @@ def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(folder):
     assert "allowed 0.0001" in done.output
     (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
     assert called("verify", folder).exit_code == 1
-
-
-LAB_TOML = """
-[sensor]
-gain_V_per_m = 2e5
-[acquisition]
-dac_bits = 16
-adc_bits = 16
-input_range_V = [-10, 10]
-[tunnelling]
-set_point_A = 1e-9
-floor_A = 1e-11
-feedback_ohm = 1e9
-barrier_range_eV = [0.25, 4]
-"""
-GUARDED = LAB_TOML + "ceiling_A = 9e-9\n"
 
 
 @pytest.fixture(scope="module")
@@ -216,95 +191,3 @@ def test_an_edited_bundle_does_not_pass_for_the_verified_one(folder):
 def test_an_unknown_target_is_a_mistake_of_usage(folder):
     done = called("verify", folder, "--target", "z80")
     assert done.exit_code == 2
-
-
-def test_the_plant_is_the_models_own_simulation():
-    """Both follow a slow drive with the same operator; only their hold differs."""
-    model = fitted()["x"]
-    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
-    assert plant.noise_rms == model.quality.noise_rms_m
-    assert plant.rest_voltage_V == 5.0
-    assert [s.frequency_Hz for s in plant.mechanics] == [pytest.approx(1 / (2 * np.pi * 2.5e-4))]
-    late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
-    assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
-
-
-def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):
-    model = fitted()["x"]
-    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
-    drawn = varied_plants(plant, model, count=5, rng=rng)
-    assert len({p.label for p in drawn}) == 5
-    gains = []
-    for other in drawn:
-        assert isinstance(other.response, Hysteresis)
-        moved, _ = other.response.operator.run(
-            np.array([5.0, 10.0]), other.response.operator.virgin_memory()
-        )
-        gains.append(np.ptp(moved))
-        factor = other.amplifier[0].frequency_Hz / 4e3
-        assert 0.9 <= factor <= 1.1
-    assert np.ptp(gains) > 0
-    # one percent of each parameter; a handful of them add up
-    assert np.allclose(gains, np.mean(gains), rtol=0.1)
-
-
-def test_a_tip_is_not_verified_against_a_model_that_has_none():
-    with pytest.raises(ParameterFileError, match="axis z regulates a current"):
-        verify_stage(stage("z"), fitted())
-
-
-def junction_model(ratios=(1.0, 0.8, 1.25)):
-    nominal = JunctionPlant(
-        gain_nepers_per_V=NEPERS_PER_V,
-        sensor_pole_Hz=10e3,
-        delay_s=5e-5,
-        amplifier_pole_Hz=4e3,
-        sampling_rate_Hz=RATE_Hz,
-    )
-    loop = LoopPlant(
-        plant=nominal,
-        gain_interval=(0.9 * NEPERS_PER_V, 1.1 * NEPERS_PER_V),
-        sensor_pole_interval_Hz=(9e3, 11e3),
-        delay_interval_s=(4e-5, 6e-5),
-        barrier_eV=1.0,
-        barrier_interval_eV=(0.9, 1.1),
-        naive_gain=1.0,
-        naive_reason="",
-        family=tuple(replace(nominal, gain_nepers_per_V=NEPERS_PER_V * r) for r in ratios),
-        family_records=1,
-        confidence=Confidence.HIGH,
-        reasons=(),
-    )
-    return replace(fitted(), tunnelling=TunnellingModel(gap_law=None, loop_plant=loop))
-
-
-def test_a_tip_is_verified_against_its_identified_loop_and_its_family():
-    found = verify_stage(stage("z"), junction_model())
-    assert found.passed
-    assert {"identified, axis z", "gain x0.8, axis z", "gain x1.25, axis z"} <= set(found.plants)
-
-
-def test_a_family_member_that_the_loop_cannot_hold_fails():
-    found = verify_stage(stage("z"), junction_model(ratios=(1.0, 8.0)))
-    failed = {v.scenario for v in found.verdicts if not v.passed}
-    assert failed == {"spiral, 10 Hz, plants the recordings allow"}
-
-
-def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
-    known = truth(("x",))
-    model = replace(fitted()["x"], dynamics=known)
-    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
-    frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
-    late = np.exp(-2j * np.pi * frequency_Hz * known.delay_s)
-    found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
-    assert found == pytest.approx(known.response(frequency_Hz)[:, 0, 0])
-    assert plant.delay_s == known.delay_s
-    settled = run_axis(plant, shipped("none"), np.full(4000, 1e-5), rng=rng)
-    moved, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)
-    assert settled.position[-1] == pytest.approx(moved[0], rel=1e-3)
-
-
-def shipped(method):
-    """Hand-placed parameters with the known stage's centre."""
-    offsets = {"voltage_offset_V": 5.0, "displacement_offset_m": 2e-6}
-    return lateral_parameters().for_method(method).with_values(offsets)
