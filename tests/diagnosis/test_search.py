@@ -1,0 +1,135 @@
+"""What a search keeps, takes back, and says of the rest; stand-ins for the fits."""
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import piezoid.diagnosis.rivals as rivals
+import piezoid.diagnosis.search as search
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effects import initial_state, lag, non_congruence, thermal_drift
+from piezoid.diagnosis.growth import SLIP, Grown
+from piezoid.diagnosis.slips_instead import Instead, fault_beside
+
+from .bench import healthy_view
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause that is judged already."""
+
+    name: str
+    gain: float
+    speaks: bool = True
+    quiet: float = float("inf")
+
+    @property
+    def accepted(self) -> str:
+        return self.name
+
+    @property
+    def effect(self) -> SimpleNamespace:
+        return SimpleNamespace(name=self.name, quiet=self.quiet)
+
+    @property
+    def held(self) -> SimpleNamespace:
+        return SimpleNamespace(gain=self.gain)
+
+
+def of_noise(times: float) -> SimpleNamespace:
+    return SimpleNamespace(rms=times, noise=1.0)
+
+
+def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatch) -> None:
+    asked = []
+
+    def each(_, accepted, __):
+        asked.append(tuple(accepted))
+        gains = {"creep": 0.5, "lag": 0.1, "delay": 0.2}
+        # the delay is evidence once the lag is gone
+        return [
+            Cause(name, gains[name], speaks=name == "creep" or "lag" not in accepted)
+            for name in accepted
+        ], {}
+
+    monkeypatch.setattr(rivals, "_each", each)
+    causes, _ = rivals.told_apart(None, ["creep", "lag", "delay"], lambda _: None)
+    assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
+    assert [cause.name for cause in causes] == ["creep", "delay"]
+
+
+@pytest.mark.parametrize(
+    ("gain", "left", "beside", "stands"),
+    [
+        (0.2, 1.4, False, True),  # little is left: what it takes off is known
+        (0.2, 1.7, False, False),  # much is left that nothing here follows
+        (0.5, 1.7, False, True),  # but it takes off what nothing else looks like
+        (0.5, 1.7, True, False),  # causes that are not quite as modelled may look like it
+        (0.2, 1.55, True, False),
+        (0.2, 1.4, True, True),
+    ],
+)
+def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, beside, stands) -> None:
+    structure = Cause("initial_state", gain, quiet=1.6)
+    assert search._stands(structure, of_noise(left), beside=beside) is stands
+
+
+def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
+    found = search._with_rival({"asymmetry": (), "creep": ("lag",)}, non_congruence.EFFECT)
+    assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
+
+
+def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> None:
+    view = healthy_view()
+    known = {"creep", "lag"}
+    found = search._dropped(view, known)
+    assert not known & found.keys()
+    assert thermal_drift.EFFECT.name in found
+    assert not {initial_state.EFFECT.name, non_congruence.EFFECT.name} & found.keys()
+    assert all(one.bound > 0.0 for one in found.values())
+
+
+@pytest.mark.parametrize(("with_slips", "without", "kept"), [(1.0, 1.1, True), (1.0, 0.9, False)])
+def test_slips_go_where_the_causes_leave_less_without_them(
+    monkeypatch, with_slips, without, kept
+) -> None:
+    fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
+    far = Grown(clean="slipped", accepted=("slew",), faults={SLIP: fault}, screened={})
+    spikes = {"outliers": replace(fault, value=3.0)}
+    monkeypatch.setattr(
+        search, "repaired", lambda *_, but: (SimpleNamespace(tracks=()), spikes if but else {})
+    )
+    monkeypatch.setattr(search, "with_tracks", lambda *_: "raw")
+    monkeypatch.setattr(search, "refined", lambda one, *_, **__: (one, None))
+    left = {"slipped": with_slips, "raw": without}
+    monkeypatch.setattr(search, "extended", lambda view, _: SimpleNamespace(rms=left[view]))
+    found = search._without_slips("view", far, lambda _: None)
+    assert (SLIP in found.faults) is kept
+    # spikes stay repaired whatever becomes of the slips
+    assert found.clean == ("slipped" if kept else "raw")
+    assert kept or "outliers" in found.faults
+
+
+def test_slips_that_are_hardly_better_than_a_lag_say_that_it_may_be_one() -> None:
+    draw = np.random.default_rng(4)
+    lost = draw.uniform(1.0, 2.0, 40)
+
+    def left(sums):
+        block = np.repeat(np.arange(40), 1)
+        null = SimpleNamespace(energy=sums, block=block, edges=np.arange(40))
+        return SimpleNamespace(null=null, rms=float(np.sqrt(sums.mean())))
+
+    fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
+    for better, alike in ((0.5 * lost, ()), (lost + draw.normal(-0.01, 0.3, 40), ("lag",))):
+        slips = Instead(clean=None, view=left(better), fault=fault)
+        assert fault_beside(slips, lag.EFFECT.name, left(lost)).alike == alike
+
+
+def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
+    first = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9, alike=("lag",))
+    second = Fault(tracks=(), value=-1.0, spread=0.1, p_value=1e-3, alike=("delay", "lag"))
+    both = second.after(first)
+    assert (both.value, both.spread, both.p_value) == (-2.0, 0.3, 1e-9)
+    assert both.alike == ("lag", "delay")
