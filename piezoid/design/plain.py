@@ -10,6 +10,10 @@ from piezoid.errors import ParameterFileError
 
 Record = TypeVar("Record")
 
+_KINDS: dict[Any, tuple[type, ...]] = {
+    float: (float, int), int: (int,), bool: (bool,), str: (str,),
+}  # fmt: skip
+
 
 def to_plain(value: Any) -> Any:
     """Return a record, array, tuple or number as what ``json`` writes.
@@ -36,7 +40,8 @@ def from_plain(kind: type[Record], value: Any, place: str) -> Record:
 
     A field with a default may be missing: an earlier version did not know it.
 
-    Raises ``ParameterFileError`` for any other missing field, and for an unknown one.
+    Raises ``ParameterFileError`` for any other missing field, and for an unknown one; and
+    ``ValueError`` for a value of another kind.
     """
     hints = get_type_hints(kind)
     known = {field.name: field for field in fields(kind)}  # type: ignore[arg-type]
@@ -68,4 +73,6 @@ def _read(kind: Any, value: Any, place: str) -> Any:
         return np.array(value, dtype=np.float64)
     if isinstance(kind, type) and is_dataclass(kind):
         return from_plain(kind, value, place)
+    if kind in _KINDS and type(value) not in _KINDS[kind]:
+        raise ValueError(f"{place}, which is {type(value).__name__}, not {kind.__name__}")
     return value

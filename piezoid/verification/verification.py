@@ -2,7 +2,8 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any
+
+from msgspec import ValidationError, convert
 
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
@@ -114,35 +115,16 @@ class Verification:
 def verification_from_json(content: bytes, place: str = "verification.json") -> Verification:
     """Read ``verification.json`` back; refuse a changed bit, another schema, a missing entry."""
     record = unseal(content, SCHEMA, place)
-    rows = {
-        "comparison": ComparisonRow,
-        "spirals": SpiralRow,
-        "currents": CurrentRow,
-        "traces": SpiralTrace,
-        "verdicts": Verdict,
-        "proofs": Proof,
-    }
     try:
-        names = [f.name for f in dataclasses.fields(Verification)]
-        values: dict[str, Any] = {name: record[name] for name in names}
-        entries = [entry for name in rows for entry in record[name]]
-        named = [entry["method"] for entry in entries if "method" in entry]
-        for method in (*values["methods"].values(), *named):
+        found = convert(record, Verification)
+        named = [row.method for row in found.comparison]
+        named += [row.method for row in found.spirals] + [row.method for row in found.traces]
+        for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
-        for name, kind in rows.items():
-            known = {f.name for f in dataclasses.fields(kind)}
-            values[name] = tuple(
-                kind(**{key: _as_written(entry[key]) for key in known}) for entry in record[name]
-            )
-        return Verification(**{**values, "plants": tuple(values["plants"])})
-    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        return found
+    except (ValidationError, ValueError) as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {SCHEMA}",
+            needed=f"every entry of schema {SCHEMA}, of its own kind",
             remedy="Verify again with this version.",
         ) from error
-
-
-def _as_written(value: Any) -> Any:
-    """Return a list of JSON as the tuple it was written from."""
-    return tuple(value) if isinstance(value, list) else value

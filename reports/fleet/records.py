@@ -4,7 +4,8 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+
+from msgspec import ValidationError, convert
 
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
@@ -106,17 +107,10 @@ def stage_from_json(content: bytes, place: str) -> FleetStage:
     """Read what is kept of a stage; refuse a changed bit, another schema, a missing entry."""
     record = unseal(content, STAGE_SCHEMA, place)
     try:
-        return _stage(record)
-    except (KeyError, TypeError, ValueError) as error:
+        return convert(record, FleetStage)
+    except ValidationError as error:
         raise ParameterFileError(
             f"{place}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {STAGE_SCHEMA}",
+            needed=f"every entry of schema {STAGE_SCHEMA}, of its own kind",
             remedy="Remove the stage's folder and start the batch again.",
         ) from error
-
-
-def _stage(record: Mapping[str, Any]) -> FleetStage:
-    known = {entry.name for entry in dataclasses.fields(FleetStage)}
-    values = {name: record[name] for name in known}
-    axes = tuple(FleetAxis(**axis) for axis in record["axes"])
-    return FleetStage(**{**values, "axes": axes})
