@@ -1,0 +1,48 @@
+"""A sealed file is taken only with every entry of its own kind: nothing stumbles behind it."""
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from piezoid.design.design import design_from_json
+from piezoid.errors import ParameterFileError
+from piezoid.identification.store import read_model
+from piezoid.verification.verification import verification_from_json
+from piezoid_reports.fleet.records import stage_from_json
+from tests.identification.test_sealed_models import WRITTEN
+from tests.reports.test_hostile_records import _kept, _sealed
+
+READERS: dict[str, Callable[[bytes, str], object]] = {
+    "model.json": read_model,
+    "design.json": design_from_json,
+    "verification.json": verification_from_json,
+    "batch.json": stage_from_json,
+}
+# Written for people and other programmes; computed again from the rest, or free by name.
+UNREAD = {"schema", "digest", "passed", "gauge", "held_out_rms_percent"}
+
+
+def leaves(record: Any) -> Iterator[tuple[Any, Any]]:
+    """Return one of the first and one of the last entries of every list, and all of a table."""
+    items = list(record.items() if isinstance(record, dict) else enumerate(record))
+    for key, value in items if isinstance(record, dict) else items[:1] + items[1:][-1:]:
+        if isinstance(value, dict | list) and value:
+            yield from leaves(value)
+        elif key not in UNREAD:
+            yield record, key
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_table_in_place_of_a_number_or_a_text_is_refused(name: str) -> None:
+    record = json.loads(json.dumps(WRITTEN)) if name == "model.json" else json.loads(_kept(name))
+    READERS[name](_sealed(record), name)
+    tried = 0
+    for holder, key in leaves(record):
+        before, holder[key] = holder[key], {"x": {"y": 1}}
+        with pytest.raises(ParameterFileError, match=r"of its own kind|exactly"):
+            READERS[name](_sealed(record), f"{name} {key}")
+        holder[key] = before
+        tried += 1
+    assert tried > 5
