@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.runtime.controller import Controller, Status
+from piezoid.runtime.schema import MAX_ORDER
 from tests.runtime.runtime_parameters import tunnelling
 from tests.runtime.test_blocks import started, static
 from tests.runtime.test_faults import lateral
@@ -150,6 +151,50 @@ def test_one_bad_sample_more_than_allowed_retracts():
     np.testing.assert_array_equal(np.flatnonzero(back), [2])
     bad = (run.status & Status.BAD_MEASUREMENT) != 0
     np.testing.assert_array_equal(np.flatnonzero(bad), [0, 1, 2, 4])
+
+
+def of_full_order(**others):
+    """As many states as there is room for, each of its own pole."""
+    states = MAX_ORDER
+    pole = np.linspace(0.1, 0.9, states)
+    return {
+        **LATERAL,
+        "gain_m_per_V": 1.0,
+        "observer_order": states,
+        "observer_A": np.diag(pole),
+        "observer_B": 1.0 - pole,
+        "observer_C": np.full(states, 1.0 / states),
+        "observer_L": np.zeros(states),
+        "observer_disturbance_L_V_per_m": 0.1,
+        "observer_rest": np.ones(states),
+        "feedback_K_V": np.full(states, 0.01),
+        "feedback_N_V_per_m": 1.0 + 0.01 * states,
+        **others,
+    }
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_an_observer_of_full_order_is_usable_and_its_last_state_counts(precision):
+    known = of_full_order()
+    assert refused(known, precision) is None
+    for name, blamed in (
+        ("observer_B", "observer_rest"),
+        ("observer_C", "observer_C"),
+        ("feedback_K_V", "feedback_N_V_per_m"),
+    ):
+        other = known[name].copy()
+        other[-1] += 0.01
+        assert refused({**known, name: other}, precision) == blamed
+
+
+@pytest.mark.parametrize(("current_A", "is_stuck"), [(1e-11, False), (1.001e-11, True)])
+def test_a_current_that_rests_on_the_floor_is_no_stuck_sensor(current_A, is_stuck):
+    """The amplifier of a lost tip reads one number for as long as nothing flows."""
+    controller = Controller(tunnelling(stuck_samples=3, stuck_voltage_V=1e-6))
+    controller.start(0.0, 1e-9)
+    run = controller.run(np.full(20, 1e-9), np.full(20, current_A))
+    assert np.ptp(run.voltage_V) > 1e-6
+    assert ((run.status & Status.STUCK_SENSOR) != 0).any() == is_stuck
 
 
 @pytest.mark.parametrize("shapes", [((3,), (4,)), ((2, 2), (2, 2)), ((), ()), ((4,), (2, 2))])
