@@ -24,7 +24,7 @@ from piezoid.identification.dynamics.axis_dynamics import with_dynamics
 from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig as Declared
-from piezoid.identification.model import PieceStart
+from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.effects.effect import Act, Place
@@ -97,7 +97,12 @@ def _recording(rows: Rows) -> Recording:
 
 
 def found_in(stage: Stage) -> LinearDynamics | None:
-    """Return the dynamics; the chirp's memory is that of the cycles before it."""
+    """Return the dynamics of a stage, None where none were found."""
+    return fitted(stage).dynamics
+
+
+def fitted(stage: Stage) -> AxisModel:
+    """Return the axis, joint fit included; the chirp's memory is that of the cycles before it."""
     held = recordings(stage)
     rig = Declared(
         amplifier_bandwidth_Hz=stage.rig.amplifier_bandwidth_Hz,
@@ -109,7 +114,7 @@ def found_in(stage: Stage) -> LinearDynamics | None:
     start = PieceStart(
         recording="chirp", memory_V=memory_V, zero_m=np.zeros(1), first=0, last=held[1].samples
     )
-    return with_dynamics(replace(axis, starts=(*axis.starts, start)), held).dynamics
+    return with_dynamics(replace(axis, starts=(*axis.starts, start)), held)
 
 
 def judged(

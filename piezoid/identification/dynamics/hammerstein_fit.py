@@ -1,6 +1,6 @@
 """The joint fit: play weights, dead zones, modes, damping, delay in one least-squares problem.
 
-    minimise over all recordings   sum_lines |E(f)|^2 / sigma^2(f)
+    minimise over all recordings   1/samples sum_lines |E(f)|^2 / sigma^2(f)
 
 E is the spectrum of measured minus modelled displacement, each recording about its own straight
 line, and sigma^2 the smoothed power of what is left: correlated noise, and what the operator does
@@ -97,11 +97,14 @@ def _heavier(
     """New weights, nowhere less than those before.
 
     A few low lines hold the whole of a slow sweep: free to lose their weight, they would give the
-    operator away for what little a better one gains elsewhere.
+    operator away for what little a better one gains elsewhere. For the same reason every
+    recording counts as if it had as many lines as the longest: what a recording leaves is the
+    operator's error rather than noise, and does not come again in every line.
     """
+    longest = max(held.samples for held in rows)
     return [
-        np.maximum(_weights(_left(shape, theta, held), held), before)
-        for held, before in zip(rows, weights, strict=True)
+        np.maximum(np.sqrt(longest / held.samples) * _weights(_left(shape, theta, held), held), w)
+        for held, w in zip(rows, weights, strict=True)
     ]
 
 
