@@ -1,8 +1,9 @@
-"""Fit bundled recordings with one and with several threads of linear algebra: the same bytes?
+"""Fit bundled recordings with other numbers of threads and of processes: the same bytes?
 
     python -m benchmarks.same_bytes [THREADS]
 
-Each fit runs in a process of its own, because the library reads the number when it is loaded.
+Every file of the folder is compared. The bundled Y and Z are two jobs, so that two processes have
+something to do; linear algebra reads its number of threads when it is loaded, hence one run each.
 """
 
 import hashlib
@@ -11,44 +12,47 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 DATASETS = Path(__file__).parents[1] / "datasets"
-FILES = ("y_sweep.csv", "y_check.csv")
-PROGRAMME = """
-import sys
-from pathlib import Path
-from piezoid.identification.fit import fit
-from piezoid.identification.store import write_model
-from piezoid.records.ingest import ingest_all
-from piezoid.records.lab import read_lab
-folder = Path(sys.argv[1])
-lab = read_lab(folder / "lab.toml")
-recordings = ingest_all([folder / name for name in sys.argv[2:]], lab)
-sys.stdout.buffer.write(write_model(fit(recordings, lab=lab)))
-"""
+FILES = ("y_sweep.csv", "y_check.csv", "z_loop_1.csv", "z_loop_2.csv", "z_spectroscopy.dat")
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def model_json(threads: int) -> bytes:
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+def folder_of(threads: int, processes: int, place: Path) -> dict[str, bytes]:
+    """Return what `piezoid fit` writes."""
+    given = [*(DATASETS / name for name in FILES), "--lab", DATASETS / "lab.toml"]
+    asked = ["--processes", processes, "--out", place, "--quiet"]
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAMME, str(DATASETS), *FILES],
-        env=os.environ | dict.fromkeys(names, str(threads)),
-        capture_output=True,
-        check=True,
+        [sys.executable, "-m", "piezoid_cli.main", "fit", *map(str, [*given, *asked])],
+        env=os.environ | dict.fromkeys(THREADS, str(threads)),
+        check=False,
     )
-    return done.stdout
+    if done.returncode not in (0, 1):  # 1 is a verdict, which does not matter here
+        sys.exit(done.returncode)
+    return {
+        str(file.relative_to(place)): file.read_bytes()
+        for file in sorted(place.rglob("*"))
+        if file.is_file()
+    }
 
 
 def main() -> int:
+    several = int(sys.argv[1]) if len(sys.argv) > 1 else 2
     found = []
-    for threads in (1, int(sys.argv[1]) if len(sys.argv) > 1 else 2):
-        began_s = time.perf_counter()
-        content = model_json(threads)
-        found.append(content)
-        digest = hashlib.sha256(content).hexdigest()[:16]
-        print(f"{threads} threads: {digest}, {time.perf_counter() - began_s:.1f} s")
-    print("the same bytes" if found[0] == found[1] else "other bytes")
-    return int(found[0] != found[1])
+    with TemporaryDirectory() as folder:
+        for threads, processes in ((1, 1), (several, 1), (1, 2), (several, 2)):
+            began_s = time.perf_counter()
+            held = folder_of(threads, processes, Path(folder) / f"{threads}_{processes}")
+            found.append(held)
+            digest = hashlib.sha256(b"".join(held.values())).hexdigest()[:16]
+            took_s = time.perf_counter() - began_s
+            print(
+                f"{threads} threads, {processes} processes: {digest}, {took_s:.1f} s", flush=True
+            )
+    others = {name for held in found for name in held if held.get(name) != found[0].get(name)}
+    print(f"other bytes in {', '.join(sorted(others))}" if others else "the same bytes")
+    return int(bool(others))
 
 
 if __name__ == "__main__":

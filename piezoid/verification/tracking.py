@@ -90,7 +90,9 @@ def align(
         if power == 0.0:
             break
         change_s = float(np.sum(error * rate)) / power
-        delay_s = float(np.clip(delay_s - change_s, -longest_s, longest_s))
+        before_s, delay_s = delay_s, float(np.clip(delay_s - change_s, -longest_s, longest_s))
+        if delay_s == before_s:
+            break
     error = kept - spline(inner - delay_s)
     return float(np.sqrt(np.sum(error**2) / len(inner))), delay_s
 
