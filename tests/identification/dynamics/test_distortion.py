@@ -127,6 +127,16 @@ def test_a_sine_repeats_but_has_no_silent_lines_to_read() -> None:
     assert distortion_of([drive], "x") == ()
 
 
+def test_of_two_stretches_that_repeat_the_longer_counts(rng: np.random.Generator) -> None:
+    period = rng.standard_normal(200)
+    for before, after in ((9, 3), (3, 9)):
+        parts = [np.tile(period, before), rng.standard_normal(90), np.tile(period, after)]
+        found = find_repetition(np.concatenate(parts))
+        assert found is not None
+        assert (found.period_samples, found.periods) == (200, 9)
+        assert abs(found.first - (0 if before == 9 else 3 * 200 + 90)) <= 1
+
+
 def test_straight_drift_of_the_stage_is_not_taken_for_distortion(rng: np.random.Generator) -> None:
     data = record(rng, silent=4, noise_m=1e-10)
     straight, drifting = (

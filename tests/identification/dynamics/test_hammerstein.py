@@ -7,7 +7,13 @@ import pytest
 from scipy.signal import lfilter
 
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
-from piezoid.identification.dynamics.hammerstein import Joint, fit_jointly
+from piezoid.identification.dynamics.hammerstein import (
+    SMALL_PLAYS,
+    WITHIN,
+    Joint,
+    _with_small,
+    fit_jointly,
+)
 from piezoid.identification.dynamics.hammerstein_model import (
     simulate_rows,
     start_of,
@@ -139,3 +145,13 @@ def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:
 
 def test_the_record_comes_back_number_for_number(together: Joint) -> None:
     assert JointFit.from_json(together.record.to_json()) == together.record
+
+
+def test_plays_of_small_drives_stand_apart_from_those_there() -> None:
+    voltage_V = np.linspace(3.0, 7.0, 401)  # its reach is 2 V about the middle
+    small_V = 2.0 * np.array(SMALL_PLAYS)
+    near_V = small_V[1] + 0.9 * 2.0 * WITHIN
+    found = _with_small(np.array([0.0, near_V, 1.5]), voltage_V)
+    expected = np.sort([0.0, small_V[0], near_V, *small_V[2:], 1.5])
+    np.testing.assert_allclose(found, expected, rtol=1e-2)
+    assert len(_with_small(small_V, voltage_V)) == len(small_V)

@@ -5,14 +5,19 @@ import json
 import numpy as np
 import pytest
 
+from piezoid.identification.tunnelling import junction
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.family import spread_family
 from piezoid.identification.tunnelling.loop_model import describe_loop_plant
+from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
 from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import identified, loop_records
 from tests.identification.tunnelling.sweeps import sweep
+
+REDUCED_PLANCK_Js, ELECTRON_kg, ELEMENTARY_C = 1.054571817e-34, 9.1093837015e-31, 1.602176634e-19
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +36,11 @@ def test_the_family_holds_the_junctions_it_was_drawn_from(fits: list[ClosedLoopF
     assert family.gain.low < min(gains)
     assert family.gain.high > max(gains)
     assert family.barrier_eV.low < 4.0 < family.barrier_eV.high
+    for name in ("low", "nominal", "high"):
+        slope_per_m = getattr(family.gain, name) / 18e-9  # nepers per metre of the tip's motion
+        root = slope_per_m * REDUCED_PLANCK_Js / 2.0 / np.sqrt(2.0 * ELECTRON_kg)
+        expected_eV = root**2 / ELEMENTARY_C
+        assert getattr(family.barrier_eV, name) == pytest.approx(expected_eV, rel=1e-9)
     assert family.delay_s.low < 30e-6 < family.delay_s.high
 
 
@@ -61,8 +71,8 @@ def test_one_record_cannot_show_a_spread(fits: list[ClosedLoopFit]) -> None:
 
 
 def test_equal_junctions_have_no_spread_beyond_their_uncertainty() -> None:
-    junction = Junction()
-    same = [identified(r, junction) for r in loop_records([junction] * 6, periods=21, seed=37)]
+    equal = Junction()
+    same = [identified(r, equal) for r in loop_records([equal] * 6, periods=21, seed=37)]
     family = spread_family(same, drive_gain_m_per_V=18e-9)
     uncertainty = np.sqrt(np.mean([fit.covariance[0, 0] for fit in same]))
     assert 0.5 * np.log(family.gain.high / family.gain.low) < 4.0 * uncertainty
@@ -91,3 +101,39 @@ def test_an_unbounded_interval_survives_json(rng: np.random.Generator) -> None:
 def test_an_empty_model_is_refused() -> None:
     with pytest.raises(ValueError, match="gap law or a loop plant"):
         TunnellingModel(gap_law=None, loop_plant=None)
+
+
+def test_one_loop_among_other_recordings_is_enough_for_a_plant(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls = []
+    monkeypatch.setattr(junction, "is_loop", lambda recording: recording == "loop")
+    monkeypatch.setattr(junction, "loops_of", lambda recordings, _: ([*recordings], "rig"))
+
+    def fitted(*given: object) -> None:
+        calls.append(given)
+        raise StopIteration
+
+    monkeypatch.setattr(junction, "fit_loops", fitted)
+    for recordings in (["loop", "sweep"], ["sweep", "loop"], ["loop"]):
+        with pytest.raises(StopIteration):
+            junction.fit_junction([], recordings)  # type: ignore[arg-type]
+        assert calls.pop() == (recordings, "rig")
+    assert junction.fit_junction([], ["sweep"]) is None  # type: ignore[list-item]
+
+
+def test_the_slowest_line_of_a_loop_counts_however_slow(rng: np.random.Generator) -> None:
+    samples = 16 * 40
+    drive = rng.standard_normal(samples)
+    record = LoopRecord(
+        label="slow",
+        sampling_rate_Hz=8.0,
+        set_point_A=1e-9,
+        floor_A=1e-12,
+        reference=rng.standard_normal(samples),
+        drive_V=drive,
+        current_A=1e-9 * np.exp(0.01 * drive),
+        period_samples=None,
+    )
+    lines_Hz = spectra_of_all(record, highest_Hz=2.0).frequency_Hz
+    np.testing.assert_allclose(lines_Hz, [0.5, 1.0, 1.5, 2.0])
