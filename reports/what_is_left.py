@@ -55,10 +55,10 @@ def left_of(found: Diagnosis | None) -> Left:
             remedy=SHAPE,
         )
     leading = _leading(found)
+    rest = _or_rival(leading) or "; no other cause is visible in what is left"
     return Left(
         short=f", with {named(found)} already taken out{_or_rival(leading)}",
-        why=f", with {named(found)}, as the diagnosis finds, already taken out"
-        f"{_or_rival(leading)}; no other cause is visible in what is left.",
+        why=f", with {named(found)}, as the diagnosis finds, already taken out{rest}.",
         remedy=leading.next_experiment,
     )
 

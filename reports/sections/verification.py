@@ -114,8 +114,9 @@ def _table(found: Verification) -> Table:
         )
     return Table(
         caption=f"Spirals of radius {told(found.radius_m, 'm')}, by turns a second and method: "
-        "distance from the path, rms, in percent of the diameter, and largest; what the best "
-        "common delay leaves, and that delay (negative: early); error of the radius; scatter of "
+        "distance from the path, rms, in percent of the diameter, and largest, the start from "
+        "rest included; shape: what the best common delay leaves between start and end, and that "
+        "delay (negative: early); error of the radius; scatter of "
         f"the distance between turns. {_methods(found)}.",
         columns=(
             *("turns a second", "method", "rms", "of diameter", "largest"),

@@ -50,6 +50,8 @@ def test_the_third_sentence_names_the_causes_and_the_experiment_for_what_is_in_d
     )
     assert said in verdict
     assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+    # While a cause is in doubt nobody says that no other is to be seen.
+    assert "no other cause is visible" not in page
 
 
 @pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS])
