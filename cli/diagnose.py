@@ -121,6 +121,7 @@ def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
     from piezoid.readable import told
+    from piezoid_reports.what_is_left import left_of
 
     console = Console()
     console.print(_table(found))
@@ -131,6 +132,8 @@ def _show(found: "Diagnosis", out: Path) -> None:
             f"the sensor's noise is {told(found.noise_floor_rms_m, 'm')}"
         )
     )
+    if found.findings:
+        console.print(plain(f"next: {left_of(found).remedy}"))
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
 
 

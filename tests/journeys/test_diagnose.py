@@ -79,6 +79,7 @@ def test_without_a_model_the_causes_are_drawn_on_a_quick_fit_of_the_recordings(
     lab, out = str(sweeps / "lab.toml"), sweeps / "diag"
     done = CliRunner().invoke(app, ["diagnose", *files, "--lab", lab, "--out", str(out)])
     assert done.exit_code == 0, done.output
+    assert "next: Record another." in done.output
     page = Anatomy((out / "diagnosis.html").read_text())
     assert len(page.all("figure")) == 1
     assert any("a quick fit of eight plays" in e.text for e in page.all("p"))
