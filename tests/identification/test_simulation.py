@@ -8,7 +8,8 @@ import pytest
 from piezoid.errors import IdentificationError
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.simulation import simulate_recording, starts_of, zero_of
+from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
+from piezoid.records.recording import Quantity
 from tests.reports.known_stage import BREAK, axis_model, recording, starts
 
 ROUNDING_m = 1e-17
@@ -83,3 +84,15 @@ def test_simulating_a_fitted_recording_leaves_the_residual_the_fit_reports() -> 
     # The fit reports the rms of the rows it used: here all that count.
     rms_m = float(np.sqrt(np.mean(counted**2)))
     assert rms_m == pytest.approx(model.quality.rms_m, rel=1e-6)
+
+
+def test_only_the_other_axes_that_move_are_seen_by_an_extension() -> None:
+    one = recording()
+    drive = next(c for c in one.channels if c.quantity is Quantity.VOLTAGE)
+    still = replace(drive, axis="y", label="y", values=np.full(one.samples, 3.0))
+    moving = replace(drive, axis="z", label="z", values=np.arange(float(one.samples)))
+    both = replace(one, channels=(*one.channels, still, moving))
+    where = where_of(both, "x", slice(5, 9))
+    assert (where.first, where.samples) == (5, 4)
+    assert list(where.others_V) == ["z"]
+    np.testing.assert_array_equal(where.others_V["z"], [5.0, 6.0, 7.0, 8.0])

@@ -1,8 +1,12 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 from piezoid.identification.fit import fit
+from piezoid.identification.hysteresis import applicability
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -62,3 +66,14 @@ def test_ordinary_hysteresis_passes_every_check() -> None:
     drive = decaying(20)
     plays = play_sum(drive, np.array([0.0, 1, 2.5]), np.array([1.0, 0.2, 0.15]), np.zeros(3))
     assert fit([recording(drive, noisy(1e-6 * plays))])["x"].verdict.applies
+
+
+@pytest.mark.parametrize(("scatter", "is_told"), [(0.115, True), (0.14, False)])
+def test_a_loop_crosses_where_three_standard_errors_say_so(scatter: float, is_told: bool) -> None:
+    """Of four loops, two on either side of the middle one, the error is half their distance."""
+    middle = np.array([1.0, 0.5, -0.2])
+    loops = [SimpleNamespace(opening=middle + way * scatter) for way in (-1, -1, 1, 1)]
+    told = applicability._crossing(loops, 1.0, 0.0)  # type: ignore[arg-type]
+    assert bool(told) is is_told
+    assert ("opens the wrong way by 20.00 %" in told) is is_told
+    assert not applicability._crossing(loops, 1.0, 0.03)  # type: ignore[arg-type]
