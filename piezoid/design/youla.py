@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
 from piezoid.design.plant import Plant, PlantFamily
@@ -31,6 +32,8 @@ _LEAST_REAL = 0.05
 _SLACK_PRICE = 100.0
 _LEAST_GAIN = 0.01
 _TIE = 1e-4
+_EVERY = 10
+_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,10 +77,11 @@ def optimise(
     count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
     fine = family_grid(family, specification, count=200 * count)
+    deciding = np.arange(coarse.A.size) % _EVERY == 0
     best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
     history = [best.rejection]
     while len(history) <= most_iterations:
-        step = _checked_step(coarse, fine, family.nominal, (R, S), count)
+        step = _checked_step(coarse, fine, family.nominal, (R, S), count, deciding)
         if step is None:
             break
         reached = worst_place(fine, *step)
@@ -103,11 +107,13 @@ def _checked_step(
     plant: Plant,
     present: tuple[Array, Array],
     count: int,
+    deciding: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
     """Return the solution that passes the finer grid as well as the present one does."""
     allowed_dB = max(worst_place(fine, *present).excess_dB, 0.0) + _TIE
     for reserve_dB in _RESERVES_dB:
-        solution = _solve(coarse, plant, *present, count, 10.0 ** (-reserve_dB / 20.0))
+        reserve = 10.0 ** (-reserve_dB / 20.0)
+        solution = _solve(coarse, plant, *present, count, reserve, deciding)
         if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
             return solution
     return None
@@ -144,6 +150,23 @@ class _Cones:
     limits: Array
     slope: Array
 
+    @property
+    def limited(self) -> tuple[tuple[Response, Response], ...]:
+        """What has limits, in their order."""
+        return self.A_S, self.A_R, self.B_R
+
+    def at(self, rows: NDArray[np.bool_]) -> "_Cones":
+        """Return the problem on some rows only."""
+        return _Cones(
+            A_S=(self.A_S[0][rows], self.A_S[1][rows]),
+            A_R=(self.A_R[0][rows], self.A_R[1][rows]),
+            B_R=(self.B_R[0][rows], self.B_R[1][rows]),
+            real=(self.real[0][rows], self.real[1][rows]),
+            reference=self.reference[rows],
+            limits=self.limits[:, rows],
+            slope=self.slope[rows],
+        )
+
 
 def _cones(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int) -> _Cones:
     """Set up the problem around the closed loops of R, S. Unknowns: s'_1.., then scale r'_0.. ."""
@@ -172,10 +195,67 @@ def _cones(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int) -> _C
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Reached:
+    """A solution: the unknowns, the rejection they reach, and the slack they needed."""
+
+    x: Array
+    gamma: float
+    slack: float
+
+
 def _solve(
-    grid: FamilyGrid, plant: Plant, R: Array, S: Array, count: int, reserve: float
+    grid: FamilyGrid,
+    plant: Plant,
+    R: Array,
+    S: Array,
+    count: int,
+    reserve: float,
+    deciding: NDArray[np.bool_],
 ) -> tuple[Array, Array] | None:
     """Solve one convex problem around the closed loops of R, S; None where the solver fails.
+
+    deciding  (rows,)  which rows are asked; one problem hands them on to the next
+
+    A few hundred of the rows decide. The problem is solved on those, and again with the peaks of
+    what its solution misses, until it misses none (the exchange of Remez).
+    """
+    scale = abs(plant.gain)
+    cones = _cones(grid, scale, R, S, count)
+    while True:
+        found = _solved(cones.at(deciding), count, reserve)
+        if found is None:
+            return None
+        missed = _peaks(_excess(cones, found, reserve)) & ~deciding
+        if not missed.any():
+            break
+        deciding |= missed
+    s_free = np.concatenate([[1.0], found.x[: count - 1]])
+    r_free = found.x[count - 1 :] / scale
+    return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
+
+
+def _excess(cones: _Cones, found: _Reached, reserve: float) -> Array:
+    """Return by how much a solution misses what every row asks, over the closed loop's size."""
+    real = (cones.real[0] @ found.x + cones.real[1]) / cones.reference
+    room = reserve * (real + found.slack)
+    excess = _LEAST_REAL - real
+    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
+        size = np.abs(rows @ found.x + constant) / cones.reference
+        excess = np.maximum(excess, size / limit - room)
+    size = np.abs(cones.A_S[0] @ found.x + cones.A_S[1]) / cones.reference
+    in_band = np.maximum(size / cones.slope - found.gamma, 1.0 - real)
+    return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
+
+
+def _peaks(excess: Array) -> NDArray[np.bool_]:
+    """Return the rows of a real excess that are no better than both their neighbours."""
+    before, after = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
+    return (excess > _TOLERANCE) & (excess >= before) & (excess >= after)
+
+
+def _solved(cones: _Cones, count: int, reserve: float) -> _Reached | None:
+    """Solve the program on some rows; None where the solver fails.
 
     A slack on all limits together, at a high price, lets a start that exceeds them come back.
     """
@@ -183,16 +263,10 @@ def _solve(
 
     cp: Any = cvxpy
 
-    scale = abs(plant.gain)
-    cones = _cones(grid, scale, R, S, count)
     x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
     real = cones.real[0] @ x + cones.real[1]
     constraints = [real >= _LEAST_REAL * cones.reference]
-    for (rows, constant), limit in (
-        (cones.A_S, cones.limits[0]),
-        (cones.A_R, cones.limits[1]),
-        (cones.B_R, cones.limits[2]),
-    ):
+    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
         held = np.isfinite(limit)
         bound = real[held] + slack * cones.reference[held]
         size = _magnitude(cp, rows[held], constant[held], x)
@@ -211,9 +285,7 @@ def _solve(
             return None
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or x.value is None:
         return None
-    s_free = np.concatenate([[1.0], x.value[: count - 1]])
-    r_free = x.value[count - 1 :] / scale
-    return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
+    return _Reached(x=x.value, gamma=float(gamma.value), slack=float(slack.value))
 
 
 def _magnitude(cp: Any, rows: Response, constant: Response, x: Any) -> Any:
