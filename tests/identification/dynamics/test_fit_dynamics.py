@@ -10,7 +10,12 @@ import pytest
 
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
-from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.fit_dynamics import (
+    Declaration,
+    _start_shape,
+    _trial_delays,
+    fit_dynamics,
+)
 from piezoid.identification.dynamics.interchange import from_control, to_control
 from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -38,6 +43,16 @@ def test_without_noise_the_truth_comes_back(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(model.mode_damping, DAMPING, rtol=100 * EXACT)
     assert model.delay_s == pytest.approx(DELAY_S, rel=100 * EXACT)
     np.testing.assert_allclose(model.mode_gain_m_per_V, truth().mode_gain_m_per_V, rtol=1e-4)
+
+
+def test_the_search_begins_at_the_trial_delay_nearest_the_truth(rng: np.random.Generator) -> None:
+    measured = estimate_response(record(rng, noise_m=0.0))
+    start = _start_shape(measured, measured.weights(), STRUCTURE, DECLARATION)
+    trials_s = _trial_delays(measured, DECLARATION)
+    assert len(trials_s) > 2
+    assert start[-1] == trials_s[np.argmin(np.abs(trials_s - DELAY_S))]
+    found_Hz = np.exp(np.sort(start[: len(FREQUENCY_HZ)]))
+    np.testing.assert_allclose(found_Hz, FREQUENCY_HZ, rtol=0.1)
 
 
 def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generator) -> None:
