@@ -87,14 +87,23 @@ def _quick_error(
     for piece, column in zip(pieces, columns, strict=True):
         keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
         rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
-        free = rows[:, -len(_POLYNOMIAL) :]
-        signed = np.hstack([rows, -free, np.ones((len(rows), 1)), -np.ones((len(rows), 1))])
-        triangle = gather(
-            empty_triangle(signed.shape[1] + 1),
-            np.hstack([signed, piece.response[keep][:, None]]),
-        )
+        triangle = _gathered(_signed(rows, piece.response[keep]))
         total += nnls(triangle[:, :-1], triangle[:, -1])[1] ** 2 / len(rows)
     return total
+
+
+def _signed(rows: Array, response: Array) -> Array:
+    """Return [columns, what may be negative once more, a constant of either sign | response]."""
+    count, free = rows.shape[1], len(_POLYNOMIAL)
+    block = np.empty((len(rows), count + free + 3), order="F")
+    block[:, :count] = rows
+    block[:, count : count + free] = -rows[:, -free:]
+    block[:, -3], block[:, -2], block[:, -1] = 1.0, -1.0, response
+    return block
+
+
+def _gathered(block: Array) -> Array:
+    return gather(empty_triangle(block.shape[1]), block, spend=True)
 
 
 def kuhnen_start(
@@ -142,11 +151,11 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
         memory = np.full(plays, piece.drive[0])
         states = play_columns(piece.drive, threshold, memory)[0][keep]
         shifted = _advanced(piece, lag_s)[keep]
-        rows = np.zeros((len(states), unknowns))
+        rows = np.zeros((len(states), unknowns), order="F")
         rows[:, :plays] = states
         rows[:, plays : plays + count] = -unit.columns(shifted)
         rows[:, plays + count + index] = 1.0
-        triangle = gather(triangle, rows)
+        triangle = gather(triangle, rows, spend=True)
     return triangle
 
 
