@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.model import ActuatorModel
+    from piezoid.records.collection import Collection
+    from piezoid.records.lab import Lab
     from piezoid_cli.controllers import Controllers
     from piezoid_cli.stage_jobs import AxisFound, Designed, TipFound
 
@@ -55,19 +57,48 @@ def calibrate(
     calibration without one.
     """
     told("reading recordings")
-    from piezoid.identification.store import write_model
     from piezoid.records.collection import collect
     from piezoid.records.lab import read_lab
-    from piezoid_cli.controllers import controllers_of, files_of
     from piezoid_cli.side_by_side import side_by_side
     from piezoid_cli.stage_jobs import jobs_of, run_job, weight_of
-    from piezoid_reports.render import render
 
     declared = None if lab is None else read_lab(lab)
     held = collect(files, declared)
     blank, jobs = jobs_of(held, declared)
     found = side_by_side(run_job, jobs, told, processes=processes, weight=weight_of)
-    stage = _stage(blank, found)
+    return finished(_stage(blank, found), held, lab, declared, told)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedStage:
+    """What was found of all axes.
+
+    designed  what came of designing them, in their order, a tip behind; None: not tried yet
+    """
+
+    model: "ActuatorModel"
+    diagnoses: "tuple[Diagnosis, ...]" = ()
+    undiagnosed: tuple[str, ...] = ()
+    stumbled: bool = False
+    designed: "tuple[Designed, ...] | None" = None
+
+
+def finished(
+    stage: FittedStage,
+    held: "Collection | None",
+    lab: Path | None,
+    declared: "Lab | None",
+    told: Told,
+) -> Calibration:
+    """Design, export, verify and report a stage that is fitted.
+
+    held      the recordings, for the report's pictures; None where they are larger than memory
+    declared  what stands in ``lab``
+    """
+    from piezoid.identification.store import write_model
+    from piezoid_cli.controllers import controllers_of, files_of
+    from piezoid_reports.render import render
+
     content = {"model.json": write_model(stage.model), **_told_files(stage.diagnoses, lab)}
     made = controllers_of(
         stage.model, content["model.json"], declared, told, designed=stage.designed
@@ -76,8 +107,8 @@ def calibrate(
     told("writing the report")
     page = render(
         stage.model,
-        held.recordings,
-        held.sweeps,
+        () if held is None else held.recordings,
+        () if held is None else held.sweeps,
         made.design,
         made.reason,
         diagnoses=stage.diagnoses,
@@ -97,23 +128,12 @@ def calibrate(
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Stage:
-    """What was found of all axes; ``designed`` in the order of the axes, a tip behind them."""
-
-    model: "ActuatorModel"
-    diagnoses: "tuple[Diagnosis, ...]"
-    undiagnosed: tuple[str, ...]
-    stumbled: bool
-    designed: "tuple[Designed, ...]"
-
-
-def _stage(blank: "ActuatorModel", found: "Sequence[AxisFound | TipFound]") -> _Stage:
+def _stage(blank: "ActuatorModel", found: "Sequence[AxisFound | TipFound]") -> FittedStage:
     from piezoid_cli.stage_jobs import AxisFound, TipFound
 
     axes = [one for one in found if isinstance(one, AxisFound)]
     tips = [one for one in found if isinstance(one, TipFound)]
-    return _Stage(
+    return FittedStage(
         model=replace(
             blank,
             axes={one.model.axis: one.model for one in axes},

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 from typer.testing import CliRunner
 
 import piezoid.diagnosis.diagnose as engine
@@ -47,10 +48,18 @@ def sweeps(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def quick_fit(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let fit return a stage known by heart: what it is about here comes after it."""
-    known = stage_model(axis_model("x"), axis_model("y"))
-    monkeypatch.setattr(piezoid.identification.fit, "fit", lambda *_, **__: known)
+    """Let fit return axes known by heart: what it is about here comes after it."""
+    monkeypatch.setattr(
+        piezoid.identification.fit, "fit_axis", lambda _, axis, *__, **___: axis_model(axis)
+    )
     monkeypatch.setattr(piezoid_reports.render, "render", lambda *_, **__: "a page")
+
+
+def fitted(sweeps: Path) -> Result:
+    """Fit both axes in this process: no patch of a test reaches another one."""
+    files = [str(sweeps / f"{axis}.csv") for axis in "xy"]
+    rest = ["--lab", str(sweeps / "lab.toml"), "--out", str(sweeps / "stage")]
+    return CliRunner().invoke(app, ["fit", *files, *rest, "--processes", "1"])
 
 
 def test_a_model_in_front_of_the_recordings_says_what_changed(
@@ -112,9 +121,7 @@ def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_st
 
     monkeypatch.setattr(engine, "diagnose", stumbling)
     monkeypatch.setattr(piezoid_reports.render, "render", drawing)
-    files = [str(sweeps / f"{axis}.csv") for axis in "xy"]
-    lab = str(sweeps / "lab.toml")
-    done = CliRunner().invoke(app, ["fit", *files, "--lab", lab, "--out", str(sweeps / "stage")])
+    done = fitted(sweeps)
     assert done.exit_code == 1, done.output
     said = "axis x is not diagnosed: a mistake of ours, RuntimeError: an index too far"
     assert said in done.output
@@ -130,9 +137,7 @@ def test_every_axis_is_diagnosed_and_the_first_stands_at_the_top(
     sweeps: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(engine, "diagnose", lambda *_, axis, **__: replace(SILENT, axis=axis))
-    files = [str(sweeps / f"{axis}.csv") for axis in "xy"]
-    lab = str(sweeps / "lab.toml")
-    done = CliRunner().invoke(app, ["fit", *files, "--lab", lab, "--out", str(sweeps / "stage")])
+    done = fitted(sweeps)
     assert done.exit_code in (0, 1), done.output
     record = json.loads((sweeps / "stage/diagnosis.json").read_text())
     assert record["axis"] == "x"
