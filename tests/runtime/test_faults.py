@@ -130,6 +130,17 @@ def test_before_the_start_the_voltage_is_the_one_nearest_zero():
     assert controller.status == Status.NOT_STARTED
 
 
+@pytest.mark.parametrize(
+    ("low", "high"), [(5.0, 5.0), (6.0, 5.0), (np.nan, 5.0), (5.0, np.inf), (-np.inf, -5.0)]
+)
+def test_limits_that_hold_no_range_give_no_voltage_before_the_start(low, high):
+    controller = Controller(lateral())
+    controller.parameters.voltage_minimum_V = low
+    controller.parameters.voltage_maximum_V = high
+    assert controller.step(0.5, 0.5) == 0.0
+    assert controller.status == Status.NOT_STARTED
+
+
 def test_a_start_with_nothing_known_is_the_model_at_rest():
     controller = Controller(lateral())
     controller.start(np.nan, np.nan)
