@@ -10,8 +10,8 @@ from piezoid.diagnosis.folds import Held, compared, surely
 from piezoid.diagnosis.screening import Screened, null_of, screened
 from piezoid.diagnosis.view import View
 
-CERTAIN = 8.0  # standard errors: so sure a thing,
-SMALL = 0.5  # or so large a thing may be that part of the gain which is asked for
+CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
+SMALL = 0.5  # may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves above the noise, and that
 SURER = 2.5  # standard errors less in the blocks
@@ -49,14 +49,18 @@ class Judged:
         return (
             self.sound
             and self.held.z > self.effect.sure
-            and self.held.gain > self.effect.worth * (SMALL if self._clear else 1.0)
+            and self.held.gain > self.effect.worth * self._asked
             and self.share > self.effect.least
             and self._beats_its_twin
         )
 
     @property
-    def _clear(self) -> bool:
-        return self.held.z > CERTAIN or abs(self.held.coefficient[0]) > self.effect.large
+    def _asked(self) -> float:
+        """Return which part of the worth is asked for; what is no noise is the structure's own."""
+        if self.effect.against is not None:
+            return 1.0
+        excess = max(1.0 - (self.without.noise / self.without.rms) ** 2, 0.0)
+        return SMALL if self.held.z > CERTAIN else max(SMALL, sqrt(excess))
 
     @property
     def _beats_its_twin(self) -> bool:

@@ -83,10 +83,11 @@ def _dropped(final: View, known: Collection[str]) -> dict[str, Screened]:
 
 def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
     """Judge the envelope's own structure, with all causes at work."""
-    beside, final = bool(outcome.causes), outcome.final
+    final = outcome.final
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
+        beside = any(_alike(cause.effect, effect) for cause in outcome.causes)
         progress(f"testing {effect.name.replace('_', ' ')}")
         found = screen(effect, final)
         if found is None:
@@ -105,10 +106,14 @@ def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
     return outcome
 
 
+def _alike(one: Effect, other: Effect) -> bool:
+    return one.name in other.rivals or other.name in one.rivals
+
+
 def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
     """Tell whether structure may be named: what causes leave over looks like it as well.
 
-    beside  whether causes were found
+    beside  whether one of the causes looks alike
     """
     if structure.held.gain > CLEARLY and not beside:
         return True

@@ -7,6 +7,7 @@ response at every sample; its residual at the rows.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import sqrt
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.faults import step_size
+
+DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +77,9 @@ class View:
 
     @cached_property
     def noise(self) -> float:
-        """Return the white noise of the response, rms."""
+        """Return the white noise of the response or of a coarse converter, rms."""
         rows = [len(track.place) for track in self.tracks]
-        noise = [white_noise_rms(track.response) for track in self.tracks]
+        noise = [_noise(track.response) for track in self.tracks]
         return float(np.sqrt(np.average(np.square(noise), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
@@ -93,6 +97,12 @@ class View:
         column = np.zeros(edges[-1])
         column[edges[k] : edges[k + 1]] = values
         return column
+
+
+def _noise(response: Array) -> float:
+    # readings that stay on one step for long differ by nothing, and err by a part of the step
+    step = step_size(np.round(response, DIGITS))
+    return max(white_noise_rms(response), step / sqrt(12.0))
 
 
 def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float) -> View:

@@ -89,6 +89,5 @@ EFFECT = Effect(
     shows_at=4e-3,
     quiet=2.0,
     sure=3.3,
-    worth=0.11,
-    large=0.3,
+    worth=0.12,  # walls of ceramics are pinned unevenly by themselves
 )

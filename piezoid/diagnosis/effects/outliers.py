@@ -69,12 +69,10 @@ def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float
     for width, spread in NEIGHBOURHOODS:
         if len(y) < 4 * width:
             continue
-        distance, agree = _far(y, width, spread)
-        apart, _ = _far(y - static, width, spread)
-        size = np.abs(distance)
+        size, distance, agree = _sizes(track, static, width, spread)
         begins = float(np.quantile(size, TAIL))
         here = size > np.maximum(3.0 * agree, max(least, CLEAR * begins))
-        here &= distance * apart > KEPT * distance**2
+        here &= size > KEPT * distance
         tail = size[(size > begins) & ~here]
         if not here.any() or not len(tail):
             continue
@@ -84,6 +82,20 @@ def spikes(track: Track, static: Array, step: float = 0.0) -> tuple[Array, float
         if found < SURE and here.mean() < RARE:
             wrong, chance = wrong | here, max(chance, found)
     return wrong, chance
+
+
+def _sizes(track: Track, static: Array, width: int, spread: Array) -> tuple[Array, Array, Array]:
+    """Return what of every distance is no motion of the stage, the distance, and its peers'.
+
+    Where the drive turns sharply a good reading stands apart as far as the drive does.
+    """
+    y = track.response
+    distance, agree = _far(y, width, spread)
+    apart, _ = _far(y - static, width, spread)
+    turn, _ = _far(track.drive, width, spread)
+    agree = np.maximum(agree, np.abs(turn))
+    whole = np.abs(distance)
+    return np.where(distance * apart > 0.0, np.minimum(whole, np.abs(apart)), 0.0), whole, agree
 
 
 def _typical(y: Array) -> float:
@@ -103,17 +115,17 @@ def _bound(view: View) -> float:
     At most a twentieth of all places hide a larger one: there the stage moves too fast.
     """
     step = drive_step(view)
-    heights = [_hides(track.response, step) for track in view.tracks]
-    return max(heights) / 2.0
+    pairs = zip(view.tracks, view.static, strict=True)
+    return max(_hides(track, static, step) for track, static in pairs) / 2.0
 
 
-def _hides(y: Array, step: float) -> float:
+def _hides(track: Track, static: Array, step: float) -> float:
+    y = track.response
     heights = [_least(y, step)]
     for width, spread in NEIGHBOURHOODS:
         if len(y) < 4 * width:
             continue
-        distance, agree = _far(y, width, spread)
-        size = np.abs(distance)
+        size, _, agree = _sizes(track, static, width, spread)
         begins = float(np.quantile(size, TAIL))
         falls = max(float(np.mean(size[size >= begins] - begins)), 0.1 * _typical(y))
         tail = begins + falls * float(np.log(max(len(y) * (1.0 - TAIL) / SURE, 1.0)))
