@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.bench import Bench, bench_of
-from piezoid.diagnosis.planning.forbids import KNOWN, what_forbids
+from piezoid.diagnosis.planning.forbids import what_forbids
 from piezoid.diagnosis.planning.playing import driven_recording, drives_axis
 from piezoid.diagnosis.planning.question import Question, is_open, questions_of
 from piezoid.diagnosis.planning.separation import Told
@@ -32,7 +32,7 @@ class Plan:
     before        what the recordings there are can tell; None where they were not given
     after         with the planned one
     answers       whether the drive is worth a recording
-    forbids       where it is not: the limit that forbids more, or that nothing is missing
+    forbids       where it is not: the limit that forbids more; empty where nothing is missing
     set_aside     more pressing questions, which no drive of the menu answers
     alternatives  the whole menu, best first; the first is the one that was chosen
                   unless a shorter one is nearly as good
@@ -93,7 +93,7 @@ def plan(
 
 def _why_none(chosen: Choice, bench: Bench, table_on: Callable[[Bench], Table]) -> str:
     if chosen.question.kind == "detect" and not is_open(chosen.question):
-        return KNOWN
+        return ""  # nothing is missing
 
     def left(looser: Bench) -> float:
         return table_on(looser).choice(chosen.question).left

@@ -11,12 +11,6 @@ FELT = 0.9  # of what is left open: a limit that changes less does not stand in 
 Best = Callable[[Bench], float]
 
 
-KNOWN = (
-    "These recordings would show it already from the least that the diagnosis names: no recording "
-    "is needed."
-)
-
-
 def what_forbids(bench: Bench, best: Best, left: float) -> str:
     """Return which limit forbids more, or that none does, as one sentence.
 

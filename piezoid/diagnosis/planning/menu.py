@@ -100,7 +100,8 @@ MENU: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="slow_ramp",
-        why="The whole range once, slowly: errors that repeat with displacement.",
+        why="The whole range once, slowly: errors that repeat with displacement, and by how much "
+        "a slow loop differs from fast ones.",
         drive=drives.slow_ramp,
     ),
 )

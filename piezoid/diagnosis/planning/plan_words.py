@@ -4,15 +4,28 @@ from math import isfinite
 
 from piezoid.diagnosis.experiment import Plan
 from piezoid.diagnosis.planning.answer import POWER, expected_half, expected_limit_m
-from piezoid.diagnosis.planning.question import Question
+from piezoid.diagnosis.planning.question import Question, is_open
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.readable import significant, told
 
 
 def sentences(found: Plan) -> tuple[str, ...]:
     """Return why, what, what to expect of it, and what was asked before it in vain."""
+    if found.question.kind == "detect" and not is_open(found.question):
+        return _settled(found)
     said = (_why(found.question), _what(found), _expected(found), found.forbids, _aside(found))
     return tuple(filter(None, said))
+
+
+def _settled(found: Plan) -> tuple[str, ...]:
+    absent = found.question.absent
+    limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
+    return (
+        f"These recordings would show {_said(found.question.effects[0])} from "
+        f"{told(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
+        "needed.",
+        f"Of the menu {_played(found)} would serve it best.",
+    )
 
 
 def _why(question: Question) -> str:
@@ -33,14 +46,18 @@ def _why(question: Question) -> str:
 
 
 def _what(found: Plan) -> str:
-    drive, limits = found.drive, found.limits
-    played = (
-        f"{drive.name}, {found.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
-        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V. {drive.why}"
-    )
+    played = f"{_played(found)}. {found.drive.why}"
     if found.answers:
         return f"Play {played}"
     return f"No drive of the menu answers that inside these limits; the best is {played}"
+
+
+def _played(found: Plan) -> str:
+    drive, limits = found.drive, found.limits
+    return (
+        f"{drive.name}, {found.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
+        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
+    )
 
 
 def _expected(found: Plan) -> str:
