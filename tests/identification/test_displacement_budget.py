@@ -49,6 +49,16 @@ def test_the_residual_enters_whole_and_sources_from_data_are_type_a() -> None:
     assert {kind for kind, _ in held.values()} == {"A"}
 
 
+def test_the_parameters_count_where_the_loading_curve_is_known_worst() -> None:
+    axis = axis_model()
+    half_m = np.linspace(1e-9, 5e-9, len(axis.uncertainty.loading_half_m))
+    axis = replace(axis, uncertainty=replace(axis.uncertainty, blocks=5, loading_half_m=half_m))
+    held = {one.name: one for one in displacement_budget(axis).budget.contributions}
+    found = held["parameters of the model"]
+    assert found.freedom == 4
+    assert found.standard == pytest.approx(5e-9 / 2.7764, rel=1e-4)  # Student's t at 4
+
+
 def test_what_nobody_declared_is_named() -> None:
     assert displacement_budget(axis_model()).unknown == (
         "sensor_gain_relative",
