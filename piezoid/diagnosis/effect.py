@@ -110,6 +110,7 @@ class Effect:
     sure         standard errors to ask for
     quiet        times the sensor's noise: where more is left, its null itself does not hold
     worth        part of the error on rows left out that it must take off
+    common       whether ceramics have a little of it by themselves: all of that is then asked for
     shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
     least        share of the stroke below which it is not looked for
     bound        (view) -> share of the stroke that could be there and not be found, for faults
@@ -137,4 +138,5 @@ class Effect:
     sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
     least: float = 1.2e-4
     worth: float = 0.03
+    common: bool = False
     shows_at: float = 2e-3

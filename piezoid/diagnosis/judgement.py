@@ -56,8 +56,8 @@ class Judged:
 
     @property
     def _asked(self) -> float:
-        """Return which part of the worth is asked for; what is no noise is the structure's own."""
-        if self.effect.against is not None:
+        """Return which part of the worth is asked for."""
+        if self.effect.common:
             return 1.0
         excess = max(1.0 - (self.without.noise / self.without.rms) ** 2, 0.0)
         return SMALL if self.held.z > CERTAIN else max(SMALL, sqrt(excess))

@@ -89,5 +89,6 @@ EFFECT = Effect(
     shows_at=4e-3,
     quiet=2.0,
     sure=3.3,
-    worth=0.12,  # walls of ceramics are pinned unevenly by themselves
+    worth=0.12,
+    common=True,
 )
