@@ -30,7 +30,8 @@ def fit(
     processes: Annotated[
         int | None,
         typer.Option(
-            help="At most so many do the axes; not given, as many as there are cores.", min=1
+            help="At most so many work side by side; not given, as many as there are cores.",
+            min=1,
         ),
     ] = None,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
@@ -62,13 +63,14 @@ def fit(
     from piezoid_cli.side_by_side import usable_cores
 
     check_free(out, force=force, inputs=files)
+    count = processes or usable_cores()
     with shown(quiet=quiet or json) as told:
         if stream:
             from piezoid_cli.streaming import calibrate_streamed
 
-            found = calibrate_streamed(files, lab, out.absolute().parent, told)
+            found = calibrate_streamed(files, lab, out.absolute().parent, told, count)
         else:
-            found = calibrate(files, lab, told, processes or usable_cores())
+            found = calibrate(files, lab, told, count)
         write_folder(out, found.files, force=force)
     if json:
         from json import dumps

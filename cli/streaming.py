@@ -14,11 +14,12 @@ UNDIAGNOSED = (
 
 
 def calibrate_streamed(
-    files: Sequence[Path], lab: Path | None, folder: Path, told: "Told"
+    files: Sequence[Path], lab: Path | None, folder: Path, told: "Told", processes: int = 1
 ) -> "Calibration":
     """Fit in blocks, design, export, verify and report one stage.
 
-    folder  where the scratch files go, 16 bytes a sample; they have no names and leave nothing
+    folder     where the scratch files go, 16 bytes a sample; they have no names and leave nothing
+    processes  at most so many recordings are followed side by side, in threads of this one
 
     The report has no loops and no residuals: they would take the recordings at once.
     """
@@ -30,7 +31,7 @@ def calibrate_streamed(
     declared = None if lab is None else read_lab(lab)
     folder.mkdir(parents=True, exist_ok=True)
     with spooled(files, declared, folder=folder, progress=told) as spool:
-        model = fit_streamed(spool, lab=declared, progress=told)
+        model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
     return finished(
         FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), None, lab, declared, told
     )
