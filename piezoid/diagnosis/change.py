@@ -18,6 +18,7 @@ from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
+from piezoid.readable import told
 from piezoid.records.recording import Recording
 
 AS_IT_WAS = Structure(operator=False)
@@ -52,7 +53,7 @@ class Change:
         """Return what changed in words."""
         ratio, low, high = self.gain_ratio
         percent = 100.0 * (ratio - 1.0)
-        error = f"{1e9 * self.as_it_was_m:.3g} nm, {1e9 * self.refitted_m:.3g} nm refitted"
+        error = f"{told(self.as_it_was_m, 'm')}, {told(self.refitted_m, 'm')} refitted"
         if self.refitted_m > (1.0 - WORTH) * self.as_it_was_m:
             return f"axis {self.axis}: the model still holds; it leaves {error}"
         if self.other_gain_m < (1.0 - WORTH) * self.as_it_was_m and not low <= 1.0 <= high:

@@ -20,6 +20,7 @@ from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.model import AxisModel
+from piezoid.readable import told
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -136,6 +137,7 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
     effect = cause.effect
     stroke_m = outcome.first.stroke_m
     before, after = numbers.without[effect.name], numbers.final
+    rivals = outcome.rivals.get(effect.name, ())
     return Finding(
         effect=effect.name,
         held_out_gain=_gain(before, after),
@@ -144,14 +146,20 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
         p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
         share=cause.share,
         size=size_of(cause),
-        not_separable_from=outcome.rivals.get(effect.name, ()),
+        not_separable_from=rivals,
         explanation=_first_words(effect)
         + f" Here it is {100 * cause.share:.3g} % of the stroke (rms); beside "
         f"everything else found it takes {100 * cause.held.gain:.3g} % off "
         "the error that no hysteresis explains.",
-        next_experiment=effect.experiment,
+        next_experiment=_separating(effect, rivals),
         parameters=dict(cause.accepted.parameters),
     )
+
+
+def _separating(effect: Effect, rivals: Sequence[str]) -> str:
+    """Return what to record; an effect's own experiment does not tell it from structure."""
+    structure = [rival for rival in map(_named, rivals) if rival.against is not None]
+    return " ".join(one.experiment for one in (effect, *structure))
 
 
 def _gain(before: float, after: float) -> float:
@@ -185,7 +193,7 @@ def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
             effect=effect.name,
             upper_bound_m=limit_m,
             detection_limit_m=limit_m,
-            reason=f"no sign of it; {1e9 * limit_m:.3g} nm would have shown",
+            reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
             next_experiment=effect.experiment,
         )
     return _bounded(found, outcome)
@@ -203,7 +211,7 @@ def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
-            f"at most {1e9 * bound_m:.3g} nm rms; it takes {100 * found.held.gain:.2g} % off the "
+            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.held.gain:.2g} % off the "
             f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
             f"{_held_back(found, outcome)}"
         ),

@@ -8,8 +8,9 @@ import pytest
 
 import piezoid.diagnosis.rivals as rivals
 import piezoid.diagnosis.search as search
+from piezoid.diagnosis.diagnose import _separating
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.effects import initial_state, lag, non_congruence, thermal_drift
+from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.growth import SLIP, Grown
 from piezoid.diagnosis.slips_instead import Instead, fault_beside
 
@@ -79,6 +80,12 @@ def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, besid
 def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
     found = search._with_rival({"asymmetry": (), "creep": ("lag",)}, non_congruence.EFFECT)
     assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
+
+
+def test_what_separates_a_cause_from_structure_is_asked_for_beside_its_own_experiment() -> None:
+    asked = _separating(creep.EFFECT, ("thermal_drift", "initial_state"))
+    assert asked == f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
+    assert _separating(creep.EFFECT, ("thermal_drift",)) == creep.EFFECT.experiment
 
 
 def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> None:
