@@ -3,7 +3,8 @@
     python -m benchmarks.same_bytes [THREADS]
 
 Every file of the folder is compared. The bundled Y and Z are two jobs, so that two processes have
-something to do; linear algebra reads its number of threads when it is loaded, hence one run each.
+something to do. Several threads of linear algebra give other last digits, which is why `piezoid`
+keeps to one, whatever number the environment asks for.
 """
 
 import hashlib

@@ -8,9 +8,11 @@ from typing import Any, cast
 import typer
 from typer.core import TyperGroup
 
-# Our matrices are small: a second thread of the linear algebra costs more than it brings, and one
-# thread gives the same bits on every machine. Whoever sets another number keeps it.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Our matrices are small: a second thread of the linear algebra costs more than it brings. It gives
+# other last digits as well, so no number of threads from outside is kept.
+os.environ.update(
+    dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+)
 
 from piezoid_cli.batch import batch
 from piezoid_cli.design import design

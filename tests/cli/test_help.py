@@ -1,7 +1,10 @@
 """The help teaches: every verb shows how it is typed, and what is typed there is understood."""
 
+import os
 import re
 import shlex
+import subprocess
+import sys
 
 import click
 import pytest
@@ -50,3 +53,12 @@ def test_shells_can_complete_the_verbs(shell: str) -> None:
     assert "diagnose" in found.output
     assert "design" in found.output
     assert "verify" not in found.output
+
+
+def test_no_number_of_threads_from_outside_is_kept() -> None:
+    code = "import os, piezoid_cli.main; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    outside = os.environ | {"OPENBLAS_NUM_THREADS": "4"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=outside, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "1\n"
