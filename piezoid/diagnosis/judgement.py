@@ -13,8 +13,8 @@ from piezoid.diagnosis.view import View
 CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
 SMALL = 0.5  # may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
-BEYOND_TWIN = 0.9  # times what the twin leaves above the noise, and that
-SURER = 2.5  # standard errors less in the blocks
+BEYOND_TWIN = 0.9  # times what the twin leaves, or leaves above the noise, and that
+FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,9 +66,11 @@ class Judged:
     def _beats_its_twin(self) -> bool:
         if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
             return True
+        clear = surely(self.twin.loss, self.held.loss)
+        if self.held.rms < BEYOND_TWIN * self.twin.rms:
+            return clear > FAR_SURER
         own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.held, self.twin))
-        clear = surely(self.twin.loss, self.held.loss) > SURER
-        return own < BEYOND_TWIN**2 * others and clear
+        return own < BEYOND_TWIN**2 * others and clear > SURER
 
 
 def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judged:
