@@ -7,7 +7,8 @@ from typing import Any
 
 from piezoid.design.design import design_from_json
 from piezoid.design.specification import Specification, specifications_from_toml
-from piezoid.diagnosis.diagnosis import Diagnosis, read_diagnoses, write_diagnosis
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.export.parameter_file import from_json, to_json
 from piezoid.identification.store import read_model, write_model
 from piezoid.records.inspection import inspect_file

@@ -148,7 +148,7 @@ def _stage(blank: "ActuatorModel", found: "Sequence[AxisFound | TipFound]") -> F
 
 def _told_files(diagnoses: "Sequence[Diagnosis]", lab: Path | None) -> dict[str, bytes]:
     """Return what was diagnosed, and what the laboratory said: later verbs ask for it again."""
-    from piezoid.diagnosis.diagnosis import write_diagnosis
+    from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 
     files = {}
     if diagnoses:

@@ -56,7 +56,7 @@ def diagnose(
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find
-        from piezoid.diagnosis.diagnosis import write_diagnosis
+        from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
         from piezoid.records.collection import collect
         from piezoid.records.lab import read_lab
 

@@ -113,7 +113,7 @@ class _Known:
 
 def _read(stage: Path, axis: str | None) -> _Known:
     """Read model and diagnosis of a stage; the diagnosis of its first axis if none is named."""
-    from piezoid.diagnosis.diagnosis import read_diagnoses
+    from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.identification.store import read_model
 
     model_json = (stage / "model.json").read_bytes()

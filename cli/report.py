@@ -87,7 +87,8 @@ def _page(
     lab: Path | None,
 ) -> str:
     from piezoid.design.design import design_from_json
-    from piezoid.diagnosis.diagnosis import Diagnosis, read_diagnoses
+    from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.export.parameter_file import from_json
     from piezoid.verification.verification import verification_from_json
     from piezoid_cli.stage_files import lab_of, same_model

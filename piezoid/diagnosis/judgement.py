@@ -3,6 +3,8 @@
 from dataclasses import dataclass, replace
 from math import sqrt
 
+import numpy as np
+
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import Accepted
@@ -96,6 +98,16 @@ def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judge
 def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
     assert one.effect.columns is not None
     columns = one.effect.columns(view, one.parameters)
+    if not np.any(columns):  # refitted with it, the stage itself does what it would have added
+        return Judged(
+            accepted=one,
+            held=seen.held,
+            twin=seen.twin,
+            share=0.0,
+            sound=False,
+            without=without,
+            view=view,
+        )
     trial = replace(seen.trial, columns=columns, parameters=one.parameters)
     found = screened(one.effect, null_of(one.effect, without), [trial])
     return Judged(

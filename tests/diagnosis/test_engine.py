@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.consistency import is_alike
-from piezoid.diagnosis.effects import delay, lag, non_congruence
+from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.envelope import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null, surely
 from piezoid.diagnosis.friction import FRICTION
+from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
@@ -81,6 +82,15 @@ def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     found = with_own_pasts(view)
     assert found.rms < 0.9 * view.rms
     assert cycled(found).rms == pytest.approx(view.rms)
+
+
+def test_an_effect_of_which_nothing_is_left_once_all_is_refitted_is_none():
+    view = healthy_view()
+    seen = screen(thermal_drift.EFFECT, view)
+    gone = replace(thermal_drift.EFFECT, columns=lambda v, _: np.zeros((len(v.response), 0)))
+    one = judged(Accepted(effect=gone, parameters={}), view, view, seen=seen)
+    assert not one.speaks
+    assert one.share == 0.0
 
 
 def test_an_opening_below_the_least_one_is_below_its_limit():

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnosis import Diagnosis, read_diagnosis, write_diagnosis
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.bench import Bench
@@ -16,6 +16,7 @@ from piezoid.diagnosis.planning.menu import MENU, Experiment, played
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files
 from piezoid.diagnosis.planning.plan_words import sentences
 from piezoid.diagnosis.planning.tangents import TANGENTS, WITHOUT
+from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.provenance import unseal
 from piezoid.records.excitation import DriveLimits

@@ -6,8 +6,9 @@ from functools import cache
 import numpy as np
 
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.diagnosis.diagnosis import SCHEMA, Diagnosis, write_diagnosis
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.sealed_diagnosis import SCHEMA, write_diagnosis
 from piezoid.provenance import unseal
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS as LABORATORY

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 import piezoid.diagnosis.diagnose as engine
 import piezoid.identification.fit
 import piezoid_reports.render
-from piezoid.diagnosis.diagnosis import Diagnosis, HeldOut, read_diagnoses
+from piezoid.diagnosis.diagnosis import Diagnosis, HeldOut
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
 from piezoid.identification.store import read_model, write_model
 from piezoid_cli.main import app
 from tests.journeys.test_fit import LOOP, write_sweep

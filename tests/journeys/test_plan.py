@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from piezoid.diagnosis.diagnosis import write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.store import write_model
 from piezoid_cli.main import app
 from tests.reports.known_diagnosis import diagnosed, finding

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.diagnosis import write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
