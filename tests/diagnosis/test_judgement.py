@@ -1,0 +1,99 @@
+"""What counts as evidence: how much, how sure, and how much better than an unphysical twin."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.effect import Trial
+from piezoid.diagnosis.effects import (
+    amplifier_saturation,
+    creep,
+    initial_state,
+    non_congruence,
+    resonance,
+    thermal_drift,
+)
+from piezoid.diagnosis.folds import Held, surely
+from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.screening import _best
+from piezoid.diagnosis.search import _alike
+
+BLOCKS = 40
+
+
+def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> Held:
+    return Held(
+        gain=gain,
+        z=z,
+        coefficient=np.ones(1),
+        spread=np.zeros(1),
+        loss=np.ones(BLOCKS) if loss is None else loss,
+        rms=rms,
+    )
+
+
+def judged(effect, mine: Held, twin: Held | None = None, *, left: float, noise: float) -> Judged:
+    return Judged(
+        accepted=SimpleNamespace(effect=effect),
+        held=mine,
+        twin=twin,
+        share=0.01,
+        sound=True,
+        without=SimpleNamespace(rms=left, noise=noise),
+        view=SimpleNamespace(rms=mine.rms, noise=noise),
+    )
+
+
+def ahead(standard_errors: float) -> np.ndarray:
+    """Losses of a twin, by so many standard errors above one in every block."""
+    spread = np.where(np.arange(BLOCKS) % 2, 1.0, -1.0)
+    loss = 1.0 + spread + standard_errors / np.sqrt(BLOCKS) * np.std(spread, ddof=1)
+    np.testing.assert_allclose(surely(loss, np.ones(BLOCKS)), standard_errors)
+    return loss
+
+
+def test_half_the_worth_is_enough_where_hardly_more_than_noise_is_left():
+    drift = thermal_drift.EFFECT
+    small = held(gain=0.7 * drift.worth, z=5.0)
+    assert judged(drift, small, left=1.05, noise=1.0).speaks
+    assert not judged(drift, small, left=3.0, noise=1.0).speaks
+    assert judged(drift, held(gain=1.1 * drift.worth, z=5.0), left=3.0, noise=1.0).speaks
+
+
+def test_of_what_ceramics_have_by_themselves_all_the_worth_is_asked_for():
+    opening = non_congruence.EFFECT
+    assert opening.common
+    assert not judged(opening, held(gain=0.9 * opening.worth, z=9.0), left=1.01, noise=1.0).speaks
+
+
+@pytest.mark.parametrize(
+    ("mine_rms", "noise", "standard_errors", "speaks"),
+    [
+        (1.0, 0.0, 6.0, False),  # hardly better, however sure
+        (1.0, 0.9, 3.0, True),  # much better above the noise
+        (1.0, 0.9, 2.0, False),  # but not surely
+        (0.85, 0.0, 2.0, True),  # far ahead
+        (0.85, 0.0, 1.0, False),
+    ],
+)
+def test_a_twin_is_beaten_far_or_above_the_noise(mine_rms, noise, standard_errors, speaks):
+    twin = held(rms=1.06, gain=0.45, loss=ahead(standard_errors))
+    one = judged(creep.EFFECT, held(rms=mine_rms), twin, left=2.0, noise=noise)
+    assert one.speaks is speaks
+
+
+def test_of_clips_that_explain_as_much_the_one_that_is_as_deep_as_its_share_is_begun_from():
+    def row(coefficient: float, gain: float):
+        found = replace(held(gain=gain), coefficient=np.array([coefficient]))
+        return Trial(columns=np.zeros((2, 1))), found, np.zeros((2, 1))
+
+    shallow, likely, poor = row(4.2, 0.30), row(1.2, 0.27), row(1.0, 0.1)
+    assert _best(amplifier_saturation.EFFECT, [shallow, likely, poor]) is likely
+    assert _best(creep.EFFECT, [shallow, likely, poor]) is shallow
+
+
+def test_only_causes_that_look_like_a_structure_hold_it_back():
+    assert _alike(creep.EFFECT, initial_state.EFFECT)
+    assert not _alike(resonance.EFFECT, initial_state.EFFECT)
