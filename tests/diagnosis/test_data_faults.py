@@ -55,6 +55,39 @@ def test_spikes_are_found_sized_and_bridged():
     assert np.abs(left - np.median(left)).max() < 0.02
 
 
+def driven(drive):
+    """A track that follows a drive but for noise."""
+    noise = 3e-4 * np.random.default_rng(1).normal(size=len(drive))
+    return replace(healthy().tracks[0], command=drive, drive=drive, response=drive + noise)
+
+
+def with_added(track, places, sizes):
+    response = np.array(track.response)
+    response[places] += sizes
+    return replace(track, response=response)
+
+
+def found_in(track, static):
+    return np.flatnonzero(outliers.spikes(track, static)[0]).tolist()
+
+
+def test_a_reading_at_a_sharp_turn_is_no_spike():
+    up = np.arange(-1.0, 1.0, 0.004)
+    drive = np.tile(np.concatenate([up, up[::-1]]), 8)
+    static = np.array(drive)
+    static[len(up)] -= 0.01  # a model that does not quite know the turn
+    peaked = with_added(driven(drive), [len(up)], 0.0075)
+    assert found_in(peaked, static) == []
+    assert found_in(with_added(peaked, [len(up) + 200], 0.04), static) == [len(up) + 200]
+
+
+def test_spikes_are_found_beside_motion_that_goes_much_farther_from_sample_to_sample():
+    drive = np.linspace(-0.5, 0.5, 8000)
+    drive[3000:3300] += 0.4 * np.sin(np.arange(300) * 0.5)
+    spiky = with_added(driven(drive), [470, 2110, 6330], np.array([0.03, -0.04, 0.035]))
+    assert found_in(spiky, drive) == [470, 2110, 6330]
+
+
 def test_a_jump_of_the_drive_is_no_spike():
     field = np.array(clean("walk")[1])
     field[3000:3002] += 0.05
