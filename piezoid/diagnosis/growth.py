@@ -26,7 +26,7 @@ MOST_CAUSES = 5
 SLIP = "timestamp_fault"
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
 LEAST_GAIN = 0.012
-NEAR_TWIN = 0.6  # times its twin's gain, below which a refit will not help it
+NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 LEFT_OVER = 0.3  # of a rival's share
@@ -160,7 +160,10 @@ def _best(tried: Sequence[Judged], far: Grown) -> Judged | None:
 
 
 def _above_twin(found: Screened) -> bool:
-    return found.twin is None or found.held.gain > NEAR_TWIN * found.twin.gain
+    """Tell whether a refit may help: tangents of what is looked for on a grid err by factors."""
+    if found.twin is None or found.trial.free:
+        return True
+    return found.held.gain > NEAR_TWIN * found.twin.gain
 
 
 def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
