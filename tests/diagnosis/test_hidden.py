@@ -1,6 +1,5 @@
 """Causes hidden by a laboratory that shares nothing with the model are named, and nothing else."""
 
-import json
 from functools import cache
 
 import numpy as np
@@ -8,7 +7,7 @@ import numpy as np
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.sealed_diagnosis import SCHEMA, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
 from piezoid.provenance import unseal
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS as LABORATORY
@@ -81,6 +80,7 @@ def test_a_healthy_stage_has_no_findings_and_a_bound_on_everything():
 def test_a_diagnosis_survives_its_file():
     recordings, lab = healthy()
     found = diagnose(recordings, lab=lab)
-    content = unseal(write_diagnosis(found), SCHEMA, "diagnosis.json")
-    assert json.loads(json.dumps(found.to_json())).items() <= content.items()
+    written = write_diagnosis(found)
+    assert read_diagnosis(written) == found
+    content = unseal(written, SCHEMA, "diagnosis.json")
     assert content["final"]["held_out_rms_m"] == found.final.rms_m
