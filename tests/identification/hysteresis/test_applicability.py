@@ -26,7 +26,7 @@ def test_a_wide_loop_that_is_only_lag_is_called_lag() -> None:
     model = fit([recording(drive, noisy(first_order_lag(1e-6 * drive, 0.016, RATE_Hz)))])["x"]
     assert not model.verdict.applies
     assert "phase lag, not hysteresis" in model.verdict.reason
-    assert "16 ms" in model.verdict.reason
+    assert "16.0 ms" in model.verdict.reason
 
 
 def test_hysteresis_behind_the_same_lag_is_not_called_lag() -> None:
