@@ -145,6 +145,8 @@ def told(text):
         print(pid, flush=True)
 
 if __name__ == "__main__":
+    # whoever is started in the background of a shell inherits that Ctrl-C is not for it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     side_by_side(work, [1, 2], told, processes=2, weight=float)
 """
 
