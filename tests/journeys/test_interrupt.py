@@ -31,8 +31,8 @@ from piezoid_cli.main import _interrupt, Interrupted
 from pathlib import Path
 import signal
 signal.signal(signal.SIGINT, _interrupt)
-print("working", flush=True)
 try:
+    print("working", flush=True)
     n = 0
     while True:
         n += 1
