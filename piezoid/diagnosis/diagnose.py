@@ -1,6 +1,7 @@
 """From recordings to a Diagnosis: what the simulation gets wrong, and why."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -138,6 +139,7 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
     stroke_m = outcome.first.stroke_m
     before, after = numbers.without[effect.name], numbers.final
     rivals = outcome.rivals.get(effect.name, ())
+    structure = _structure(rivals)
     return Finding(
         effect=effect.name,
         held_out_gain=_gain(before, after),
@@ -145,21 +147,33 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
         held_out_rms_after_m=after * stroke_m,
         p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
         share=cause.share,
-        size=size_of(cause),
+        size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=rivals,
         explanation=_first_words(effect)
         + f" Here it is {100 * cause.share:.3g} % of the stroke (rms); beside "
         f"everything else found it takes {100 * cause.held.gain:.3g} % off "
-        "the error that no hysteresis explains.",
-        next_experiment=_separating(effect, rivals),
+        f"the error that no hysteresis explains.{_or_a_part(structure)}",
+        next_experiment=" ".join(one.experiment for one in (effect, *structure)),
         parameters=dict(cause.accepted.parameters),
     )
 
 
-def _separating(effect: Effect, rivals: Sequence[str]) -> str:
-    """Return what to record; an effect's own experiment does not tell it from structure."""
-    structure = [rival for rival in map(_named, rivals) if rival.against is not None]
-    return " ".join(one.experiment for one in (effect, *structure))
+def _structure(rivals: Sequence[str]) -> list[Effect]:
+    """Return the rivals that are hysteresis: an experiment on the effect alone parts none."""
+    return [rival for rival in map(_named, rivals) if rival.against is not None]
+
+
+def _or_none_at_all(size: Size) -> Size:
+    """Let the interval of a size reach to zero: hysteresis of that kind may be all of it."""
+    low, high = size.ci95
+    return replace(size, ci95=(min(low, 0.0), max(high, 0.0)))
+
+
+def _or_a_part(structure: Sequence[Effect]) -> str:
+    if not structure:
+        return ""
+    names = " or ".join(one.name.replace("_", " ") for one in structure)
+    return f" A part of it, or all, may be {names}: hence an interval that holds zero."
 
 
 def _gain(before: float, after: float) -> float:

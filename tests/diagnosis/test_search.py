@@ -6,9 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.rivals as rivals
 import piezoid.diagnosis.search as search
-from piezoid.diagnosis.diagnose import _separating
+from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.growth import SLIP, Grown
@@ -82,10 +83,33 @@ def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
     assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
 
 
-def test_what_separates_a_cause_from_structure_is_asked_for_beside_its_own_experiment() -> None:
-    asked = _separating(creep.EFFECT, ("thermal_drift", "initial_state"))
-    assert asked == f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
-    assert _separating(creep.EFFECT, ("thermal_drift",)) == creep.EFFECT.experiment
+def creep_beside(monkeypatch, *near: str) -> Finding:
+    """Return the finding of a creep of 0.74 % a decade that was not told from others."""
+    size = Size(value=0.74, unit=creep.EFFECT.unit, ci95=(0.39, 1.09))
+    monkeypatch.setattr(diagnose, "size_of", lambda _: size)
+    cause = SimpleNamespace(
+        effect=creep.EFFECT,
+        share=0.01,
+        held=SimpleNamespace(gain=0.1, p_value=1e-6),
+        accepted=SimpleNamespace(parameters={}),
+    )
+    outcome = SimpleNamespace(first=SimpleNamespace(stroke_m=1e-5), rivals={"creep": near})
+    numbers = SimpleNamespace(without={"creep": 0.02}, final=0.018)
+    return diagnose._of_cause(cause, outcome, numbers)
+
+
+def test_a_cause_that_may_be_structure_may_also_be_none_at_all(monkeypatch) -> None:
+    found = creep_beside(monkeypatch, "thermal_drift", "initial_state")
+    assert found.size.ci95 == (0.0, 1.09)
+    assert "A part of it, or all, may be initial state" in found.explanation
+    assert found.next_experiment == f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
+
+
+def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment(monkeypatch) -> None:
+    found = creep_beside(monkeypatch, "thermal_drift")
+    assert found.size.ci95 == (0.39, 1.09)
+    assert "A part of it" not in found.explanation
+    assert found.next_experiment == creep.EFFECT.experiment
 
 
 def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> None:
