@@ -26,8 +26,9 @@ ROOM_bytes = 4 << 30
 KILLED, SURVIVED, UNBUILT = "killed", "survived", "does not compile"
 # Which compiled modules a C file becomes, with what is compiled beside it.
 BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
-    "kernels.c": {"piezoid.operators._kernels": ("chain.c",)},
-    "chain.c": {"piezoid.operators._kernels": ("kernels.c",)},
+    "kernels.c": {"piezoid.operators._kernels": ("chain.c", "states.c")},
+    "chain.c": {"piezoid.operators._kernels": ("kernels.c", "states.c")},
+    "states.c": {"piezoid.operators._kernels": ("kernels.c", "chain.c")},
     "piezoid_runtime.c": {
         "piezoid.runtime._runtime": ("run_many.c",),
         "piezoid.runtime._runtime32": ("run_many.c", "-DPZ_REAL_FLOAT=1"),

@@ -1,4 +1,5 @@
-/* The hot loops of the operators. Columns are column-major: column i starts at i * stride.
+/* The hot loops of plays, piecewise-linear maps and their inverses. Columns are column-major:
+ * column i starts at i * stride.
  *
  * Every function carries its state in the arrays it is given, so a recording may be processed in
  * chunks of any length with the same result, bit for bit. Nothing is allocated, nothing is kept.
@@ -70,44 +71,5 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
                                const pk_map *inverse_envelope, double offset_V, double minimum_V,
                                double maximum_V, double lsb_V, int synchronise, double *state_V,
                                double *inverse_state, double *applied_V);
-
-/* First-order filters in place, one per column, all with the same coefficients:
- *   y[k] = pole y[k-1] + b0 x[k] + b1 x[k-1]
- *   previous_input, previous_output (columns,)  in/out
- */
-void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
-                    double b0, double b1, double *previous_input, double *previous_output);
-
-/* A signal that goes at most `step` from sample to sample; output must not alias input. */
-void pk_slew(size_t samples, const double *input, double step, double *output);
-
-/* A state that goes by `part` of what it is farther than `threshold` from the input, one sample
- * late; output must not alias input. */
-void pk_creep(size_t samples, const double *input, double part, double threshold, double *output);
-
-/* A lag that thermal activation wears down: after every sample
- *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
-void pk_activated(size_t samples, const double *input, double step, double wide, double *output);
-
-/* A Bouc-Wen state along an input, by midpoint steps of at most `longest`:
- *   dz/du = 1 - |z|^exponent (gamma + beta sgn(z du));   *state is z before, then after */
-void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
-                 double longest, double *state, double *output);
-
-/* Friction states, one for each reach r; over a straight part of the input
- *   x[k] = e x[k-1] + sgn(du) r (1 - e),   e = exp(-|du| / r)
- *   state  (states,)          in/out: at the first sample, then at the last one
- *   column (states, stride)   out
- */
-void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 double *state, size_t stride, double *column);
-
-/* Add a polynomial of every column, whose first coefficient goes with the input u:
- *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i
- * scale_i power  (4, columns)   c bias   (2, columns)   a, b
- */
-void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
-                    const double *column, const double *scale, const double *power,
-                    const double *bias, double *output);
 
 #endif
