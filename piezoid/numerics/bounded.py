@@ -8,7 +8,7 @@ from piezoid.numerics.arrays import Array
 
 ROUNDS = 500
 PATIENCE = 3  # rounds of whole sets without progress; then one at a time, which always ends
-FEASIBLE = 1e-12
+ROUNDING = 1e-12  # of the largest number that a difference was made of
 
 Chosen = NDArray[np.bool_]
 
@@ -19,19 +19,20 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     G, b  (numbers, numbers), (numbers,)  G positive definite
     l, u  (numbers,)  l <= u; equal bounds fix a number
 
+    Nothing is small or large by itself: b and the bounds in other units give x in other units.
+
     Source: Portugal, Judice & Vicente, Mathematics of Computation 63 (1994). What goes wrong: a G
-    that is not definite to rounding; whoever damps it avoids that.
+    that is not definite to rounding; whoever damps it avoids that. Columns of very different
+    size: rounding is judged by the largest.
     """
     at_lower, at_upper = upper <= lower, np.zeros(len(right), dtype=bool)
-    fewest, patience = len(right) + 1, PATIENCE
+    fewest, patience, steepest = len(right) + 1, PATIENCE, _largest(np.diag(gram))
     x = np.clip(np.zeros_like(right), lower, upper)
     for _ in range(ROUNDS):
         x = _solved(gram, right, np.where(at_lower, lower, upper), ~(at_lower | at_upper))
-        slope = gram @ x - right
+        slope, flat = gram @ x - right, ROUNDING * max(_largest(right), steepest * _largest(x))
         below, above = _outside(x, lower, upper, at_lower | at_upper)
-        inwards = (at_lower & (slope < -FEASIBLE) & (upper > lower)) | (
-            at_upper & (slope > FEASIBLE)
-        )
+        inwards = (at_lower & (slope < -flat) & (upper > lower)) | (at_upper & (slope > flat))
         wrong = below | above | inwards
         count = int(np.count_nonzero(wrong))
         if count == 0:
@@ -48,8 +49,12 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     return np.clip(x, lower, upper)
 
 
+def _largest(numbers: Array) -> float:
+    return float(np.abs(numbers).max(initial=0.0))
+
+
 def _outside(x: Array, lower: Array, upper: Array, held: Chosen) -> tuple[Chosen, Chosen]:
-    slack = FEASIBLE * (1.0 + np.abs(x))
+    slack = ROUNDING * _largest(x)
     return ~held & (x < lower - slack), ~held & (x > upper + slack)
 
 

@@ -13,7 +13,7 @@ from piezoid.numerics.bounded import bounded_minimum
 
 _TOLERANCE = 1e-10
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
-ROUNDING = 1e-11
+ROUNDING = 1e-11  # of columns and a target of norm 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,18 +122,22 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
 
     Which unknowns lie on a bound is found from R'R, fast but with the square of R's condition.
     The others are then solved from R itself, and where the Karush-Kuhn-Tucker conditions do not
-    hold to rounding, an active-set method on R decides.
+    hold to rounding, an active-set method on R decides. Rounding is meant beside the target, or
+    beside what the bounds ask for where that is more: other units give the same step.
     """
     scale = _column_norms(triangle)
-    factor, below, above = triangle / scale, lower * scale, upper * scale
-    found = _guessed(factor, target, below, above)
+    asked = np.linalg.norm(np.clip(np.zeros_like(scale), lower, upper) * scale)
+    height = float(max(np.linalg.norm(target), asked)) or 1.0
+    factor, right = triangle / scale, target / height
+    below, above = lower * (scale / height), upper * (scale / height)
+    found = _guessed(factor, right, below, above)
     if found is None:
-        found = _decided(factor, target, below, above)
-    return np.asarray(np.clip(found / scale, lower, upper))
+        found = _decided(factor, right, below, above)
+    return np.asarray(np.clip(found * (height / scale), lower, upper))
 
 
 def _guessed(factor: Array, target: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the minimum, or None where R'R does not tell it."""
+    """Return the minimum, or None where R'R does not tell it; columns and target about 1."""
     gram = factor.T @ factor + JITTER * np.eye(len(lower))
     try:
         x = bounded_minimum(gram, factor.T @ target, lower, upper)
@@ -144,9 +148,8 @@ def _guessed(factor: Array, target: Array, lower: Array, upper: Array) -> Array 
         x[free] = 0.0
         x[free] = _least_squares(factor[:, free], target - factor @ x)
     slope = factor.T @ (factor @ x - target)
-    slack = ROUNDING * (float(np.linalg.norm(target)) or 1.0)
-    outwards = np.where(x <= lower, slope >= -slack, np.abs(slope) <= slack)
-    outwards |= (x >= upper) & (slope <= slack)
+    outwards = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
+    outwards |= (x >= upper) & (slope <= ROUNDING)
     held = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
     return x if bool((outwards & held).all()) else None
 

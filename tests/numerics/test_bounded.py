@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from piezoid.numerics.bounded import bounded_minimum
@@ -22,3 +24,16 @@ def test_the_minimum_is_the_one_that_another_solver_finds(seed: int) -> None:
     cost = [np.sum((rows @ x - target) ** 2) for x in (found, other)]
     assert cost[0] <= cost[1] * (1 + 1e-9)
     assert ((lower <= found) & (found <= upper)).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), power=st.integers(-60, 60))
+def test_nothing_is_small_or_large_by_itself(seed: int, power: int) -> None:
+    chance, unit = np.random.default_rng(seed), 10.0**power
+    rows = chance.standard_normal((40, 1)) + 0.3 * chance.standard_normal((40, 10))
+    gram, right = rows.T @ rows / 40, rows.T @ chance.standard_normal(40) / 40
+    lower, upper = -chance.uniform(0.0, 0.5, 10), chance.uniform(0.0, 0.5, 10)
+    known = bounded_minimum(gram, right, lower, upper)
+    numbers = bounded_minimum(gram, unit * right, unit * lower, unit * upper) / unit
+    np.testing.assert_allclose(numbers, known, atol=1e-12)
+    whole = bounded_minimum(unit * gram, unit * right, lower, upper)
+    np.testing.assert_allclose(whole, known, atol=1e-12)

@@ -3,6 +3,8 @@
 import daqp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from piezoid.errors import InfeasibleFitError
@@ -69,16 +71,37 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
         assert (others < alone) is balanced
 
 
-@pytest.mark.parametrize("scale", [1e-9, 1e-6, 1e13])
-def test_a_step_in_other_units_is_the_same_step(rng: np.random.Generator, scale: float) -> None:
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    power=st.integers(-60, 60),
+    apart=st.sampled_from([1.0, 0.3, 1e-2]),
+    asked=st.sampled_from([-0.5, 0.0, 0.2]),
+)
+def test_a_step_in_other_units_is_the_same_step(
+    seed: int, power: int, apart: float, asked: float
+) -> None:
     # Columns much alike: what a bound holds back, the others take over, some onto their bounds.
-    columns = rng.normal(size=(80, 1)) + 0.3 * rng.normal(size=(80, 10))
+    rng, unit = np.random.default_rng(seed), 10.0**power
+    columns = rng.normal(size=(80, 1)) + apart * rng.normal(size=(80, 10))
     factor, right = reduced(columns, columns @ rng.normal(size=10) + rng.normal(size=80))
-    lower, upper = np.full(10, -0.5), rng.uniform(0.1, 1.0, 10)
+    lower, upper = np.full(10, -0.5), rng.uniform(0.3, 1.0, 10)
+    lower[3], upper[4] = asked, np.inf
     known = bounded_step(factor, right, lower, upper)
-    assert 0 < np.count_nonzero((known == lower) | (known == upper)) < 10
-    found = bounded_step(factor, scale * right, scale * lower, scale * upper)
-    np.testing.assert_allclose(found / scale, known, atol=1e-12)
+    found = bounded_step(factor, unit * right, unit * lower, unit * upper)
+    np.testing.assert_allclose(found / unit, known, atol=1e-11)
+    other_columns = bounded_step(unit * factor, right, lower / unit, upper / unit)
+    np.testing.assert_allclose(other_columns * unit, known, atol=1e-11)
+
+
+def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
+    none = np.full(2, np.inf)
+    for unit in (1e-40, 1e-13, 1.0, 1e40):
+        asked = unit * np.array([1.0, -1.0])
+        # Along (1, 1) nothing is felt: the second number makes good what the first must do.
+        factor = np.array([[1.0, 1.0], [0.0, 0.1]])
+        found = bounded_step(factor, np.zeros(2), asked, none) / unit
+        np.testing.assert_allclose(found, [1.0, -1.0 / 1.01], rtol=1e-12)
+        assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
 
 
 def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
