@@ -1,4 +1,4 @@
-"""The disturbance observer: its worked example, separation, delays, resonant modes, noise."""
+"""The disturbance observer: its worked example, delays, resonant modes, published tunings."""
 
 from dataclasses import replace
 
@@ -8,27 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.design.chain import Section, plant_from_chain
-from piezoid.design.kalman import kalman_gain
-from piezoid.design.observer import (
-    DisturbanceObserver,
-    disturbance_model,
-    extended,
-    observer_with_gain,
-    place_observer,
-)
-from piezoid.design.observer_loop import (
-    error_poles,
-    linear_controller,
-    with_oscillators_as_states,
-)
-from piezoid.design.plant import Plant, plant_from_fraction
+from piezoid.design.observer import DisturbanceObserver, disturbance_model, place_observer
+from piezoid.design.observer_loop import error_poles, linear_controller, with_oscillators_as_states
+from piezoid.design.plant import Plant
 from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
-from piezoid.design.state_feedback import placed_gain
-from piezoid.errors import DesignError
-from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import from_roots, roots_of
 from tests.design.rig import RATE_Hz, lateral_chain, poles, printed_observer_poles
+from tests.design.stepping import with_observer, with_polynomials
 
 PRINTED = 5.1e-11
 PRINTED_CLOSED_LOOP = np.concatenate(
@@ -45,37 +32,6 @@ def example(gain: float = 1.0, delay_s: float = 0.0) -> tuple[Plant, Disturbance
     plant = plant_from_chain(lateral_chain(gain, delay_s))
     feedback, observer = printed_observer_poles()
     return plant, place_observer(plant, feedback_poles=feedback, observer_poles=observer)
-
-
-def run(
-    plant: Plant, o: DisturbanceObserver, reference: Array, d_V: Array, noise: Array
-) -> tuple[Array, Array]:
-    """Step plant and observer as the runtime does; return outputs and innovations."""
-    A, B, C = plant.realised()
-    c = o.disturbance.output
-    x, x_, w_ = np.zeros(len(A)), np.zeros(len(o.A)), np.zeros(len(c))
-    y, nu = np.empty(len(reference)), np.empty(len(reference))
-    for k, r in enumerate(reference):
-        y[k] = C @ x
-        nu[k] = y[k] + noise[k] - o.C @ x_
-        xh, wh = x_ + o.state_gain * nu[k], w_ + o.disturbance_gain * nu[k]
-        v = o.reference_gain * r - o.feedback_gain @ xh - c @ wh
-        x = A @ x + B * (v + d_V[k])
-        x_, w_ = o.A @ xh + o.B * (v + c @ wh), o.disturbance.transition @ wh
-    return y, nu
-
-
-def run_rst(plant: Plant, R: Array, S: Array, T: Array, reference: Array, d_V: Array) -> Array:
-    n = len(reference)
-    u, y = np.zeros(n), np.zeros(n)
-    for k in range(n):
-        y[k] = sum(
-            plant.B[j] * (u + d_V)[k - j] for j in range(1, min(k, len(plant.B) - 1) + 1)
-        ) - sum(plant.A[j] * y[k - j] for j in range(1, min(k, len(plant.A) - 1) + 1))
-        for p, s, sign in ((T, reference, 1), (R, y, -1)):
-            u[k] += sign * sum(p[j] * s[k - j] for j in range(min(k + 1, len(p))))
-        u[k] -= sum(S[j] * u[k - j] for j in range(1, min(k, len(S) - 1) + 1))
-    return y
 
 
 def test_the_worked_example_has_its_printed_coefficients():
@@ -152,16 +108,15 @@ def test_the_controller_contains_an_integrator(delay_s):
 def test_observer_and_polynomials_are_the_same_controller(delay_s, rng):
     plant, observer = example(delay_s=delay_s)
     reference, d_V = rng.normal(size=150), rng.normal(size=150)
-    y, _ = run(plant, observer, reference, d_V, np.zeros(150))
+    y, _ = with_observer(plant, observer, reference, d_V, np.zeros(150))
     c = linear_controller(observer)
-    np.testing.assert_allclose(
-        run_rst(plant, c.R, c.S, c.T, reference, d_V), y, atol=1e-8 * np.abs(y).max()
-    )
+    other = with_polynomials(plant, c, reference, d_V, np.zeros(150))
+    np.testing.assert_allclose(other, y, atol=1e-8 * np.abs(y).max())
 
 
 def test_a_constant_disturbance_leaves_nothing_and_the_reference_is_reached():
     plant, observer = example()
-    y, _ = run(plant, observer, np.ones(600), np.full(600, 0.4), np.zeros(600))
+    y, _ = with_observer(plant, observer, np.ones(600), np.full(600, 0.4), np.zeros(600))
     assert y[-1] == pytest.approx(1.0, abs=1e-10)
 
 
@@ -181,7 +136,7 @@ def test_an_oscillator_removes_a_sine_at_its_frequency():
     plain = linear_controller(example()[1])
     assert abs(sensitivities(plant, plain.R, plain.S, at).Syp[1]) > 0.5
     sine = np.sin(2 * np.pi * 100.0 / RATE_Hz * np.arange(4000))
-    y, _ = run(plant, resonant, np.zeros(4000), sine, np.zeros(4000))
+    y, _ = with_observer(plant, resonant, np.zeros(4000), sine, np.zeros(4000))
     assert np.abs(y[-400:]).max() <= 1e-6
 
 
@@ -207,90 +162,6 @@ def test_an_unknown_form_is_refused():
     feedback, observer = printed_observer_poles()
     with pytest.raises(ValueError, match="expected one of"):
         place_observer(plant, feedback_poles=feedback, observer_poles=observer, form="mpi")
-
-
-def test_state_feedback_places_random_and_repeated_poles(rng):
-    for _ in range(30):
-        order = int(rng.integers(1, 7))
-        A, B = rng.normal(size=(order, order)), rng.normal(size=order)
-        repeated = np.full(order, 0.5)
-        distinct = rng.uniform(-0.8, 0.8, order)
-        for wanted in (repeated, distinct):
-            K = placed_gain(A, B, wanted)
-            placed = np.poly(A - np.outer(B, K)).real
-            np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
-
-
-def test_a_state_that_the_input_cannot_reach_is_refused():
-    with pytest.raises(DesignError, match="cannot be moved"):
-        placed_gain(np.diag([0.5, 0.3]), np.array([1.0, 0.0]), [0.1, 0.2])
-
-
-def test_the_kalman_gain_solves_its_riccati_equation():
-    plant = plant_from_chain(lateral_chain())
-    model = disturbance_model(RATE_Hz)
-    found = kalman_gain(
-        plant, model, input_variance=1e-4, drift_variance=1e-3, sensor_variance=1e-2
-    )
-    # Second route: iterate the covariance from nothing.
-    A_e, C_e = extended(plant, model)
-    drive = np.concatenate([plant.input_taps.sum(axis=1), [0.0]])
-    Q = 1e-4 * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
-    P = np.eye(5)
-    for _ in range(4000):
-        variance = C_e @ P @ C_e + 1e-2
-        L = P @ C_e / variance
-        P = A_e @ (P - np.outer(L, C_e @ P)) @ A_e.T + Q
-    np.testing.assert_allclose(found.gain, L, rtol=1e-7)
-    assert found.innovation_variance == pytest.approx(variance, rel=1e-7)
-
-
-def test_innovations_of_a_kalman_observer_are_white_with_the_promised_variance(rng):
-    plant, model = plant_from_chain(lateral_chain()), disturbance_model(RATE_Hz)
-    found = kalman_gain(
-        plant, model, input_variance=1e-12, drift_variance=1e-3, sensor_variance=1e-2
-    )
-    observer = observer_with_gain(
-        plant,
-        found.gain,
-        feedback_poles=printed_observer_poles()[0],
-        form="affine",
-        disturbance=model,
-    )
-    n = 40_000
-    d_V = np.cumsum(np.sqrt(1e-3) * rng.normal(size=n))
-    _, nu = run(plant, observer, np.zeros(n), d_V, 0.1 * rng.normal(size=n))
-    nu = nu[1000:]
-    spread = 4.0 * np.sqrt(2.0 / len(nu))  # four standard deviations of a variance
-    assert nu.var() == pytest.approx(found.innovation_variance, rel=spread)
-    lagged = np.array([(nu[k:] * nu[:-k]).mean() for k in (1, 2, 5)]) / nu.var()
-    assert np.abs(lagged).max() <= 4.0 / np.sqrt(len(nu))
-
-
-def test_a_disturbance_the_output_does_not_show_has_no_observer():
-    blind = plant_from_fraction(
-        "blind", [0.0, 1.0, -1.0], [1.0, -0.5, 0.1], sampling_rate_Hz=RATE_Hz, output_unit="m"
-    )
-    with pytest.raises(DesignError, match="no stabilising solution"):
-        kalman_gain(
-            blind,
-            disturbance_model(RATE_Hz),
-            input_variance=1.0,
-            drift_variance=1.0,
-            sensor_variance=1.0,
-        )
-
-
-def test_a_drift_that_never_happens_is_refused():
-    plant = plant_from_chain(lateral_chain())
-    with pytest.raises(ValueError, match="an exact constant needs no observer"):
-        kalman_gain(
-            plant,
-            disturbance_model(RATE_Hz),
-            input_variance=0.0,
-            drift_variance=0.0,
-            sensor_variance=1.0,
-        )
 
 
 def test_the_four_published_tunings_have_their_published_margins():

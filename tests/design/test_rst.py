@@ -5,7 +5,6 @@ import pytest
 
 from piezoid.design.band_stop import BandStop, band_stop_polynomials
 from piezoid.design.chain import Section, plant_from_chain
-from piezoid.design.plant import Plant
 from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
     RstController,
@@ -18,6 +17,7 @@ from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product
 from tests.design.rig import RATE_Hz, random_chain, vertical_chain
+from tests.design.stepping import with_polynomials
 
 PRINTED = 5.1e-11  # half of the tenth decimal
 
@@ -33,23 +33,6 @@ def example(*, p_extra: Array | None = None, s_extra: Array | None = None) -> Rs
         H_R=OPEN_AT_NYQUIST,
         H_S=product([1.0, -1.0], one if s_extra is None else s_extra),
     )
-
-
-def run(plant: Plant, c: RstController, reference: Array, disturbance: Array) -> Array:
-    """Simulate S u = T r - R y and A y = B u sample by sample."""
-    n = len(reference)
-    u, y = np.zeros(n), np.zeros(n)
-    for k in range(n):
-        past = range(1, min(k, len(plant.B) - 1) + 1)
-        y[k] = sum(plant.B[j] * u[k - j] for j in past)
-        y[k] -= sum(
-            plant.A[j] * (y - disturbance)[k - j] for j in range(1, min(k, len(plant.A) - 1) + 1)
-        )
-        y[k] += disturbance[k]
-        u[k] = sum(c.T[j] * reference[k - j] for j in range(min(k + 1, len(c.T))))
-        u[k] -= sum(c.R[j] * y[k - j] for j in range(min(k + 1, len(c.R))))
-        u[k] -= sum(c.S[j] * u[k - j] for j in range(1, min(k, len(c.S) - 1) + 1))
-    return y
 
 
 def test_the_worked_example_has_its_printed_coefficients():
@@ -130,7 +113,8 @@ def test_fixed_parts_are_contained_in_r_and_s():
 
 def test_a_constant_disturbance_leaves_no_error_and_the_reference_is_reached():
     plant, c = plant_from_chain(vertical_chain()), example()
-    y = run(plant, c, np.ones(400), np.where(np.arange(400) > 200, 0.3, 0.0))
+    disturbance = np.where(np.arange(400) > 200, 0.3, 0.0)
+    y = with_polynomials(plant, c, np.ones(400), np.zeros(400), disturbance)
     assert y[199] == pytest.approx(1.0, abs=1e-9)
     assert y[-1] == pytest.approx(1.0, abs=1e-9)
 
@@ -143,7 +127,7 @@ def test_the_tracking_polynomial_leaves_only_zeros_delay_and_the_reference_model
     for k in range(200):
         past = range(1, min(k, 2) + 1)
         filtered[k] = 1.0 - sum(model[j] * filtered[k - j] for j in past)
-    y = run(plant, full, filtered, np.zeros(200))
+    y = with_polynomials(plant, full, filtered, np.zeros(200), np.zeros(200))
     # y must be B/B(1) times the model's step response, A_m(1)/A_m.
     expected = np.convolve(filtered * model.sum(), plant.B / plant.B.sum())[:200]
     np.testing.assert_allclose(y, expected, atol=1e-12)

@@ -1,0 +1,98 @@
+"""Both gains of an observer's loop: state feedback by placed poles, and that of Kalman."""
+
+import numpy as np
+import pytest
+
+from piezoid.design.chain import plant_from_chain
+from piezoid.design.kalman import kalman_gain
+from piezoid.design.observer import disturbance_model, extended, observer_with_gain
+from piezoid.design.plant import plant_from_fraction
+from piezoid.design.state_feedback import placed_gain
+from piezoid.errors import DesignError
+from piezoid.numerics.polynomial import from_roots
+from tests.design.rig import RATE_Hz, lateral_chain, printed_observer_poles
+from tests.design.stepping import with_observer
+
+
+def test_state_feedback_places_random_and_repeated_poles(rng):
+    for _ in range(30):
+        order = int(rng.integers(1, 7))
+        A, B = rng.normal(size=(order, order)), rng.normal(size=order)
+        repeated = np.full(order, 0.5)
+        distinct = rng.uniform(-0.8, 0.8, order)
+        for wanted in (repeated, distinct):
+            K = placed_gain(A, B, wanted)
+            placed = np.poly(A - np.outer(B, K)).real
+            np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
+
+
+def test_a_state_that_the_input_cannot_reach_is_refused():
+    with pytest.raises(DesignError, match="cannot be moved"):
+        placed_gain(np.diag([0.5, 0.3]), np.array([1.0, 0.0]), [0.1, 0.2])
+
+
+def test_the_kalman_gain_solves_its_riccati_equation():
+    plant = plant_from_chain(lateral_chain())
+    model = disturbance_model(RATE_Hz)
+    found = kalman_gain(
+        plant, model, input_variance=1e-4, drift_variance=1e-3, sensor_variance=1e-2
+    )
+    # Second route: iterate the covariance from nothing.
+    A_e, C_e = extended(plant, model)
+    drive = np.concatenate([plant.input_taps.sum(axis=1), [0.0]])
+    Q = 1e-4 * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
+    P = np.eye(5)
+    for _ in range(4000):
+        variance = C_e @ P @ C_e + 1e-2
+        L = P @ C_e / variance
+        P = A_e @ (P - np.outer(L, C_e @ P)) @ A_e.T + Q
+    np.testing.assert_allclose(found.gain, L, rtol=1e-7)
+    assert found.innovation_variance == pytest.approx(variance, rel=1e-7)
+
+
+def test_innovations_of_a_kalman_observer_are_white_with_the_promised_variance(rng):
+    plant, model = plant_from_chain(lateral_chain()), disturbance_model(RATE_Hz)
+    found = kalman_gain(
+        plant, model, input_variance=1e-12, drift_variance=1e-3, sensor_variance=1e-2
+    )
+    observer = observer_with_gain(
+        plant,
+        found.gain,
+        feedback_poles=printed_observer_poles()[0],
+        form="affine",
+        disturbance=model,
+    )
+    n = 40_000
+    d_V = np.cumsum(np.sqrt(1e-3) * rng.normal(size=n))
+    _, nu = with_observer(plant, observer, np.zeros(n), d_V, 0.1 * rng.normal(size=n))
+    nu = nu[1000:]
+    spread = 4.0 * np.sqrt(2.0 / len(nu))  # four standard deviations of a variance
+    assert nu.var() == pytest.approx(found.innovation_variance, rel=spread)
+    lagged = np.array([(nu[k:] * nu[:-k]).mean() for k in (1, 2, 5)]) / nu.var()
+    assert np.abs(lagged).max() <= 4.0 / np.sqrt(len(nu))
+
+
+def test_a_disturbance_the_output_does_not_show_has_no_observer():
+    blind = plant_from_fraction(
+        "blind", [0.0, 1.0, -1.0], [1.0, -0.5, 0.1], sampling_rate_Hz=RATE_Hz, output_unit="m"
+    )
+    with pytest.raises(DesignError, match="no stabilising solution"):
+        kalman_gain(
+            blind,
+            disturbance_model(RATE_Hz),
+            input_variance=1.0,
+            drift_variance=1.0,
+            sensor_variance=1.0,
+        )
+
+
+def test_a_drift_that_never_happens_is_refused():
+    plant = plant_from_chain(lateral_chain())
+    with pytest.raises(ValueError, match="an exact constant needs no observer"):
+        kalman_gain(
+            plant,
+            disturbance_model(RATE_Hz),
+            input_variance=0.0,
+            drift_variance=0.0,
+            sensor_variance=1.0,
+        )
