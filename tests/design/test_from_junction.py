@@ -13,7 +13,8 @@ from piezoid.identification.model import ActuatorModel
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling
-from tests.design.junction_lab import LAB, RATE_Hz, loop_plant
+from tests.design.junction_lab import LAB, loop_plant
+from tests.design.rig import RATE_Hz
 
 LOOP = TunnellingModel(gap_law=None, loop_plant=loop_plant())
 

@@ -9,7 +9,8 @@ from piezoid.errors import LabFileError
 from piezoid.export.tip_guards import tip_guards
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import Tunnelling
-from tests.design.junction_lab import LAB, RATE_Hz, loop_plant
+from tests.design.junction_lab import LAB, loop_plant
+from tests.design.rig import RATE_Hz
 
 ASKED = vertical_task(TunnellingModel(gap_law=None, loop_plant=loop_plant()), LAB).specification
 

@@ -12,8 +12,8 @@ from piezoid.verification.plant import Hysteresis, lateral_plant
 from piezoid.verification.stage import verify_stage
 from piezoid.verification.uncertainty import varied_plants
 from tests.identification.dynamics.stage import truth
-from tests.verification.known_fit import RATE_Hz, fitted, junction_model, shipped
-from tests.verification.rig import stage
+from tests.verification.known_fit import fitted, junction_model, shipped
+from tests.verification.rig import RATE_Hz, stage
 
 
 def test_the_plant_is_the_models_own_simulation():

@@ -19,7 +19,8 @@ from piezoid.verification.stage import plant_of
 from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
 from piezoid_cli.verify import verify
-from tests.verification.known_fit import RATE_Hz, fitted, junction_model
+from tests.verification.known_fit import fitted, junction_model
+from tests.verification.rig import RATE_Hz
 
 APP = typer.Typer()
 APP.command()(export)
