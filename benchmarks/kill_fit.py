@@ -1,22 +1,27 @@
 """Kill `piezoid fit` at random moments: the folder of results is the old one or the new one.
 
-    python -m benchmarks.kill_fit [KILLS [WRITES [SEED]]]
+    python -m benchmarks.kill_fit [--kills 20] [--writes 200] [--seed 9] [--seconds 420]
 
-KILLS whole runs are killed at moments drawn over the processor time of a run, so that a busy
+Whole runs are killed at moments drawn over the processor time of a run, so that a busy
 machine moves none of them. Nearly all of a run is arithmetic, so a second series aims at the disk:
-WRITES runs hold the finished calibration of a first one, and are killed while they put it in
-place, half of them over an older folder. Another SEED draws other moments.
-The code must not change meanwhile: a whole folder with other bytes is counted apart, as broken.
+runs that hold the finished calibration of a first one are killed while they put it in place, half
+of them over an older folder. Another seed draws other moments.
+What was seen is kept in build/kill_fit/, from which a series that was cut off by ``--seconds`` is
+continued. The code must not change meanwhile: a whole folder with other bytes is counted apart, as
+broken; removing build/kill_fit/ starts anew.
 """
 
+import argparse
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +29,11 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.provenance import unseal
 
+KEPT = Path(__file__).parents[1] / "build" / "kill_fit"
 OLD = {"model.json": b"old", "bundle/a.h": b"old"}
+FIT = (sys.executable, "-m", "piezoid_cli.main", "fit", "--quiet")
+Run = Callable[[Path, int, float], Counter[str]]
+WRONG = ("BROKEN", "LOST", "WHOLE, BUT OTHER BYTES")
 
 
 def recording(place: Path) -> None:
@@ -49,12 +58,15 @@ def put(folder: Path, contents: dict[str, bytes]) -> None:
         (folder / name).write_bytes(content)
 
 
-def sight(folder: Path, new: dict[str, bytes]) -> str:
-    """Say what a killed run left: ``old``, ``new``, ``nothing``, or what is wrong with it."""
+def sight(folder: Path, new: dict[str, bytes], *, stood: bool) -> str:
+    """Say what a killed run left: ``old``, ``new``, ``nothing``, or what is wrong with it.
+
+    stood  whether an older folder was there
+    """
     if not folder.exists():
-        return "nothing"
+        return "LOST" if stood else "nothing"
     found = held(folder)
-    if found == OLD:
+    if stood and found == OLD:
         return "old"
     if found == new:
         return "new"
@@ -86,77 +98,105 @@ def killed_after(process: "subprocess.Popen[bytes]", moment_s: float) -> None:
         time.sleep(0.002)
 
 
-def whole_runs(place: Path, kills: int, rng: np.random.Generator) -> Counter[str]:
-    """Kill the program as it is; the first run, left alone, says how long one takes."""
-    fit = [sys.executable, "-m", "piezoid_cli.main", "fit", str(place / "s.csv"), "--quiet"]
-    before = os.times()
-    subprocess.run([*fit, "--out", str(place / "known")], check=False)
-    after = os.times()
-    length_s = sum(after[2:4]) - sum(before[2:4])
+def first_run(place: Path) -> tuple[float, dict[str, bytes]]:
+    """Return how long a run works that is left alone, and what it writes; once for all series."""
+    length = place / "length_s"
+    if not length.exists():
+        recording(place / "s.csv")
+        before = os.times()
+        subprocess.run([*FIT, str(place / "s.csv"), "--out", str(place / "known")], check=False)
+        after = os.times()
+        length.write_text(f"{sum(after[2:4]) - sum(before[2:4])}\n")
     new = held(place / "known")
     assert "model.json" in new, "the run that was left alone wrote nothing"
-    print(f"a run works for {length_s:.1f} s and writes {len(new)} files", flush=True)
-    seen: Counter[str] = Counter()
-    for k in range(kills):
-        folder = place / f"whole{k}" / "stage"
+    return float(length.read_text()), new
+
+
+def whole_run(place: Path, k: int, moment: float) -> Counter[str]:
+    """Kill the program as it is after a share of its work."""
+    length_s, new = first_run(place)
+    folder, stood = laid_out(place / "whole", k)
+    process = subprocess.Popen([*FIT, str(place / "s.csv"), "--out", str(folder), "--force"])
+    killed_after(process, 1.05 * moment * length_s)
+    return Counter([sight(folder, new, stood=stood)]) + Counter(
+        {"ended before": int(process.returncode != -signal.SIGKILL)}
+    )
+
+
+def writing_run(place: Path, k: int, moment: float) -> Counter[str]:
+    """Kill a child that has the calibration already, at a share of the time of its writing."""
+    _, new = first_run(place)
+    whole_s = writing_alone_s(place)
+    folder, stood = laid_out(place / "write", k)
+    written_s(folder, place, 1.2 * moment * whole_s)
+    remains = len(list(folder.parent.glob(".stage.*")))
+    return Counter([sight(folder, new, stood=stood)]) + Counter({"remains of the killed": remains})
+
+
+def laid_out(place: Path, k: int) -> tuple[Path, bool]:
+    """Return where a run is to write, and whether an older folder stands there: in every other."""
+    folder, stood = place / "stage", k % 2 == 0
+    shutil.rmtree(folder, ignore_errors=True)
+    if stood:
         put(folder, OLD)
-        process = subprocess.Popen([*fit, "--out", str(folder), "--force"])
-        killed_after(process, rng.uniform(0, 1.05 * length_s))
-        seen[sight(folder, new)] += 1
-        seen["ended before"] += process.returncode != -signal.SIGKILL
-    return seen
+    return folder, stood
 
 
-def writing_runs(place: Path, kills: int, rng: np.random.Generator) -> Counter[str]:
-    """Kill children that have the calibration already, at moments drawn over their writing."""
+@cache
+def writing_alone_s(place: Path) -> float:
+    """Calibrate once for all children to come, and return how long one of them writes."""
     from piezoid_cli import calibration
+
+    found = calibration.calibrate([place / "s.csv"], None, lambda _: None)
+    assert dict(found.files) == first_run(place)[1], "the same recording gave other bytes"
+    calibration.calibrate = lambda *_: found
+    return written_s(place / "alone" / "stage", place, None)
+
+
+def written_s(folder: Path, place: Path, until_s: float | None) -> float:
+    """Let a child write, until it is killed; return how long that took."""
     from piezoid_cli.fit import fit
 
-    new = held(place / "known")
-    found = calibration.calibrate([place / "s.csv"], None, lambda _: None)
-    assert dict(found.files) == new, "the same recording gave other bytes"
-    calibration.calibrate = lambda *_: found
-    seen: Counter[str] = Counter()
-    length_s = 0.0
-    for k in range(kills + 1):
-        folder = place / f"write{k % 2}" / "stage"
-        if k % 2 == 0:
-            put(folder, OLD)
-        began = time.perf_counter()
-        child = os.fork()
-        if child == 0:
-            try:
-                fit([place / "s.csv"], folder, force=True, quiet=True)
-            finally:
-                os._exit(0)
-        if length_s:
-            time.sleep(rng.uniform(0, 1.2 * length_s))
-            os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-        length_s = length_s or time.perf_counter() - began
-        if k:
-            seen[sight(folder, new)] += 1
-            seen["remains of the killed"] += len(list(folder.parent.glob(".stage.*")))
-        subprocess.run(["rm", "-rf", str(folder)], check=True)
+    began = time.perf_counter()
+    child = os.fork()
+    if child == 0:
+        try:
+            fit([place / "s.csv"], folder, force=True, quiet=True)
+        finally:
+            os._exit(0)
+    if until_s is not None:
+        time.sleep(until_s)
+        os.kill(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return time.perf_counter() - began
+
+
+def series(what: str, one: Run, count: int, seed: int, until: float) -> Counter[str]:
+    """Go on with a series, and return what was seen of it so far; print it."""
+    kept = KEPT / f"{what} {seed}.json"
+    seen = Counter(json.loads(kept.read_text()) if kept.exists() else {})
+    while seen["killed"] < count and time.monotonic() < until:
+        k = seen["killed"]
+        seen.update(one(KEPT, k, float(np.random.default_rng([seed, k]).random())))
+        seen["killed"] += 1
+        kept.write_text(json.dumps(seen))
+    print(f"{what}: of {count} killed {seen['killed']}, left: {dict(sorted(seen.items()))}")
     return seen
 
 
 def main() -> None:
     """Print what was left; end with status 1 where anything was broken."""
-    kills = int(sys.argv[1]) if len(sys.argv) > 1 else 20
-    writes = int(sys.argv[2]) if len(sys.argv) > 2 else 10 * kills
-    rng = np.random.default_rng(int(sys.argv[3]) if len(sys.argv) > 3 else 9)
-    with tempfile.TemporaryDirectory() as name:
-        place = Path(name)
-        recording(place / "s.csv")
-        for what, series, count in (
-            ("whole runs", whole_runs, kills),
-            ("while writing", writing_runs, writes),
-        ):
-            seen = series(place, count, rng)
-            print(f"{what}: {count} killed, left: {dict(sorted(seen.items()))}", flush=True)
-            if seen["BROKEN"] + seen["WHOLE, BUT OTHER BYTES"]:
-                sys.exit(1)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--kills", type=int, default=20)
+    parser.add_argument("--writes", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=9)
+    parser.add_argument("--seconds", type=float, default=420.0)
+    asked = parser.parse_args()
+    until = time.monotonic() + asked.seconds
+    KEPT.mkdir(parents=True, exist_ok=True)
+    seen = series("whole runs", whole_run, asked.kills, asked.seed, until)
+    seen = seen + series("while writing", writing_run, asked.writes, asked.seed, until)
+    sys.exit(int(any(seen[wrong] for wrong in WRONG)))
 
 
 if __name__ == "__main__":
