@@ -1,5 +1,6 @@
 """Files read in blocks: what a whole reading finds, gap for gap and refusal for refusal."""
 
+import gzip
 import itertools
 from collections.abc import Callable
 from pathlib import Path
@@ -76,6 +77,18 @@ def test_each_block_begins_with_the_last_row_of_the_one_before(
         joined = np.concatenate([blocks[0].columns[k].values, *parts])
         np.testing.assert_array_equal(joined, column.values)
         assert blocks[-1].columns[k].place == column.place
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.parquet", "run.tdms"])
+def test_what_is_packed_and_cannot_be_leapt_in_is_refused_with_the_way_out(
+    name: str, write: Callable[[str], Path]
+) -> None:
+    packed = write(name).with_name(f"{name}.gz")
+    packed.write_bytes(gzip.compress(write(name).read_bytes()))
+    with pytest.raises(UnreadableFileError, match=r"packed by gzip.* gunzip") as refusal:
+        refused([packed])
+    assert "damaged" not in str(refusal.value)
+    assert "Copy" not in str(refusal.value)
 
 
 def test_there_is_a_file_for_every_format_of_blocks() -> None:

@@ -48,6 +48,7 @@ class Source:
     suffix    of the name in small letters, without ``.gz``
     digest    of the file's bytes
     head      the first bytes of what it holds, decompressed
+    packed    whether the file is compressed as a whole, by gzip
     unpacked  the whole content where the file was compressed, else None
     """
 
@@ -55,6 +56,7 @@ class Source:
     suffix: str
     digest: str
     head: bytes
+    packed: bool
     unpacked: bytes | None
 
     @property
@@ -92,10 +94,10 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
             needed="a file that can be read",
             remedy="Check the name and the permissions.",
         ) from error
-    unpacked = None
+    unpacked, packed = None, head.startswith(b"\x1f\x8b")
     if whole:
         check_size(path.name, size, limit)
-    if head.startswith(b"\x1f\x8b"):
+    if packed:
         unpacked = _unpack(
             path, min(limit, growth_limit(size)) if whole else HEAD_SIZE, whole=whole
         )
@@ -113,6 +115,7 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
         suffix=Path(inner).suffix.lower(),
         digest=digest,
         head=head,
+        packed=packed,
         unpacked=unpacked if whole else None,
     )
 

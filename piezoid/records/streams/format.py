@@ -22,10 +22,12 @@ class BlockFormat:
     reader  the reader of whole files of this format: the same file is recognised alike
     blocks  yields a file's table in parts of about so many rows. Every part begins with the last
             row of the part before, so that a gap between two parts is seen inside one.
+    unpacks whether a file compressed by gzip is read as well: from front to back, without leaps
     """
 
     reader: Reader
     blocks: Callable[[Source, int], Iterator[RawTable]]
+    unpacks: bool = False
 
 
 def recut(pieces: Iterable[Arrays], rows: int) -> Iterator[tuple[int, Arrays]]:

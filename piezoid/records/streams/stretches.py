@@ -20,6 +20,7 @@ from piezoid.records.readers import READERS
 from piezoid.records.readers.source import Source, unreadable
 from piezoid.records.recording import Problem, Quantity, Recording
 from piezoid.records.streams import FORMATS
+from piezoid.records.streams.format import BlockFormat
 from piezoid.records.table import RawTable
 
 ROWS = 1 << 17  # of a block: some megabytes a column
@@ -102,6 +103,7 @@ def _tables(source: Source, rows: int) -> Iterator[RawTable]:
     reader = next((reader for reader in READERS if reader.recognises(source)), None)
     for known in FORMATS:
         if known.reader is reader:
+            _refuse_packed(source, known)
             return known.blocks(source, max(rows, _LEAST_ROWS))
     raise unreadable(
         source.name,
@@ -110,6 +112,16 @@ def _tables(source: Source, rows: int) -> Iterator[RawTable]:
         remedy="Export the recording in one of these formats, or cut it into files that fit into "
         "memory.",
     )
+
+
+def _refuse_packed(source: Source, known: BlockFormat) -> None:
+    if source.packed and not known.unpacks:
+        raise unreadable(
+            source.name,
+            f"it is {known.reader.name} packed by gzip, which can only be read from front to back",
+            needed="the file itself, to be read in blocks",
+            remedy="Unpack it with gunzip; or read it whole where it fits into memory.",
+        )
 
 
 def _rows_with_numbers(table: RawTable, assignment: Assignment) -> np.ndarray:

@@ -171,4 +171,4 @@ def _refuse_dates(block: Block, name: str, line: int) -> None:
         )
 
 
-FORMAT = BlockFormat(reader=text_table.READER, blocks=blocks)
+FORMAT = BlockFormat(reader=text_table.READER, blocks=blocks, unpacks=True)
