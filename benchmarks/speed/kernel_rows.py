@@ -1,105 +1,112 @@
 """Play bank, model and inverse: against loops, chains of min and max, and a copy."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.speed import loops
 from benchmarks.speed.drives import bank, drive_V, model, thresholds_V
+from benchmarks.speed.growths import growths
 from benchmarks.speed.machine import chains
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row
 from piezoid.numerics.arrays import Array
 
 BANK, FORWARD, INVERSE = "play bank", "model forward", "inverse"
-LOOPED = 5000  # samples of the NumPy loops, which are slow
+LOOPED = slice(0, 5000)  # samples of the NumPy loops, which are slow
 CLOSE = {"rtol": 1e-9, "atol": 1e-15}
-PARTS = (16, 4, 1)  # one in so many of all samples
-PLAYS = (4, 8, 16, 32, 64)
+WIDTHS = (4, 8, 16, 32, 64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Kernel:
+    """One stage, the same as a NumPy loop over some samples, and by numba (None without it)."""
+
+    ours: Callable[[], Array]
+    looped: Callable[[slice], Array]
+    compiled: Callable[[], Array | None]
 
 
 def kernel_rows(watch: Stopwatch, samples: int) -> list[Row]:
     """Return a row each, all results compared before they are timed."""
-    u_V, known = drive_V(samples), model()
+    u_V = drive_V(samples)
+    kernels = kernels_of(u_V)
+    for one in kernels.values():
+        compare(one)
+    own_s = {stage: watch.cpu_s(one.ours) for stage, one in kernels.items()}
+    bounds = bounds_of(watch, u_V, own_s)
+    return [row_of(watch, stage, kernels[stage], own_s[stage], bounds[stage]) for stage in kernels]
+
+
+def kernels_of(u_V: Array) -> dict[str, Kernel]:
+    """Return the three with their rivals; the inverse is asked for what the model makes."""
+    known = model()
     rest = known.virgin_memory()
     y_m, _ = known.run(u_V, rest)
-    columns = bank(u_V)
-    forward_s = watch.cpu_s(lambda: known.run(u_V, rest))
-    return [
-        _bank_row(watch, u_V, columns),
-        _row(
-            watch,
-            FORWARD,
-            (lambda: known.run(u_V, rest)[0]),
-            (lambda part: loops.numpy_forward(u_V[part], known)),
-            (lambda: loops.numba_forward(u_V, known)),
-            _in_chains(watch, forward_s, u_V),
+    return {
+        BANK: Kernel(
+            ours=lambda: bank(u_V),
+            looped=lambda part: loops.numpy_bank(u_V[part], thresholds_V()),
+            compiled=lambda: loops.numba_bank(u_V, thresholds_V()),
         ),
-        _row(
-            watch,
-            INVERSE,
-            (lambda: known.inverse_run(y_m, rest)[0]),
-            (lambda part: loops.numpy_inverse(y_m[part], known)),
-            (lambda: loops.numba_inverse(y_m, known)),
-            {"model forward": watch.cpu_s(lambda: known.inverse_run(y_m, rest)) / forward_s},
+        FORWARD: Kernel(
+            ours=lambda: known.run(u_V, rest)[0],
+            looped=lambda part: loops.numpy_forward(u_V[part], known),
+            compiled=lambda: loops.numba_forward(u_V, known),
         ),
-    ]
+        INVERSE: Kernel(
+            ours=lambda: known.inverse_run(y_m, rest)[0],
+            looped=lambda part: loops.numpy_inverse(y_m[part], known),
+            compiled=lambda: loops.numba_inverse(y_m, known),
+        ),
+    }
 
 
-def _bank_row(watch: Stopwatch, u_V: Array, columns: Array) -> Row:
-    wall, own_s = columns.copy(order="F"), watch.cpu_s(lambda: bank(u_V))
-    return _row(
-        watch,
-        BANK,
-        (lambda: bank(u_V)),
-        (lambda part: loops.numpy_bank(u_V[part], thresholds_V())),
-        (lambda: loops.numba_bank(u_V, thresholds_V())),
-        {
-            **_in_chains(watch, own_s, u_V),
-            "copy of its columns": own_s / watch.cpu_s(lambda: np.copyto(wall, columns)),
-        },
-    )
-
-
-def _in_chains(watch: Stopwatch, own_s: float, u_V: Array) -> dict[str, float]:
-    work = chains(u_V, thresholds_V())
-    if work is None:
-        return {}
-    np.testing.assert_array_equal(work(), bank(u_V)[-1])
-    return {"chains of min and max": own_s / watch.cpu_s(work)}
-
-
-def _row(
-    watch: Stopwatch,
-    stage: str,
-    ours: Callable[[], Array],
-    looped: Callable[[slice], Array],
-    compiled: Callable[[], Array | None],
-    bounds: dict[str, float],
-) -> Row:
-    """Return one row; the loops' results have to be ours."""
-    expected, part = ours(), slice(0, LOOPED)
-    np.testing.assert_allclose(looped(part), expected[part], **CLOSE)
-    own_s, by_numba = watch.cpu_s(ours), compiled()
+def compare(kernel: Kernel) -> None:
+    """Stop unless the loops' results are ours."""
+    expected, by_numba = kernel.ours(), kernel.compiled()
+    np.testing.assert_allclose(kernel.looped(LOOPED), expected[LOOPED], **CLOSE)
     if by_numba is not None:
         np.testing.assert_allclose(by_numba, expected, **CLOSE)
+
+
+def bounds_of(
+    watch: Stopwatch, u_V: Array, own_s: dict[str, float]
+) -> dict[str, dict[str, float]]:
+    """Return how many times as long as chains, as a copy, as one another the three take."""
+    columns, work = bank(u_V), chains(u_V, thresholds_V())
+    wall = columns.copy(order="F")
+    found: dict[str, dict[str, float]] = {BANK: {}, FORWARD: {}, INVERSE: {}}
+    if work is not None:
+        np.testing.assert_array_equal(work(), columns[-1])
+        chains_s = watch.cpu_s(work)
+        for stage in (BANK, FORWARD):
+            found[stage]["chains of min and max"] = own_s[stage] / chains_s
+    copy_s = watch.cpu_s(lambda: np.copyto(wall, columns))
+    found[BANK]["copy of its columns"] = own_s[BANK] / copy_s
+    found[INVERSE]["model forward"] = own_s[INVERSE] / own_s[FORWARD]
+    return found
+
+
+def row_of(
+    watch: Stopwatch, stage: str, kernel: Kernel, own_s: float, bounds: dict[str, float]
+) -> Row:
+    """Return one row; the NumPy loop's time is that of as many samples as ours."""
+    expected = kernel.ours()
+    share = len(expected[LOOPED]) / len(expected)
+    has_numba = kernel.compiled() is not None
     return Row(
         stage=stage,
-        loop=watch.cpu_s(lambda: looped(part)) / own_s * len(expected) / len(expected[part]),
-        compiled=None if by_numba is None else watch.cpu_s(compiled) / own_s,
+        loop=watch.cpu_s(lambda: kernel.looped(LOOPED)) / share / own_s,
+        compiled=watch.cpu_s(kernel.compiled) / own_s if has_numba else None,
         bounds=bounds,
     )
 
 
 def kernel_growths(watch: Stopwatch, samples: int) -> list[Growth]:
     """Return how the three grow with samples and plays."""
-    found = []
-    for stage, work in ((BANK, _bank), (FORWARD, _forward), (INVERSE, _inverse)):
-        lengths = {samples // n: work(samples // n, 16) for n in PARTS}
-        widths = {plays: work(samples // 4, plays) for plays in PLAYS}
-        found.append(watch.grown(stage, "samples", lengths))
-        found.append(watch.grown(stage, "plays", widths))
-    return found
+    return growths(watch, {BANK: _bank, FORWARD: _forward, INVERSE: _inverse}, samples, WIDTHS)
 
 
 def _bank(samples: int, plays: int) -> Callable[[], object]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from benchmarks.speed import solvers
 from benchmarks.speed.drives import PLAYS, ZONES, bank, drive_V, noisy_sum, piece_of, program_of
+from benchmarks.speed.growths import growths
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row
 from piezoid.identification.hysteresis.coordinates import Shape
@@ -15,7 +16,6 @@ WEIGHTS, PROGRAM, SHAPE = "weights of the plays", "Kuhnen's program", "fit of on
 SAME = 1e-4  # of the largest weight: an interior-point solver stops there
 AS_GOOD = 1.02  # how much more a search by differences may leave
 WIDTHS = (4, 8, 16, 32)
-PARTS = (16, 4, 1)  # one in so many of all samples
 
 
 def weights_row(watch: Stopwatch, samples: int) -> Row:
@@ -72,13 +72,7 @@ def shape_of(plays: int) -> Shape:
 
 def program_growths(watch: Stopwatch, samples: int) -> list[Growth]:
     """Return how the three grow with samples and plays."""
-    found = []
-    for stage, work in ((WEIGHTS, _weights), (PROGRAM, _program), (SHAPE, _shape)):
-        lengths = {samples // n: work(samples // n, PLAYS) for n in PARTS}
-        widths = {plays: work(samples // 4, plays) for plays in WIDTHS}
-        found.append(watch.grown(stage, "samples", lengths))
-        found.append(watch.grown(stage, "plays", widths))
-    return found
+    return growths(watch, {WEIGHTS: _weights, PROGRAM: _program, SHAPE: _shape}, samples, WIDTHS)
 
 
 def _weights(samples: int, plays: int) -> Callable[[], object]:
