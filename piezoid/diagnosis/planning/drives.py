@@ -4,6 +4,9 @@ Each begins with cycles over the whole range, and begins and ends at rest. Slow 
 a part of the converter's clock, so that a file of minutes stays readable.
 """
 
+from collections.abc import Callable
+from functools import wraps
+
 import numpy as np
 
 from piezoid.diagnosis.planning.bench import Bench
@@ -26,11 +29,14 @@ SLOW_Hz = 500.0
 SLOWER_Hz = 100.0
 SMALL = (1.0, 0.3, 0.1)  # amplitudes of the grid of sines, of half the range
 GRID_Hz = (0.97, 3.1, 9.7, 31.0, 97.0, 310.0)  # low harmonics miss the mains
+ROWS = 20.0  # of the fastest sine
 RAMP_ROWS = 1000.0  # of the fastest triangle
 MULTISINE_RMS = 0.02  # of half the range, before the slew limit
 MULTISINE_PERIODS = 10
 
 Made = tuple[float, Array, dict[str, Array]]  # rate in Hz, (samples,) volts, and of other axes
+Maker = Callable[[Bench, np.random.Generator], Made]
+Body = Callable[[Bench, float, np.random.Generator], Array]  # (..., rate in Hz, ...) -> volts
 
 
 def slower(clock_Hz: float, wanted_Hz: float) -> float:
@@ -38,53 +44,63 @@ def slower(clock_Hz: float, wanted_Hz: float) -> float:
     return clock_Hz / max(int(np.ceil(clock_Hz / wanted_Hz - 1e-9)), 1)
 
 
-def nested_loops(bench: Bench, _: np.random.Generator) -> Made:
+def at(wanted_Hz: float) -> Callable[[Body], Maker]:
+    """Make a drive of this axis alone of what it plays between the cycles and rest.
+
+    wanted_Hz  rate it is played at, where the clock has that part
+    """
+
+    def maker(body: Body) -> Maker:
+        @wraps(body)
+        def made(bench: Bench, rng: np.random.Generator) -> Made:
+            rate_Hz = slower(bench.clock_Hz, wanted_Hz)
+            return _alone(bench, rate_Hz, body(bench, rate_Hz, rng))
+
+        return made
+
+    return maker
+
+
+def _alone(bench: Bench, rate_Hz: float, body_V: Array) -> Made:
+    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+
+
+@at(SLOW_Hz)
+def nested_loops(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return nested minor loops, slow."""
-    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
-    body_V = decaying_loops(bench.limits, rate_Hz, frequency_Hz=0.5, cycles=12)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return decaying_loops(bench.limits, rate_Hz, frequency_Hz=0.5, cycles=12)
 
 
-def curves(bench: Bench, _: np.random.Generator) -> Made:
+@at(SLOW_Hz)
+def curves(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return first-order reversal curves."""
-    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
-    body_V = reversal_curves(bench.limits, rate_Hz, curves=10, move_s=1.0)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return reversal_curves(bench.limits, rate_Hz, curves=10, move_s=1.0)
 
 
-def levels(bench: Bench, rng: np.random.Generator) -> Made:
+@at(SLOWER_Hz)
+def levels(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
     """Return random levels, each held."""
-    return _held(bench, rng, levels=20, hold_s=8.0, mirrored=False)
+    return held_levels(bench.limits, rate_Hz, levels=20, hold_s=8.0, mirrored=False, rng=rng)
 
 
-def mirrored_levels(bench: Bench, rng: np.random.Generator) -> Made:
+@at(SLOWER_Hz)
+def mirrored_levels(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
     """Return random levels and their mirror image, each held."""
-    return _held(bench, rng, levels=10, hold_s=8.0, mirrored=True)
+    return held_levels(bench.limits, rate_Hz, levels=10, hold_s=8.0, mirrored=True, rng=rng)
 
 
-def _held(
-    bench: Bench, rng: np.random.Generator, *, levels: int, hold_s: float, mirrored: bool
-) -> Made:
-    rate_Hz = slower(bench.clock_Hz, SLOWER_Hz)
-    body_V = held_levels(
-        bench.limits, rate_Hz, levels=levels, hold_s=hold_s, mirrored=mirrored, rng=rng
-    )
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
-
-
-def sines(bench: Bench, _: np.random.Generator) -> Made:
+@at(ROWS * max(GRID_Hz))
+def sines(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return sines of every amplitude at every frequency."""
-    rate_Hz = slower(bench.clock_Hz, 20.0 * max(GRID_Hz))
-    usable = [f for f in GRID_Hz if f <= rate_Hz / 20.0]
-    body_V = sine_grid(bench.limits, rate_Hz, shares=SMALL, frequencies_Hz=usable, block_s=0.5)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    usable = [f for f in GRID_Hz if f <= rate_Hz / ROWS]
+    return sine_grid(bench.limits, rate_Hz, shares=SMALL, frequencies_Hz=usable, block_s=0.5)
 
 
-def small_multisine(bench: Bench, rng: np.random.Generator) -> Made:
+@at(np.inf)  # the clock itself
+def small_multisine(bench: Bench, rate_Hz: float, rng: np.random.Generator) -> Array:
     """Return a small multisine up to a tenth of the clock."""
     low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    rate_Hz, highest_Hz = bench.clock_Hz, bench.clock_Hz / 10.0
-    lines = odd_lines(5.0, highest_Hz, 1.0, left_out_of=4, rng=rng)
+    lines = odd_lines(5.0, rate_Hz / 10.0, 1.0, left_out_of=4, rng=rng)
     # the rms speed of equal lines, with room for a peak of four times as much
     turning = 2 * np.pi * float(np.sqrt(np.mean(lines.astype(float) ** 2)))
     rms_V = min(MULTISINE_RMS * (high - low) / 2, bench.limits.slew_V_per_s / (5.0 * turning))
@@ -100,7 +116,7 @@ def small_multisine(bench: Bench, rng: np.random.Generator) -> Made:
         limits=bench.limits,
         rng=rng,
     )
-    return rate_Hz, between(drive.voltage_V[:, 0], rate_Hz, bench.limits), {}
+    return drive.voltage_V[:, 0]
 
 
 def other_axes(bench: Bench, _: np.random.Generator) -> Made:
@@ -144,36 +160,34 @@ def ramps(bench: Bench, _: np.random.Generator) -> Made:
     span_V = bench.limits.voltage_max_V - bench.limits.voltage_min_V
     fastest_Hz = bench.limits.slew_V_per_s / (2.0 * span_V)
     rate_Hz = slower(bench.clock_Hz, max(RAMP_ROWS * fastest_Hz, SLOWER_Hz))
-    body_V = rising_ramps(bench.limits, rate_Hz, slowest=0.1, steps=8)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return _alone(bench, rate_Hz, rising_ramps(bench.limits, rate_Hz, slowest=0.1, steps=8))
 
 
-def hold(bench: Bench, _: np.random.Generator) -> Made:
+@at(SLOWER_Hz)
+def hold(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return five minutes at mid-range."""
-    rate_Hz = slower(bench.clock_Hz, SLOWER_Hz)
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    body_V = np.full(round(300.0 * rate_Hz), (low + high) / 2)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return _still(bench.limits, rate_Hz, 300.0)
 
 
-def idle(bench: Bench, _: np.random.Generator) -> Made:
+@at(2000.0)
+def idle(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return twenty seconds at mid-range, sampled fast."""
-    rate_Hz = slower(bench.clock_Hz, 2000.0)
-    low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    body_V = np.full(round(20.0 * rate_Hz), (low + high) / 2)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return _still(bench.limits, rate_Hz, 20.0)
 
 
-def cycles(bench: Bench, _: np.random.Generator) -> Made:
+def _still(limits: DriveLimits, rate_Hz: float, time_s: float) -> Array:
+    low, high = limits.voltage_min_V, limits.voltage_max_V
+    return np.full(round(time_s * rate_Hz), (low + high) / 2)
+
+
+@at(SLOW_Hz)
+def cycles(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return the same full cycle over and over."""
-    rate_Hz = slower(bench.clock_Hz, SLOW_Hz)
-    body_V = equal_cycles(bench.limits, rate_Hz, frequency_Hz=0.97, cycles=40)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return equal_cycles(bench.limits, rate_Hz, frequency_Hz=0.97, cycles=40)
 
 
-def slow_ramp(bench: Bench, _: np.random.Generator) -> Made:
+@at(1000.0)
+def slow_ramp(bench: Bench, rate_Hz: float, _: np.random.Generator) -> Array:
     """Return the whole range once up and down, slowly."""
-    rate_Hz = slower(bench.clock_Hz, 1000.0)
     low, high = bench.limits.voltage_min_V, bench.limits.voltage_max_V
-    body_V = path_V([low, high, low], bench.limits, rate_Hz, move_s=40.0)
-    return rate_Hz, between(body_V, rate_Hz, bench.limits), {}
+    return path_V([low, high, low], bench.limits, rate_Hz, move_s=40.0)
