@@ -16,104 +16,38 @@ no evidence of a cause, and effects are decided on what it cannot.
 Source: Krejci (1996); Dahl (1968); Bouc (1967); a wide class of nulls, Box (1980).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from piezoid.diagnosis.friction import FRICTION, rubbed
+from piezoid.diagnosis.pasts import Turns, past
+from piezoid.diagnosis.shape import (
+    KNEE_COLUMNS,
+    PLAYS,
+    SHARED,
+    THRESHOLD,
+    bias_places,
+    knee_columns,
+    shape,
+    write_shape,
+)
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.friction import friction_states
 from piezoid.operators.play import first_carry, play_columns, play_tangents
-from piezoid.operators.polynomials import sum_of_polynomials
 
-PLAYS = 18
-POWERS = 4
 FORGETTING = 4  # groups of plays whose first states each track may correct
-PASTS = 16
-ONCE, TWICE = 9, 5  # places of turns to try
 CHUNK = 65536
 
-FINE = 6  # plays below TURN_AT, by equal ratios; the others by equal steps
-TURN_AT = 0.15
-THRESHOLD = np.concatenate(
-    [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]
-)
-SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
-KNEE_COLUMNS = 5
 Knee = tuple[float, float, float]
-Turns = tuple[float, ...]
 
 
-def past(drive: Array, turns: Sequence[float]) -> Array:
-    """Return the memory a drive leaves that turned at these values before the first sample."""
-    way = np.array([*turns, float(drive[0])])
-    return play_columns(way, THRESHOLD, np.zeros(PLAYS))[1]
-
-
-def pasts(drive: Array) -> tuple[Turns, ...]:
-    """Return histories to choose from: cycled over the range first, then what people do instead.
-
-    They come from rest or from one end, and turn once or twice more, or at random.
-    """
-    low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
-    once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
-    twice = np.linspace(low, high, TWICE + 2)[1:-1].tolist()
-    chance = np.random.default_rng(PASTS)
-    drawn = [
-        (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
-        for _ in range(PASTS)
-    ]
-    return (
-        (low, high),
-        (high, low),
-        (0.0,),
-        *((end, turn) for end in (low, high, 0.0) for turn in once),
-        *((end, a, b) for end in (low, high) for a in twice for b in twice if a != b),
-        *drawn,
-    )
-
-
-def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
-    """Return all shared columns at some rows: first powers of the drive and of the plays.
-
-    states    (rows, plays)
-    friction  (rows, friction states)
-    drive     (rows,)
-    """
-    base = np.column_stack([drive, states / (1.05 - THRESHOLD)])
-    parts = [base]
-    for _ in range(POWERS - 1):
-        parts.append(parts[-1] * base)
-    u = drive[:, None]
-    x = friction / np.minimum(FRICTION, 1.0)
-    parts += [u * base[:, 1:], u**2 * base[:, 1:], x, x**2, x**3, u * x, u**2 * x]
-    return np.hstack(parts)
-
-
-def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
-    """Return ``shape_columns(...) @ weight`` without making the columns, (rows,)."""
-    plays = PLAYS + 1
-    power = weight[: plays * POWERS].reshape(POWERS, plays)
-    bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
-    rub = weight[plays * POWERS + 2 * PLAYS :].reshape(5, len(FRICTION))
-    u = drive
-    base = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
-    of_plays = sum_of_polynomials(
-        states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
-    )
-    of_friction = sum_of_polynomials(
-        friction, u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
-    )
-    return np.asarray(base + of_plays + of_friction)
-
-
-def knee_columns(state: Array, drive: Array) -> Array:
-    """Return the columns of a Bouc-Wen state: its powers and its products with the drive."""
-    return np.column_stack([state, state**2, state**3, drive * state, drive**2 * state])
+def _rows(columns: Array, place: Places) -> Array:
+    """Return some rows of column-major columns, column-major again."""
+    return np.asarray(np.take(columns.T, place, axis=1).T)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -157,13 +91,7 @@ class Envelope:
     @property
     def bias_columns(self) -> tuple[int, ...]:
         """Return the columns that are products of a state with the drive."""
-        plays = (PLAYS + 1) * POWERS
-        friction = plays + 2 * PLAYS + 3 * len(FRICTION)
-        return (
-            *range(plays, plays + 2 * PLAYS),
-            *range(friction, SHARED),
-            *range(SHARED, self.shared)[-2:],
-        )
+        return (*bias_places(), *range(SHARED, self.shared)[-2:])
 
     @cached_property
     def columns(self) -> Array:
@@ -172,25 +100,35 @@ class Envelope:
         columns = np.zeros((self.edges[-1], total), order="F")
         for k, track in enumerate(self.tracks):
             rows = slice(self.edges[k], self.edges[k + 1])
-            memory = first_carry(past(track.drive, self.turns[k]))
-            tangents = play_tangents(track.drive, THRESHOLD, memory)
-            columns[rows, :SHARED] = shape_columns(
-                tangents.state[track.place],
-                friction_states(track.drive, FRICTION, rubbed(track.drive, self.turns[k]))[
-                    track.place
-                ],
-                track.drive[track.place],
-            )
+            states, friction = self._states(k, track.drive)
+            write_shape(columns[rows, :SHARED], states, friction, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
-            if not self.free:
-                continue
-            groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
-            for g, group in enumerate(groups):
-                columns[rows, first + 1 + g] = tangents.memory[track.place][:, group].mean(axis=1)
+            if self.free:
+                columns[rows, first + 1 : first + self.own] = self._kept(k)
         if self.knee:
             columns[:, SHARED : self.shared] = self.bent_rows
         return columns
+
+    def _states(self, k: int, drive: Array) -> tuple[Array, Array]:
+        """Return states of plays and friction along another drive, at a track's rows."""
+        turns, place = self.turns[k], self.tracks[k].place
+        states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
+        friction = friction_states(drive, FRICTION, rubbed(drive, turns))
+        return _rows(states, place), _rows(friction, place)
+
+    def _kept(self, k: int) -> Array:
+        """Return which part of its first states each group of plays keeps at a track's rows."""
+        track = self.tracks[k]
+        first = first_carry(past(track.drive, self.turns[k]))
+        kept = _rows(play_tangents(track.drive, THRESHOLD, first).memory, track.place)
+        groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
+        return np.column_stack([kept[:, group].mean(axis=1) for group in groups])
+
+    @cached_property
+    def gram(self) -> Array:
+        """Return the products of all columns with each other."""
+        return np.asarray(self.columns.T @ self.columns)
 
     @property
     def bent_rows(self) -> Array:
@@ -229,9 +167,8 @@ class Envelope:
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""
         place = self.tracks[k].place
-        states, _ = play_columns(drive, THRESHOLD, past(drive, self.turns[k]))
-        friction = friction_states(drive, FRICTION, rubbed(drive, self.turns[k]))
-        rows = shape_columns(states[place], friction[place], drive[place]) @ weight[:SHARED]
+        states, friction = self._states(k, drive)
+        rows = shape(states, friction, drive[place], weight[:SHARED])
         if self.knee:
             rows = (
                 rows

@@ -57,22 +57,33 @@ class Null:
     columns   (rows, columns)
     response  (rows,)
     block     (rows,)  global block of each row
+    known     products of the first columns with each other, where somebody has them
     """
 
     columns: Array
     response: Array
     block: Places
+    known: Array | None = None
+
+    @cached_property
+    def gram(self) -> Array:
+        """Return the products of all columns with each other."""
+        if self.known is None:
+            return np.asarray(self.columns.T @ self.columns)
+        first = len(self.known)
+        right = self.columns.T @ self.columns[:, first:]
+        return np.block([[self.known, right[:first]], [right[:first].T, right[first:]]])
 
     @cached_property
     def scale(self) -> Array:
         """Return the length of every column, 1 where it is zero."""
-        length = np.sqrt(np.einsum("ij,ij->j", self.columns, self.columns))
+        length = np.sqrt(np.diag(self.gram))
         return np.where(length > 0, length, 1.0)
 
     @cached_property
     def factor(self) -> Array:
         """Return the lower Cholesky factor of the scaled normal matrix."""
-        gram = (self.columns.T @ self.columns) / np.outer(self.scale, self.scale)
+        gram = self.gram / np.outer(self.scale, self.scale)
         return np.asarray(np.linalg.cholesky(gram + RIDGE * np.eye(len(gram))))
 
     def fit(self, values: Array) -> Array:

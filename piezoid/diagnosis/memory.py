@@ -14,17 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import (
-    SHARED,
-    THRESHOLD,
-    Turns,
-    knee_columns,
-    past,
-    pasts,
-    shape,
-)
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import FRICTION, rubbed
+from piezoid.diagnosis.pasts import Turns, past, pasts
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states

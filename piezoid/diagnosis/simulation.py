@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import PLAYS
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.search import Outcome
+from piezoid.diagnosis.shape import PLAYS
 from piezoid.diagnosis.view import View
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array

@@ -11,8 +11,9 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import Envelope, Knee, Turns, pasts
+from piezoid.diagnosis.envelope import Envelope, Knee
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.pasts import Turns, pasts
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -58,7 +59,8 @@ class View:
         columns = self.envelope.columns
         if self.accepted.shape[1]:
             columns = np.hstack([columns, self.accepted])
-        return Null(columns=columns, response=self.response, block=self.block)
+        known = self.envelope.gram
+        return Null(columns=columns, response=self.response, block=self.block, known=known)
 
     @cached_property
     def weight(self) -> Array:

@@ -69,7 +69,9 @@ def address(array: Array | None) -> ctypes.c_void_p | None:
         return None
     if array.dtype != np.float64 or not array.flags.forc:
         raise TypeError(f"a kernel needs contiguous float64, not {array.dtype}")
-    return array.ctypes.data_as(ctypes.c_void_p)
+    place = _POINTER(array.ctypes.data)
+    place.array = array  # type: ignore[attr-defined]
+    return place
 
 
 def contiguous(values: Array) -> Array:

@@ -8,7 +8,6 @@ import pytest
 
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.envelope import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null, surely
 from piezoid.diagnosis.friction import FRICTION
@@ -17,6 +16,7 @@ from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
 from piezoid.operators.bouc_wen import bouc_wen_states

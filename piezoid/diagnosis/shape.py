@@ -1,0 +1,86 @@
+"""The shape of the envelope: powers of states and their products with the drive.
+
+    sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j, u)
+
+z_0 the drive itself, z_i plays, n = 1 .. 4, x_j friction states, f_j their powers up to the third
+and their products with the drive and its square.
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.friction import FRICTION
+from piezoid.numerics.arrays import Array
+from piezoid.operators.polynomials import sum_of_polynomials
+
+PLAYS = 18
+POWERS = 4
+FINE = 6  # plays below TURN_AT, by equal ratios; the others by equal steps
+TURN_AT = 0.15
+THRESHOLD = np.concatenate(
+    [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]
+)
+SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
+KNEE_COLUMNS = 5
+
+
+def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
+    """Return all shared columns at some rows: first powers of the drive and of the plays.
+
+    states    (rows, plays)
+    friction  (rows, friction states)
+    drive     (rows,)
+    """
+    columns = np.empty((len(drive), SHARED), order="F")
+    write_shape(columns, states, friction, drive)
+    return columns
+
+
+def write_shape(columns: Array, states: Array, friction: Array, drive: Array) -> None:
+    """Write the shared columns where they shall stand: a copy of them costs as much again."""
+    plays, u = PLAYS + 1, drive[:, None]
+    base = columns[:, :plays]
+    base[:, 0] = drive
+    np.divide(states, 1.05 - THRESHOLD, out=base[:, 1:])
+    for power in range(1, POWERS):
+        lower, higher = (columns[:, plays * n : plays * (n + 1)] for n in (power - 1, power))
+        np.multiply(lower, base, out=higher)
+    first = plays * POWERS
+    for lower in (base[:, 1:], columns[:, first : first + PLAYS]):
+        np.multiply(u, lower, out=columns[:, first : first + PLAYS])
+        first += PLAYS
+    count = len(FRICTION)
+    parts = [columns[:, first + count * n : first + count * (n + 1)] for n in range(5)]
+    np.divide(friction, np.minimum(FRICTION, 1.0), out=parts[0])
+    np.multiply(parts[0], parts[0], out=parts[1])
+    np.multiply(parts[1], parts[0], out=parts[2])
+    np.multiply(u, parts[0], out=parts[3])
+    np.multiply(u, parts[3], out=parts[4])
+
+
+def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
+    """Return ``shape_columns(...) @ weight`` without making the columns, (rows,)."""
+    plays = PLAYS + 1
+    power = weight[: plays * POWERS].reshape(POWERS, plays)
+    bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
+    rub = weight[plays * POWERS + 2 * PLAYS :].reshape(5, len(FRICTION))
+    u = drive
+    base = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
+    of_plays = sum_of_polynomials(
+        states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
+    )
+    of_friction = sum_of_polynomials(
+        friction, u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
+    )
+    return np.asarray(base + of_plays + of_friction)
+
+
+def bias_places() -> tuple[int, ...]:
+    """Return which of the shared columns are products with the drive."""
+    plays = (PLAYS + 1) * POWERS
+    friction = plays + 2 * PLAYS + 3 * len(FRICTION)
+    return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED))
+
+
+def knee_columns(state: Array, drive: Array) -> Array:
+    """Return the columns of a Bouc-Wen state: its powers and its products with the drive."""
+    return np.column_stack([state, state**2, state**3, drive * state, drive**2 * state])
