@@ -1,11 +1,14 @@
 """The play operator: the elementary memory, its bank, its tangents and its admissible states."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
+
+BLOCK = 1 << 15  # rows: some megabytes for a bank of plays
 
 
 def play_columns(voltage_V: Array, threshold_V: Array, memory_V: Array) -> tuple[Array, Array]:
@@ -34,6 +37,18 @@ def play_columns(voltage_V: Array, threshold_V: Array, memory_V: Array) -> tuple
         address(columns),
     )
     return columns, state
+
+
+def play_blocks(
+    voltage_V: Array, threshold_V: Array, memory_V: Array, rows: int = BLOCK
+) -> Iterator[tuple[int, Array]]:
+    """Yield the first row and the states of block after block, where all would fill the memory.
+
+    The states, (rows, plays), are those of ``play_columns``, number for number.
+    """
+    for first in range(0, len(voltage_V), rows):
+        states, memory_V = play_columns(voltage_V[first : first + rows], threshold_V, memory_V)
+        yield first, states
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,7 @@ from piezoid.operators.play import (
     first_carry,
     forgetting_sample,
     is_admissible,
+    play_blocks,
     play_columns,
     play_tangents,
     project_memory,
@@ -50,6 +51,16 @@ def test_only_the_path_counts_and_not_how_often_it_is_sampled(
     finer, after_finer = play_columns(np.array(dense), threshold, memory)
     np.testing.assert_array_equal(finer[places], sparse)
     np.testing.assert_array_equal(after_finer, after)
+
+
+@given(st.data(), banks(), drives(), st.integers(1, 50))
+def test_blocks_of_states_are_the_states(
+    data: st.DataObject, threshold: Array, drive: Array, rows: int
+) -> None:
+    memory = data.draw(memories(threshold))
+    first, blocks = zip(*play_blocks(drive, threshold, memory, rows), strict=True)
+    assert first == tuple(range(0, len(drive), rows))
+    np.testing.assert_array_equal(np.vstack(blocks), play_columns(drive, threshold, memory)[0])
 
 
 @given(st.data(), banks())

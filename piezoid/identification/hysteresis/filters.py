@@ -47,10 +47,16 @@ def later(moved: Array, samples: float, keep: slice = EVERY) -> Array:
     """Return a signal that many samples later, straight between samples, in the rows to keep."""
     whole = int(np.floor(samples))
     part = samples - whole
-    held = np.repeat(moved[:1], min(whole + 1, len(moved) + 1), axis=0)
-    joined = np.concatenate([held, moved])
-    newer, older = joined[1 : 1 + len(moved)][keep], joined[: len(moved)][keep]
-    return np.asarray((1.0 - part) * newer + part * older)
+    first, stop, step = keep.indices(len(moved))
+    rows = len(range(first, stop, step))
+    early = min(rows, len(range(first, whole + 1, step)))  # they see the first alone
+    found = np.empty((rows, *moved.shape[1:]), order="F")
+    found[:early] = (1.0 - part) * moved[:1] + part * moved[:1]
+    if early < rows:
+        first += early * step - whole
+        newer, older = (moved[first - k : stop - whole - k : step] for k in (0, 1))
+        found[early:] = (1.0 - part) * newer + part * older
+    return found
 
 
 def lagged(moved: Array, kind: str, lag_s: float, rate_Hz: float, *, keep: slice = EVERY) -> Array:

@@ -21,8 +21,9 @@ from piezoid.numerics.quadratic_program import (
     stationarity,
 )
 from piezoid.numerics.triangle import empty_triangle, gather
+from piezoid.operators.chain import Samples
 from piezoid.operators.dead_zone import DeadZones, from_slopes
-from piezoid.operators.play import play_columns
+from piezoid.operators.play import play_blocks
 
 ROWS = 6000  # rows of a recording that suffice for a start
 LEAST_INVERSE_SLOPE = 0.02  # of Psi'
@@ -75,9 +76,13 @@ def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
 
 def _quick_columns(piece: Piece) -> Array:
     threshold = np.linspace(0.0, 0.9, 10)
-    u = piece.drive
-    plays, _ = play_columns(u, threshold, np.full(len(threshold), u[0]))
-    return np.hstack([plays, *[u[:, None] ** p for p in _POLYNOMIAL]])
+    u, plays = piece.drive, len(threshold)
+    columns = np.empty((len(u), plays + len(_POLYNOMIAL)), order="F")
+    for first, states in play_blocks(u, threshold, np.full(plays, u[0])):
+        columns[first : first + len(states), :plays] = states
+    for place, power in enumerate(_POLYNOMIAL):
+        columns[:, plays + place] = u**power
+    return columns
 
 
 def _quick_error(
@@ -147,16 +152,22 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     unknowns = plays + count + len(pieces)
     triangle = empty_triangle(unknowns)
     for index, piece in enumerate(pieces):
-        keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
-        memory = np.full(plays, piece.drive[0])
-        states = play_columns(piece.drive, threshold, memory)[0][keep]
-        shifted = _advanced(piece, lag_s)[keep]
-        rows = np.zeros((len(states), unknowns), order="F")
-        rows[:, :plays] = states
-        rows[:, plays : plays + count] = -unit.columns(shifted)
+        sample = np.arange(piece.first, piece.last, max(1, piece.rows // ROWS))
+        rows = np.zeros((len(sample), unknowns), order="F")
+        _put_states(rows[:, :plays], sample, piece.drive, threshold)
+        rows[:, plays : plays + count] = -unit.columns(_advanced(piece, lag_s, sample))
         rows[:, plays + count + index] = 1.0
         triangle = gather(triangle, rows, spend=True)
     return triangle
+
+
+def _put_states(rows: Array, sample: Samples, drive: Array, threshold: Array) -> None:
+    """Write the states of a bank at these samples; those between are followed and forgotten."""
+    done = 0
+    for first, states in play_blocks(drive, threshold, np.full(len(threshold), drive[0])):
+        end = int(np.searchsorted(sample, first + len(states)))
+        rows[done:end] = states[sample[done:end] - first]
+        done = end
 
 
 def optimum_of(triangle: Array, threshold: Array, zones: Array) -> Optimum:
@@ -197,9 +208,9 @@ def within_bounds(triangle: Array, threshold: Array, zones: Array) -> Array:
     return np.asarray(x)
 
 
-def _advanced(piece: Piece, lag_s: float) -> Array:
-    """Return y(t + lag): what the measurement would have been without the lag."""
-    index = np.arange(len(piece.response)) + lag_s * piece.sampling_rate_Hz
+def _advanced(piece: Piece, lag_s: float, sample: Samples) -> Array:
+    """Return y(t + lag) at these samples: the measurement as it were without the lag."""
+    index = sample + lag_s * piece.sampling_rate_Hz
     return np.asarray(np.interp(index, np.arange(len(piece.response)), piece.response))
 
 

@@ -1,12 +1,15 @@
 """The convex start finds what is there, and another solver agrees with its program."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.filters import lagged
-from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.start import (
+    ROWS,
     constraints_of,
     find_lag,
     kuhnen_start,
@@ -16,6 +19,7 @@ from piezoid.identification.hysteresis.start import (
 )
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import constrained_least_squares, stationarity
+from piezoid.operators.play import BLOCK, play_columns
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
@@ -30,6 +34,19 @@ WEIGHT = np.array([2.0, 0.5, 0.3, 0.2, 0.1]) * 1e-6
 
 def made(drive: Array) -> Array:
     return play_sum(drive, THRESHOLD, WEIGHT, np.full(5, drive[0]))
+
+
+def whole_piece(drive: Array) -> Piece:
+    return Piece(
+        name="a",
+        recording=0,
+        sampling_rate_Hz=RATE_Hz,
+        drive=drive,
+        response=drive + 0.1 * drive**3,
+        centre_m=0.0,
+        first=0,
+        last=len(drive),
+    )
 
 
 def test_weights_on_the_right_thresholds_are_found_exactly() -> None:
@@ -81,6 +98,20 @@ def test_weights_that_only_know_bounds_are_those_of_the_general_program(
     general = constrained_least_squares(triangle, nothing, *limits)
     np.testing.assert_allclose(bounded, general.x, atol=1e-5)
     assert stationarity(triangle, bounded, nothing, limits[0], limits[1:]) < 1e-9
+
+
+def test_the_rows_of_a_long_recording_are_some_of_all_its_rows() -> None:
+    samples, threshold, lag_s = 2 * BLOCK + 100, np.arange(3) / 3, 3.25 / RATE_Hz
+    drive = np.sin(np.linspace(0.0, 40.0, samples)) * np.linspace(1.0, 0.3, samples)
+    piece = replace(whole_piece(drive), first=50, last=samples - 20)
+    zones = np.zeros(1)
+    triangle = triangle_of([piece], threshold, zones, lag_s)
+    sample = np.arange(50, samples - 20, (samples - 70) // ROWS)
+    states = play_columns(drive, threshold, np.full(3, drive[0]))[0][sample]
+    place = np.arange(samples)
+    advanced = np.interp(sample + 3.25, place, piece.response)
+    rows = np.column_stack([states, -advanced, np.ones(len(sample))])
+    np.testing.assert_allclose(triangle.T @ triangle, rows.T @ rows, rtol=1e-9, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["none", "delay", "first_order"])
