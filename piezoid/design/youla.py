@@ -11,29 +11,24 @@ the design so far, and the problem is solved again until it stops gaining. Each 
 member stable and every limit met.      [Landau & Zito 2006; Karimi & Galdos 2010, for the family]
 """
 
-import warnings
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.design.cones import solve
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import Response, polynomial_response
 from piezoid.numerics.polynomial import product, total
 
 _RESERVES_dB = (0.05, 0.2, 0.5)
 """The cones are tightened for what happens between grid points: more where less did not do."""
-_LEAST_REAL = 0.05
-_SLACK_PRICE = 100.0
 _LEAST_GAIN = 0.01
 _TIE = 1e-4
 _EVERY = 10
-_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -113,7 +108,7 @@ def _checked_step(
     allowed_dB = max(worst_place(fine, *present).excess_dB, 0.0) + _TIE
     for reserve_dB in _RESERVES_dB:
         reserve = 10.0 ** (-reserve_dB / 20.0)
-        solution = _solve(coarse, plant, *present, count, reserve, deciding)
+        solution = solve(coarse, plant, *present, count, reserve, deciding)
         if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
             return solution
     return None
@@ -129,166 +124,3 @@ def _controller(plant: Plant, R: Array, S: Array, start: RstController) -> RstCo
         P=total(product(plant.A, S), product(plant.B, R)),
         residual=start.residual,
     )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Cones:
-    """One convex problem in numbers; rows run over members and frequencies together.
-
-    A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
-    real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
-    reference      (rows,)  |P_d,i|
-    limits         (functions, rows)
-    slope          (rows,)  f / bandwidth, nan above the bandwidth
-    """
-
-    A_S: tuple[Response, Response]
-    A_R: tuple[Response, Response]
-    B_R: tuple[Response, Response]
-    real: tuple[Array, Array]
-    reference: Array
-    limits: Array
-    slope: Array
-
-    @property
-    def limited(self) -> tuple[tuple[Response, Response], ...]:
-        """What has limits, in their order."""
-        return self.A_S, self.A_R, self.B_R
-
-    def at(self, rows: NDArray[np.bool_]) -> "_Cones":
-        """Return the problem on some rows only."""
-        return _Cones(
-            A_S=(self.A_S[0][rows], self.A_S[1][rows]),
-            A_R=(self.A_R[0][rows], self.A_R[1][rows]),
-            B_R=(self.B_R[0][rows], self.B_R[1][rows]),
-            real=(self.real[0][rows], self.real[1][rows]),
-            reference=self.reference[rows],
-            limits=self.limits[:, rows],
-            slope=self.slope[rows],
-        )
-
-
-def _cones(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int) -> _Cones:
-    """Set up the problem around the closed loops of R, S. Unknowns: s'_1.., then scale r'_0.. ."""
-    members = len(grid.A)
-    q = np.tile(grid.q, members)
-    A, B = grid.A.ravel()[:, None], grid.B.ravel()[:, None]
-    powers = q[:, None] ** np.arange(count)
-    fixed_s = polynomial_response(INTEGRATOR, q)[:, None]
-    fixed_r = polynomial_response(OPEN_AT_NYQUIST, q)[:, None] / scale
-    s_rows = np.hstack([fixed_s * powers[:, 1:], np.zeros((len(q), count))])
-    r_rows = np.hstack([np.zeros((len(q), count - 1)), fixed_r * powers])
-    desired = A[:, 0] * polynomial_response(S, q) + B[:, 0] * polynomial_response(R, q)
-    turn = np.conj(desired) / np.abs(desired)
-    constant = A[:, 0] * fixed_s[:, 0]
-    f, bandwidth_Hz = grid.frequency_Hz, grid.specification.bandwidth_Hz
-    slope = np.where(f <= bandwidth_Hz * (1.0 + 1e-12), f / bandwidth_Hz, np.nan)
-    none = np.zeros(len(q), dtype=np.complex128)
-    return _Cones(
-        A_S=(A * s_rows, constant),
-        A_R=(A * r_rows, none),
-        B_R=(B * r_rows, none),
-        real=((turn[:, None] * (A * s_rows + B * r_rows)).real, (turn * constant).real),
-        reference=np.abs(desired),
-        limits=np.tile(grid.limits, members),
-        slope=np.tile(slope, members),
-    )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Reached:
-    """A solution: the unknowns, the rejection they reach, and the slack they needed."""
-
-    x: Array
-    gamma: float
-    slack: float
-
-
-def _solve(
-    grid: FamilyGrid,
-    plant: Plant,
-    R: Array,
-    S: Array,
-    count: int,
-    reserve: float,
-    deciding: NDArray[np.bool_],
-) -> tuple[Array, Array] | None:
-    """Solve one convex problem around the closed loops of R, S; None where the solver fails.
-
-    deciding  (rows,)  which rows are asked; one problem hands them on to the next
-
-    A few hundred of the rows decide. The problem is solved on those, and again with the peaks of
-    what its solution misses, until it misses none (the exchange of Remez).
-    """
-    scale = abs(plant.gain)
-    cones = _cones(grid, scale, R, S, count)
-    while True:
-        found = _solved(cones.at(deciding), count, reserve)
-        if found is None:
-            return None
-        missed = _peaks(_excess(cones, found, reserve)) & ~deciding
-        if not missed.any():
-            break
-        deciding |= missed
-    s_free = np.concatenate([[1.0], found.x[: count - 1]])
-    r_free = found.x[count - 1 :] / scale
-    return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
-
-
-def _excess(cones: _Cones, found: _Reached, reserve: float) -> Array:
-    """Return by how much a solution misses what every row asks, over the closed loop's size."""
-    real = (cones.real[0] @ found.x + cones.real[1]) / cones.reference
-    room = reserve * (real + found.slack)
-    excess = _LEAST_REAL - real
-    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
-        size = np.abs(rows @ found.x + constant) / cones.reference
-        excess = np.maximum(excess, size / limit - room)
-    size = np.abs(cones.A_S[0] @ found.x + cones.A_S[1]) / cones.reference
-    in_band = np.maximum(size / cones.slope - found.gamma, 1.0 - real)
-    return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
-
-
-def _peaks(excess: Array) -> NDArray[np.bool_]:
-    """Return the rows of a real excess that are no better than both their neighbours."""
-    before, after = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
-    return (excess > _TOLERANCE) & (excess >= before) & (excess >= after)
-
-
-def _solved(cones: _Cones, count: int, reserve: float) -> _Reached | None:
-    """Solve the program on some rows; None where the solver fails.
-
-    A slack on all limits together, at a high price, lets a start that exceeds them come back.
-    """
-    import cvxpy
-
-    cp: Any = cvxpy
-
-    x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
-    real = cones.real[0] @ x + cones.real[1]
-    constraints = [real >= _LEAST_REAL * cones.reference]
-    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
-        held = np.isfinite(limit)
-        bound = real[held] + slack * cones.reference[held]
-        size = _magnitude(cp, rows[held], constant[held], x)
-        constraints.append(size <= cp.multiply(reserve * limit[held], bound))
-    band = np.isfinite(cones.slope)
-    size = _magnitude(cp, cones.A_S[0][band], cones.A_S[1][band], x)
-    constraints.append(size <= gamma * (cones.slope * cones.reference)[band])
-    constraints.append(real[band] >= cones.reference[band])
-    problem = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), constraints)
-    with warnings.catch_warnings():
-        # An inaccurate answer is judged on the finer grid like any other.
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            problem.solve(solver=cp.CLARABEL)
-        except cp.error.SolverError:
-            return None
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE) or x.value is None:
-        return None
-    return _Reached(x=x.value, gamma=float(gamma.value), slack=float(slack.value))
-
-
-def _magnitude(cp: Any, rows: Response, constant: Response, x: Any) -> Any:
-    """Return |rows x + constant| as a convex expression, (rows,)."""
-    real, imaginary = rows.real @ x + constant.real, rows.imag @ x + constant.imag
-    return cp.norm(cp.vstack([real, imaginary]), 2, axis=0)
