@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
-from piezoid.records.assignment import Assigned, Assignment, assign
+from piezoid.records.assignment import Assignment, assign
 from piezoid.records.clock import Clock, plain_rate_Hz, read_clock
+from piezoid.records.conversion import Assigned
 from piezoid.records.faults import faults_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.own_axis import incomplete, own_axis, several_axes

@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from piezoid.errors import PiezoidError
-from piezoid.records.assignment import Assigned, assign
+from piezoid.records.assignment import assign
 from piezoid.records.collection import is_over_height
+from piezoid.records.conversion import Assigned
 from piezoid.records.ingest import ingest_table
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
