@@ -17,7 +17,7 @@ from piezoid.records.streams import FORMATS
 from piezoid.records.streams.piece import Piece
 from piezoid.records.streams.spool import spooled
 from tests.records.formats import RATE_Hz
-from tests.records.test_ingest import lab_with, table
+from tests.records.tables import lab_with, table
 
 IN_BLOCKS = (
     "run.csv", "run.csv.gz", "run.tsv", "german.csv", "run.txt", "run.h5", "run.parquet",

@@ -1,0 +1,32 @@
+"""A recording as a text file, a laboratory that declares it, and what is said of a file."""
+
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.records.inspection import inspect_file
+from piezoid.records.lab import Lab, RecordingEntry
+
+RATE_Hz = 1000.0
+SAMPLES = 400
+TIME_s = np.arange(SAMPLES) / RATE_Hz
+VOLTAGE_V = 50 + 40 * np.sin(2 * np.pi * 7 * TIME_s)
+RESPONSE = 3 * np.sin(2 * np.pi * 7 * TIME_s - 0.1) + 0.2 * TIME_s
+
+
+def table(folder: Path, headings: str, *columns: np.ndarray, name: str = "run.csv") -> Path:
+    rows = np.column_stack(columns)
+    lines = [",".join("" if np.isnan(v) else f"{v:.9g}" for v in row) for row in rows]
+    path = folder / name
+    path.write_text("\n".join([headings, *lines]) + "\n")
+    return path
+
+
+def lab_with(**entry: object) -> Lab:
+    return Lab(recordings=(RecordingEntry(file="run.csv", **entry),))  # type: ignore[arg-type]
+
+
+def said(path: Path) -> str:
+    """What an inspection refuses a file for."""
+    (inspection, *_) = inspect_file(path)
+    return inspection.refusal or ""

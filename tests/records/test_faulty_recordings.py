@@ -1,0 +1,83 @@
+"""What is wrong with a recording: told with its place, cut or bridged, or refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import RecordingError
+from piezoid.records.ingest import ingest
+from tests.records.tables import RESPONSE, SAMPLES, VOLTAGE_V, RATE_Hz, TIME_s, lab_with, table
+
+
+def test_rows_without_a_number_are_cut_or_left_behind_a_break(tmp_path: Path) -> None:
+    holed = RESPONSE.copy()
+    holed[[0, 1, 100, 101, SAMPLES - 1]] = np.nan
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", TIME_s, VOLTAGE_V, holed)
+    recording = ingest(path)
+    assert recording.samples == SAMPLES - 5
+    assert recording.breaks == (98,)
+    (problem,) = recording.problems
+    assert problem.kind == "missing_values"
+    assert problem.place == "line 2"
+    assert "5 rows lack a number, 3 of them at the ends, 2 inside" in problem.text
+
+
+def test_a_gap_in_time_is_a_break_with_its_line(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), slice(200, 250))
+    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
+    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    assert recording.breaks == (200,)
+    assert [(p.kind, p.place) for p in recording.problems] == [("gap", "line 202")]
+
+
+def test_samples_lost_one_at_a_time_are_put_between_their_neighbours(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    columns = (TIME_s[kept], VOLTAGE_V[kept], RESPONSE[kept])
+    path = table(tmp_path, "time [s],voltage [V],pos [um]", *columns)
+    recording = ingest(path)
+    assert recording.samples == SAMPLES - 10
+    assert recording.breaks == (100,)
+    assert recording.bridged == (190, 290)
+    between = (VOLTAGE_V[199] + VOLTAGE_V[201]) / 2
+    assert recording.voltage_V()[190] == pytest.approx(between, rel=1e-8)
+    whole = np.delete(np.arange(SAMPLES), [*range(100, 110), 200, 300])
+    measured = np.delete(np.arange(SAMPLES - 10), [190, 290])
+    np.testing.assert_allclose(recording.voltage_V()[measured], VOLTAGE_V[whole], rtol=1e-8)
+    part = ingest(path, lab_with(start_s=0.15, stop_s=0.2))
+    assert (part.breaks, part.bridged) == ((), (40,))
+
+
+def test_a_row_without_a_number_beside_a_lost_one_is_no_bridge(tmp_path: Path) -> None:
+    kept = np.delete(np.arange(SAMPLES), 200)
+    holed = RESPONSE.copy()
+    holed[201] = np.nan
+    columns = (TIME_s[kept], VOLTAGE_V[kept], holed[kept])
+    recording = ingest(table(tmp_path, "time [s],voltage [V],pos [um]", *columns))
+    assert (recording.breaks, recording.bridged) == ((200,), ())
+
+
+def test_empty_dead_clipped_and_equal_columns_are_told(tmp_path: Path) -> None:
+    time_s = np.arange(4000) / RATE_Hz
+    drive = 50 + 40 * np.sin(2 * np.pi * time_s)
+    noisy = drive + np.random.default_rng(1).normal(0, 0.01, len(drive))
+    clipped = np.clip(noisy, 20, 80)
+    path = table(
+        tmp_path, "time [s],voltage [V],pos [um],spare,aux,copy",
+        time_s, drive, clipped, np.full(4000, np.nan), np.full(4000, 7), clipped,
+    )  # fmt: skip
+    kinds = {problem.kind: problem.place for problem in ingest(path).problems}
+    assert kinds == {
+        "saturated": "column 3 'pos [um]'",
+        "empty": "column 4 'spare'",
+        "dead": "column 5 'aux'",
+        "equal_columns": "column 6 'copy'",
+    }
+
+
+def test_a_recording_of_one_row_is_refused(tmp_path: Path) -> None:
+    path = table(
+        tmp_path, "time [s],voltage [V],pos [um]", TIME_s[:1], VOLTAGE_V[:1], RESPONSE[:1]
+    )
+    with pytest.raises(RecordingError, match="1 of 1 rows"):
+        ingest(path)
