@@ -15,6 +15,7 @@ from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 GRID = 16.0
 REACH = 8.0  # drives lie within -8 .. 8, often on top of a threshold
+ROUNDING = 1e-12  # a hundred operations on numbers of which the steepest is 100 times the flattest
 
 
 def drives(least: int = 1, most: int = 40) -> st.SearchStrategy[Array]:
@@ -84,3 +85,8 @@ def models(draw: st.DrawFn, unit_V: float = 1.0, unit_m: float = 1.0) -> Modifie
         displacement_offset_m=middle_m * unit_m,
         envelope=DeadZones(threshold=envelope.threshold * unit_V, weight=envelope.weight),
     )
+
+
+def close(found: Array, wanted: Array, size: float) -> None:
+    """Equal to the rounding of numbers of this size."""
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=ROUNDING * size)
