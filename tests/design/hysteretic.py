@@ -1,0 +1,36 @@
+"""A hysteresis of five plays, and the loop that is designed for its gain."""
+
+import numpy as np
+
+from piezoid.design.chain import plant_from_chain
+from piezoid.design.hysteresis_bounds import HysteresisBounds
+from piezoid.design.observer import DisturbanceObserver, place_observer
+from piezoid.design.plant import Plant
+from piezoid.operators.dead_zone import LINEAR, DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from tests.design.rig import LATERAL_m_per_V, lateral_chain, printed_observer_poles
+
+THRESHOLD_V = np.array([0.0, 0.5, 1.0, 2.0, 3.5])
+SLOPES = np.array([0.72, 0.84, 0.92, 0.98, 1.02])
+REACH_V = 3.0
+ATTAINED = 1.0 + 1e-9  # the bounds are met exactly by some inputs
+
+
+def hysteresis(
+    scale: float = 1.0, zones: DeadZones = LINEAR, envelope: DeadZones = LINEAR
+) -> ModifiedPrandtlIshlinskii:
+    weight = np.diff(SLOPES, prepend=0.0) * LATERAL_m_per_V
+    weight[1:] *= scale
+    plays = PrandtlIshlinskii(threshold=THRESHOLD_V, weight=weight)
+    return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=zones, envelope=envelope)
+
+
+def curved() -> DeadZones:
+    return DeadZones(threshold=np.array([-4e-6, 0.0, 5e-6]), weight=np.array([0.05, 1.0, -0.06]))
+
+
+def loop(bounds: HysteresisBounds) -> tuple[Plant, DisturbanceObserver]:
+    plant = plant_from_chain(lateral_chain(bounds.gain_m_per_V))
+    feedback, observer = printed_observer_poles()
+    return plant, place_observer(plant, feedback_poles=feedback, observer_poles=observer)

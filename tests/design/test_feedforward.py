@@ -1,0 +1,45 @@
+"""The reference's way through a loop: filter and preview, and the filter in sections."""
+
+import numpy as np
+import pytest
+
+from piezoid.design.feedforward import filter_sections, fit_reference_path
+from piezoid.design.hysteresis_bounds import affine_bounds
+from piezoid.design.observer_loop import linear_controller
+from tests.design.hysteretic import REACH_V, hysteresis, loop
+from tests.design.rig import RATE_Hz
+
+
+def test_filter_and_preview_take_the_lag_out_of_a_sine():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, o = loop(bounds)
+    c = linear_controller(o)
+    path = fit_reference_path([plant], c.R, c.S, c.T, band_Hz=100.0)
+    assert path.filter.sum() == pytest.approx(1.0, abs=1e-12)
+    assert path.error < 0.05 * path.plain_error
+    n, f = 4000, 80.0
+    reference = np.sin(2 * np.pi * f / RATE_Hz * np.arange(n))
+    P = np.convolve(plant.A, c.S)
+    P[: len(np.convolve(plant.B, c.R))] += np.convolve(plant.B, c.R)
+    through = np.convolve(np.convolve(c.T, path.filter), plant.B)
+    y = np.zeros(n)
+    for k in range(20, n):
+        y[k] = through @ reference[k - len(through) + 1 : k + 1][::-1]
+        y[k] -= P[1:] @ y[k - len(P) + 1 : k][::-1]
+    p = path.preview_samples
+    late = reference[2000 : n - p] - y[2000 + p :]
+    assert np.abs(late).max() <= 1.05 * path.error
+
+
+@pytest.mark.parametrize("taps", [2, 3, 7, 9])
+def test_sections_multiply_to_the_filter_with_unit_gain_at_rest(taps, rng):
+    coefficients = rng.normal(size=taps)
+    coefficients /= coefficients.sum()
+    sections = filter_sections(coefficients)
+    assert sections.shape == ((taps) // 2, 5)
+    np.testing.assert_allclose(sections[:, :3].sum(axis=1), 1.0, rtol=1e-12)
+    together = np.ones(1)
+    for section in sections:
+        together = np.convolve(together, section[:3])
+    np.testing.assert_allclose(together[:taps], coefficients, atol=1e-9)
+    np.testing.assert_allclose(together[taps:], 0.0, atol=1e-12)

@@ -1,0 +1,120 @@
+"""Bounds of what hysteresis leaves: never exceeded, nearly attained, a sector of gains."""
+
+import numpy as np
+import pytest
+
+from piezoid.design.hysteresis_bounds import affine_bounds, inverse_bounds
+from piezoid.design.lateral import with_sector
+from piezoid.design.plant import PlantFamily
+from piezoid.operators.dead_zone import LINEAR, DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from tests.design.hysteretic import ATTAINED, REACH_V, curved, hysteresis, loop
+from tests.design.rig import LATERAL_m_per_V
+
+
+def bent(by: float = 0.0) -> DeadZones:
+    return DeadZones(
+        threshold=np.array([-1.0, 0.0, 1.5]), weight=np.array([-0.08, 1.05 + by, 0.06])
+    )
+
+
+def test_the_affine_bound_is_never_exceeded_and_nearly_attained(rng):
+    for zones, envelope in ((LINEAR, LINEAR), (curved(), LINEAR), (LINEAR, bent())):
+        model = hysteresis(zones=zones, envelope=envelope)
+        bounds = affine_bounds(model, REACH_V, remainder_m=0.0)
+        worst, least, most = 0.0, np.inf, 0.0
+        for _ in range(60):
+            u = np.cumsum(rng.normal(size=400))
+            u *= REACH_V / np.abs(u).max() * rng.uniform(0.2, 1.0)
+            y, _ = model.run(u, model.virgin_memory())
+            worst = max(worst, np.abs(y - bounds.gain_m_per_V * u).max())
+            slope = np.diff(y) / np.diff(u) / bounds.gain_m_per_V
+            least, most = min(least, slope.min()), max(most, slope.max())
+        assert 0.5 * bounds.error_m < worst <= bounds.error_m * ATTAINED
+        assert bounds.slope_min - 1e-9 <= least
+        assert most <= bounds.slope_max + 1e-9
+        assert bounds.slope_min + bounds.slope_max == pytest.approx(2.0)
+
+
+def one_play(envelope: DeadZones = LINEAR) -> ModifiedPrandtlIshlinskii:
+    plays = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([LATERAL_m_per_V]))
+    return ModifiedPrandtlIshlinskii(plays=plays, dead_zones=LINEAR, envelope=envelope)
+
+
+KINKED = DeadZones(threshold=np.array([-3e-6, 0.0, 3e-6]), weight=np.array([0.4, 1.0, 0.4]))
+
+
+WRONG = (-0.1, -0.05, 0.05, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("model", "truths"),
+    [
+        pytest.param(
+            hysteresis(zones=curved(), envelope=bent()),
+            [hysteresis(1.0 + a, curved(), bent(0.3 * a)) for a in WRONG],
+            id="everything is a little wrong",
+        ),
+        pytest.param(one_play(bent()), [one_play(bent(a)) for a in WRONG], id="envelope alone"),
+        pytest.param(
+            hysteresis(zones=KINKED),
+            [hysteresis(1.0 + 4.0 * a, KINKED) for a in WRONG],
+            id="the truth is past a kink, the model is not yet",
+        ),
+    ],
+)
+def test_the_inverse_of_a_model_leaves_no_more_than_its_bounds(model, truths, rng):
+    bounds = inverse_bounds(
+        model, truths, REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
+    )
+    least, most, worst = np.inf, 0.0, 0.0
+    for truth in truths:
+        for _ in range(30):
+            u = np.cumsum(rng.normal(size=400))
+            u *= REACH_V / np.abs(u).max() * rng.uniform(0.2, 1.0)
+            wanted, _ = model.run(u, model.virgin_memory())
+            y, _ = truth.run(u, truth.virgin_memory())
+            slope = np.diff(y) / np.diff(wanted)
+            least, most = min(least, slope.min()), max(most, slope.max())
+            worst = max(worst, np.abs(y - wanted).max())
+    centre = bounds.gain_m_per_V / LATERAL_m_per_V
+    assert bounds.slope_min * centre <= least * ATTAINED
+    assert most <= bounds.slope_max * centre * ATTAINED
+    assert 0.3 * bounds.error_m < worst <= bounds.error_m * ATTAINED
+    assert (bounds.slope_max - bounds.slope_min) * centre < 3.0 * (most - least)
+
+
+def test_the_sector_of_the_example_is_its_extreme_slopes():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    assert bounds.increment_gain == pytest.approx((1.02 - 0.72) / (1.02 + 0.72))
+
+
+def test_the_inverse_bound_covers_every_refit_it_was_made_from(rng):
+    model = hysteresis(zones=curved())
+    refits = [hysteresis(scale, curved()) for scale in np.linspace(0.95, 1.05, 11)]
+    bounds = inverse_bounds(
+        model, refits, REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
+    )
+    for refit in refits:
+        for _ in range(10):
+            u = np.cumsum(rng.normal(size=300))
+            u *= REACH_V / np.abs(u).max()
+            difference = (
+                refit.run(u, refit.virgin_memory())[0] - model.run(u, model.virgin_memory())[0]
+            )
+            assert np.abs(difference).max() <= bounds.error_m * ATTAINED
+    assert (
+        bounds.increment_gain < 0.4 * affine_bounds(model, REACH_V, remainder_m=0.0).increment_gain
+    )
+
+
+def test_the_sector_joins_the_family_as_gains():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, _ = loop(bounds)
+    family = with_sector(PlantFamily(members=(plant,)), bounds)
+    gains = [member.gain / plant.gain for member in family.members]
+    assert gains == pytest.approx([1.0, bounds.slope_min, bounds.slope_max])
+    A, B, C = family.members[1].realised()
+    at_rest = C @ np.linalg.solve(np.eye(len(A)) - A, B)
+    assert at_rest == pytest.approx(family.members[1].gain)
