@@ -1,0 +1,150 @@
+"""What is wrong with a sweep is seen, allowed for and said; what carries no fit is refused."""
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError, RecordingError
+from piezoid.identification.tunnelling.approach import Direction, read_approach
+from piezoid.identification.tunnelling.barrier_fit import fit_barrier
+from piezoid.identification.tunnelling.confidence import Confidence
+from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, sweep
+
+
+def test_rows_without_numbers_are_counted_and_lower_the_confidence(
+    rng: np.random.Generator,
+) -> None:
+    whole = sweep(rng)
+    current_A = whole.current_A.copy()
+    current_A[rng.permutation(200)[:134]] = np.nan
+    holed = read_approach(
+        whole.height_m, current_A, bias_V=-0.02, direction=Direction.FORWARD, label="holed"
+    )
+    fit, reference = fit_barrier([holed]), fit_barrier([whole])
+    assert fit.confidence is Confidence.LOW
+    assert "134 of 200 rows hold no number" in fit.reasons[0].text
+    width, narrow = (np.ptp(f.decay_interval_per_m) for f in (fit, reference))
+    assert width > 1.2 * narrow  # a third of the points: sqrt(3) expected, itself uncertain
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+
+
+def test_a_sweep_of_which_only_the_noise_is_left_is_wide_and_says_why(
+    rng: np.random.Generator,
+) -> None:
+    whole = sweep(rng)
+    current_A = np.where(HEIGHT_M < 0.26e-9, np.nan, whole.current_A)
+    fit = fit_barrier(
+        [
+            read_approach(
+                HEIGHT_M, current_A, bias_V=-0.02, direction=Direction.FORWARD, label="far"
+            )
+        ]
+    )
+    assert fit.confidence is Confidence.LOW
+    assert fit.evidence.relative_width > 0.5
+    assert any("decades above three times its noise" in reason.text for reason in fit.reasons)
+
+
+def test_a_weak_sweep_is_wide_and_says_why(rng: np.random.Generator) -> None:
+    fit = fit_barrier([sweep(rng, peak_A=0.7e-12, floor_A=0.05e-12)])
+    assert fit.confidence is Confidence.LOW
+    assert fit.evidence.relative_width > 0.2
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+    assert any("decades above three times its noise" in reason.text for reason in fit.reasons)
+
+
+def test_no_current_at_all_excludes_nothing_above(rng: np.random.Generator) -> None:
+    dark = read_approach(
+        HEIGHT_M,
+        OFFSET_A + 0.015e-12 * rng.standard_normal(200),
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="dark",
+    )
+    fit = fit_barrier([dark])
+    assert fit.confidence is Confidence.LOW
+    assert fit.decay_interval_per_m[1] == np.inf
+
+
+@pytest.mark.parametrize("nepers", [0.3, -0.3])
+def test_a_tip_jump_is_found_allowed_for_and_said(rng: np.random.Generator, nepers: float) -> None:
+    fit = fit_barrier([sweep(rng, jump_nepers=nepers)])
+    assert len(fit.jumps) == 1
+    assert fit.jumps[0].height_m == pytest.approx(0.0, abs=4e-12)  # the step of the height
+    assert fit.jumps[0].nepers == pytest.approx(nepers, rel=0.15)
+    assert fit.decay_per_m == pytest.approx(DECAY_PER_M, rel=0.01)
+    assert fit.confidence is Confidence.MEDIUM
+    assert "tip jump" in fit.reasons[0].text
+
+
+def test_a_quiet_sweep_shows_no_tip_jump(rng: np.random.Generator) -> None:
+    alarms = sum(len(fit_barrier([sweep(rng, correlation=0.5)]).jumps) for _ in range(30))
+    assert alarms <= 1
+
+
+def test_an_unstable_tip_gets_low_confidence(rng: np.random.Generator) -> None:
+    fit = fit_barrier([sweep(rng, relative=0.4, correlation=0.5)])
+    assert fit.confidence is Confidence.LOW
+    assert any("unstable tip" in reason.text for reason in fit.reasons)
+
+
+def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) -> None:
+    whole = sweep(rng)
+    clipped = read_approach(
+        whole.height_m,
+        np.maximum(whole.current_A, -200e-12),
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="clipped",
+    )
+    fit = fit_barrier([clipped])
+    assert clipped.saturated == np.count_nonzero(whole.current_A <= -200e-12)
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+    assert fit.confidence is Confidence.MEDIUM
+    assert "at the amplifier's limit" in fit.reasons[0].text
+
+
+def test_an_undeclared_coarse_converter_is_seen_in_the_data(rng: np.random.Generator) -> None:
+    """Steps of 5 pA hide the offset and half of the sweep; the rest still has its decay."""
+    step_A = 5e-12
+    whole = sweep(rng, floor_A=0.0)
+    coarse = read_approach(
+        whole.height_m,
+        np.round(whole.current_A / step_A) * step_A,
+        bias_V=-0.02,
+        direction=Direction.FORWARD,
+        label="coarse",
+    )
+    fit = fit_barrier([coarse])
+    assert fit.noise.floor_A == pytest.approx(step_A / np.sqrt(12.0), rel=0.1, abs=0.0)
+    assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
+    assert not fit.jumps
+
+
+def test_a_height_of_the_other_sign_is_refused(rng: np.random.Generator) -> None:
+    curve = sweep(rng)
+    mirrored = read_approach(
+        -curve.height_m,
+        curve.current_A,
+        bias_V=curve.bias_V,
+        direction=curve.direction,
+        label="mirrored",
+    )
+    with pytest.raises(ExcitationError, match="grows with the height"):
+        fit_barrier([mirrored])
+
+
+@pytest.mark.parametrize(
+    ("height_m", "current_A", "match"),
+    [
+        (np.zeros(20), np.ones(20), "all heights are"),
+        (np.arange(20.0), np.full(20, np.nan), "0 rows hold both"),
+        (np.arange(20.0), np.ones(19), "shape"),
+    ],
+)
+def test_columns_that_cannot_carry_a_fit_are_refused(
+    height_m: np.ndarray, current_A: np.ndarray, match: str
+) -> None:
+    with pytest.raises(RecordingError, match=match):
+        read_approach(
+            height_m, current_A, bias_V=0.1, direction=Direction.FORWARD, label="unusable"
+        )
