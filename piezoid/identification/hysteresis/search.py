@@ -14,10 +14,11 @@ from piezoid.identification.hysteresis.coordinates import (
     vector_of,
 )
 from piezoid.identification.hysteresis.gauss_newton import Minimum, Task, minimise
+from piezoid.identification.hysteresis.lag_search import find_lag
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.placement import gathered_thresholds
 from piezoid.identification.hysteresis.rows import simulate
-from piezoid.identification.hysteresis.start import Start, find_lag, kuhnen_start, linear_start
+from piezoid.identification.hysteresis.start import Start, kuhnen_start, linear_start
 from piezoid.numerics.arrays import Array
 
 FEW = 6

@@ -1,17 +1,15 @@
-"""Where the search begins: a lag by profile, then Kuhnen's quadratic program.
+"""Where the search begins: Kuhnen's quadratic program.
 
-The program parametrises the inverse of Psi, so that it is convex; the lag is removed first,
-because a lag that is not removed looks like hysteresis and corrupts the weights.
+The program parametrises the inverse of Psi, so that it is convex; the lag is removed first
+(lag_search.py), because a lag that is not removed looks like hysteresis and corrupts the weights.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Scaled, Shape
-from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
@@ -27,7 +25,6 @@ from piezoid.operators.play import play_blocks
 
 ROWS = 6000  # rows of a recording that suffice for a start
 LEAST_INVERSE_SLOPE = 0.02  # of Psi'
-_POLYNOMIAL = (2, 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,73 +39,6 @@ class Start:
     operator: Scaled
     offset: float
     kkt_gap: float
-
-
-def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
-    """Return the lag with the least error of a quick additive model, by global search.
-
-    The quick model is a non-negative sum of plays of the drive, a cubic of the drive and an
-    offset per piece; for a given lag it is linear. The error is not convex in the lag, hence
-    the derivative-free global search.
-    """
-    if kind == "none" or longest_s <= 0.0:
-        return 0.0
-    import nlopt
-
-    columns = [_quick_columns(piece) for piece in pieces]
-
-    def error(x: Array, _: Array) -> float:
-        return _quick_error(pieces, columns, kind, float(x[0]) * longest_s)
-
-    found = np.array([0.02])
-    for algorithm, evaluations in ((nlopt.GN_DIRECT_L, 25), (nlopt.LN_SBPLX, 25)):
-        search = nlopt.opt(algorithm, 1)
-        search.set_lower_bounds([0.0])
-        search.set_upper_bounds([1.0])
-        search.set_min_objective(error)
-        search.set_maxeval(evaluations)
-        if algorithm == nlopt.LN_SBPLX:
-            search.set_initial_step([0.02])
-            search.set_xtol_abs(1e-5)
-        found = search.optimize(found)
-    return float(found[0]) * longest_s
-
-
-def _quick_columns(piece: Piece) -> Array:
-    threshold = np.linspace(0.0, 0.9, 10)
-    u, plays = piece.drive, len(threshold)
-    columns = np.empty((len(u), plays + len(_POLYNOMIAL)), order="F")
-    for first, states in play_blocks(u, threshold, np.full(plays, u[0])):
-        columns[first : first + len(states), :plays] = states
-    for place, power in enumerate(_POLYNOMIAL):
-        columns[:, plays + place] = u**power
-    return columns
-
-
-def _quick_error(
-    pieces: Sequence[Piece], columns: Sequence[Array], kind: str, lag_s: float
-) -> float:
-    total = 0.0
-    for piece, column in zip(pieces, columns, strict=True):
-        keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
-        rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
-        triangle = _gathered(_signed(rows, piece.response[keep]))
-        total += nnls(triangle[:, :-1], triangle[:, -1])[1] ** 2 / len(rows)
-    return total
-
-
-def _signed(rows: Array, response: Array) -> Array:
-    """Return [columns, what may be negative once more, a constant of either sign | response]."""
-    count, free = rows.shape[1], len(_POLYNOMIAL)
-    block = np.empty((len(rows), count + free + 3), order="F")
-    block[:, :count] = rows
-    block[:, count : count + free] = -rows[:, -free:]
-    block[:, -3], block[:, -2], block[:, -1] = 1.0, -1.0, response
-    return block
-
-
-def _gathered(block: Array) -> Array:
-    return gather(empty_triangle(block.shape[1]), block, spend=True)
 
 
 def kuhnen_start(

@@ -7,11 +7,11 @@ import pytest
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.filters import lagged
+from piezoid.identification.hysteresis.lag_search import find_lag
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.start import (
     ROWS,
     constraints_of,
-    find_lag,
     kuhnen_start,
     placed_zones,
     triangle_of,
