@@ -119,6 +119,11 @@ def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Gene
     )
     assert flag == 1
     np.testing.assert_allclose(program.x, other, atol=1e-8)
+    # What holds a number back does so to rounding, not only to where the iteration stopped.
+    room = np.minimum(constraint @ program.x - lower, upper - constraint @ program.x)
+    held = room < 1e-6
+    assert held.any()
+    assert np.abs(room[held]).max() < 1e-13
 
 
 def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
