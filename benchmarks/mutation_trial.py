@@ -24,6 +24,8 @@ from benchmarks.mutants import Mutant
 ROOT = Path(__file__).resolve().parents[1]
 ROOM_bytes = 4 << 30
 KILLED, SURVIVED, UNBUILT = "killed", "survived", "does not compile"
+# What is undefined ends the process: tests of the unbroken sources run under sanitisers as well.
+TRAPS = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
 # Which compiled modules a C file becomes, with what is compiled beside it.
 BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
     "kernels.c": {"piezoid.operators._kernels": ("chain.c", "states.c")},
@@ -219,7 +221,7 @@ def finder_of(mutant: Mutant, folder: Path) -> importlib.abc.MetaPathFinder | No
         places[name] = folder / f"{name.rpartition('.')[2]}.so"
         others = [str(path.parent / b) if b.endswith(".c") else b for b in beside]
         done = subprocess.run(
-            ["cc", "-std=c99", "-O1", "-w", "-ffp-contract=off", "-shared", "-fPIC",
+            ["cc", "-std=c99", "-O1", "-w", "-ffp-contract=off", "-shared", "-fPIC", *TRAPS,
              f"-I{path.parent}", str(source), *others, "-o", str(places[name]), "-lm"],
             capture_output=True, check=False,
         )  # fmt: skip

@@ -35,7 +35,7 @@ def hostile_steps(precision: str, folder: Path, steps: int) -> str:
     sanitisers skips.
     """
     compiler = found("gcc", "clang", "cc")
-    _need_sanitisers(compiler, folder)
+    need_sanitisers(compiler, folder)
     packed = folder / "parameters.bin"
     opened = library(precision)
     packed.write_bytes(b"".join(bytes(opened.pack(complete(given))) for given in SETS))
@@ -49,7 +49,7 @@ def hostile_steps(precision: str, folder: Path, steps: int) -> str:
     return run(fuzz, str(packed), str(steps), str(SEED))
 
 
-def _need_sanitisers(compiler: str, folder: Path) -> None:
+def need_sanitisers(compiler: str, folder: Path) -> None:
     probe = folder / "probe.c"
     probe.write_text("int main(void) { return 0; }\n")
     command = [compiler, *SANITISERS, str(probe), "-o", str(folder / "probe")]
