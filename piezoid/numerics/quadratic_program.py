@@ -13,6 +13,7 @@ from piezoid.numerics.bounded import bounded_minimum
 
 _TOLERANCE = 1e-10
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
+AT_BOUND = 1e-7  # of what is added up in a constraint
 ROUNDING = 1e-11  # of columns and a target of norm 1
 
 
@@ -104,7 +105,10 @@ def stationarity(
     scale = _column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale
     value = constraint @ x
-    slack = 1e-7 * (1.0 + np.abs(constraint) @ np.abs(x))
+    # An x of columns of norm 1, all as large as the largest, says what a constraint's rounding is.
+    slack = (
+        AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) * np.abs(constraint / scale).sum(1)
+    )
     at_lower, at_upper = value <= limits[0] + slack, value >= limits[1] - slack
     # An equation is among both: it pushes either way.
     normals = np.vstack([constraint[at_lower], -constraint[at_upper]]) / scale

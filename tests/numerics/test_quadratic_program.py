@@ -71,6 +71,22 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
         assert (others < alone) is balanced
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
+    factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
+    lower, upper = np.full(4, -np.inf), np.full(4, np.inf)
+    best = bounded_step(factor, right, lower, np.array([0.0, np.inf, -0.1, np.inf]))
+    upper[[0, 2]] = 0.0, -0.1
+    for off, held in ((1e-9, True), (-1e-9, True), (-1e-3, False)):
+        x = best + np.array([off, 0.0, 0.0, 0.0])
+        known = stationarity(factor, x, right, np.eye(4), (lower, upper))
+        assert (known < 1e-6) is held
+        other = stationarity(factor, unit * x, unit * right, np.eye(4), (lower, unit * upper))
+        assert other == pytest.approx(known, rel=1e-3, abs=1e-12)
+        columns = stationarity(unit * factor, x / unit, right, np.eye(4), (lower, upper / unit))
+        assert columns == pytest.approx(known, rel=1e-3, abs=1e-12)
+
+
 @given(
     seed=st.integers(0, 2**32 - 1),
     power=st.integers(-60, 60),
@@ -155,6 +171,8 @@ def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
     triangle = empty_triangle(6)
     for chunk in np.array_split(rows, 13):
         triangle = gather(triangle, chunk)
+    np.testing.assert_array_equal(gather(triangle, np.empty((0, 6))), triangle)
+    assert gather(empty_triangle(0), np.empty((5, 0))).shape == (0, 0)
     x = rng.normal(size=6)
     assert np.linalg.norm(triangle @ x) == pytest.approx(np.linalg.norm(rows @ x), rel=1e-13)
     assert np.allclose(triangle, np.triu(triangle))

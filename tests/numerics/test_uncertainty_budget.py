@@ -22,6 +22,12 @@ def normal(standard: float, freedom: float = math.inf, *, is_shared: bool = True
     )
 
 
+def heavy(tail: float, *, is_shared: bool = True) -> Contribution:
+    return Contribution(
+        name="h", kind="A", standard=1.0, shape=HEAVY, tail=tail, is_shared=is_shared
+    )
+
+
 def test_the_end_gauge_of_the_guide_has_the_guides_numbers() -> None:
     # JCGM 100:2008, H.1: contributions in nm and their degrees of freedom; k there is for 99 %.
     gauge = [normal(25.0, 18), normal(9.7, 25.6), normal(2.9, 50), normal(16.6, 2)]
@@ -47,6 +53,8 @@ def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
         ([normal(1.0)], norm.ppf(0.975)),
         ([normal(1.0, 4.0)], 2.7764),  # Student's t at 4
         ([normal(0.6), normal(0.8, is_shared=False)], norm.ppf(0.975)),
+        ([heavy(4.0)], 2.7764 * math.sqrt(0.5)),  # the same of variance 1
+        ([heavy(4.0, is_shared=False)], 2.7764 * math.sqrt(0.5)),
     ],
 )
 def test_draws_give_the_interval_that_can_be_written_down(
@@ -71,6 +79,27 @@ def test_the_largest_error_is_what_drawing_every_position_gives() -> None:
     assert found.largest == pytest.approx(np.quantile(every, (0.025, 0.975)), rel=0.02)
 
 
+def test_the_largest_of_more_positions_than_numbers_between_0_and_1_is_a_number() -> None:
+    for one in (normal(1.0, is_shared=False), heavy(4.0, is_shared=False)):
+        found = budget_of([one], positions=10**18, draws=1000)
+        assert np.isfinite(found.largest_error).all()
+        assert found.largest[0] > 5.0
+
+
+def test_shares_are_of_the_variance_however_small_it_is() -> None:
+    parts = [normal(3e-12), normal(0.0), normal(4e-12)]
+    found = budget_of(parts, draws=1000)
+    assert [found.share(one) for one in parts] == pytest.approx([0.36, 0.0, 0.64])
+    nothing = budget_of([normal(0.0)], draws=1000)
+    assert nothing.share(normal(0.0)) == 0.0
+
+
+def test_quantiles_go_from_the_least_to_the_largest_of_all_draws() -> None:
+    found = budget_of([half_width("r", 1.0)])
+    assert (found.probability[0], found.probability[-1]) == (0.0, 1.0)
+    np.testing.assert_allclose(found.single_error, found.probability, atol=0.01)
+
+
 def test_what_is_shared_by_all_positions_has_no_larger_largest() -> None:
     found = budget_of([normal(1.0)], positions=1000)
     assert found.largest_error == pytest.approx(found.single_error)
@@ -82,9 +111,10 @@ def test_a_heavy_tail_is_found_from_its_quantile_and_drawn_again(tail: float) ->
     ratio = float(np.quantile(np.abs(sample), 0.999))
     found = tail_of(ratio)
     assert found == pytest.approx(tail, rel=0.15)
-    one = Contribution(name="h", kind="A", standard=1.0, shape=HEAVY, tail=found, is_shared=False)
-    heavy, light = budget_of([one]), budget_of([normal(1.0, is_shared=False)])
-    assert heavy.largest[1] > light.largest[1]
+    far, near = (
+        budget_of([one]) for one in (heavy(found, is_shared=False), normal(1.0, is_shared=False))
+    )
+    assert far.largest[1] > near.largest[1]
 
 
 def test_a_light_tail_is_normal_and_an_impossible_one_is_bounded() -> None:
