@@ -76,6 +76,15 @@ def test_bezout_is_solved_to_rounding_of_its_own_terms_on_200_random_problems(rn
         assert len(solution.R) == len(a) - 1
 
 
+def test_the_residual_of_bezout_is_beside_the_largest_coefficient_asked_for(rng):
+    for size in (1.0, -1e3, 1e-3):
+        a, b, p = random_problem(rng)
+        solution = solve_bezout(a, b, size * p)
+        left = total(np.convolve(a, solution.S), np.convolve(b, solution.R), -size * p)
+        assert solution.residual == pytest.approx(np.abs(left).max() / np.abs(size * p).max())
+        assert 0.0 <= solution.residual < 1e-6
+
+
 def test_a_target_of_high_degree_makes_s_longer_and_not_r():
     a, b = np.array([1.0, -1.5, 0.56]), np.array([0.0, 1.0, 0.5])
     p = from_roots(np.full(7, 0.3))

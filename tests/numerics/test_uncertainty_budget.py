@@ -100,6 +100,14 @@ def test_quantiles_go_from_the_least_to_the_largest_of_all_draws() -> None:
     np.testing.assert_allclose(found.single_error, found.probability, atol=0.01)
 
 
+def test_the_heaviest_tail_at_a_position_is_the_tail_of_their_sum() -> None:
+    other = Contribution(name="n", kind="A", standard=1e-6, is_shared=False)
+    alone, both = (
+        budget_of([heavy(3.0, is_shared=False), *more]).largest[1] for more in ([], [other])
+    )
+    assert both == pytest.approx(alone, rel=0.05)
+
+
 def test_what_is_shared_by_all_positions_has_no_larger_largest() -> None:
     found = budget_of([normal(1.0)], positions=1000)
     assert found.largest_error == pytest.approx(found.single_error)
