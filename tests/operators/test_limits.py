@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.operators.limits import crept, slewed
+from piezoid.operators.limits import activated, crept, slewed
 
 
 def test_a_slewed_signal_never_goes_faster_than_its_step_and_arrives_if_it_has_time() -> None:
@@ -27,3 +27,11 @@ def test_creep_without_threshold_is_an_exponential_and_within_one_it_rests() -> 
     assert not crept(step, part, 1.0).any()
     # Beyond a threshold it goes on until it is that far away.
     assert crept(np.append(0.0, np.ones(5000)), part, 0.3)[-1] == pytest.approx(0.7, abs=1e-12)
+
+
+def test_of_a_signal_without_samples_none_is_read() -> None:
+    """Under the sanitisers a single one would be seen."""
+    nothing = np.empty(0)
+    assert slewed(nothing, 0.1).shape == (0,)
+    assert crept(nothing, 0.5, 0.0).shape == (0,)
+    assert activated(nothing, 0.5, 1.0, 1.0).shape == (0,)
