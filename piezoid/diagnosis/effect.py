@@ -140,3 +140,7 @@ class Effect:
     worth: float = 0.03
     common: bool = False
     shows_at: float = 2e-3
+
+    def resembles(self, other: "Effect") -> bool:
+        """Tell whether one of the two may stand in the place of the other."""
+        return other.name in self.rivals or self.name in other.rivals

@@ -17,7 +17,7 @@ from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
-from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.refinement import begun, refined, refined_together
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.slips_instead import Instead, fault_beside, slips_instead, stand_better
 from piezoid.diagnosis.view import View, with_free_memory, with_knee, with_pasts
@@ -30,6 +30,8 @@ NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 LEFT_OVER = 0.3  # of a rival's share
+CLEAR = 1.25  # times the noise: an error that is there
+REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
 Progress = Callable[[str], None]
@@ -149,8 +151,19 @@ def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
             continue
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, far.clean, far.accepted)
-        finer.append(judged(better, view, without, seen=found))
+        alone = judged(better, view, without, seen=found)
+        finer.append(_together(alone, far, found) if alone.sound else alone)
     return finer
+
+
+def _together(alone: Judged, far: Grown, seen: Screened) -> Judged:
+    """Refine what was accepted alone for both, where these look alike, and the effect again."""
+    alike = [one for one in far.accepted if one.free and one.effect.resembles(alone.effect)]
+    if not alike or not alone.accepted.free:
+        return alone
+    others = [one for one in far.accepted if one not in alike]
+    better, view = refined_together([*alike, alone.accepted], far.clean, others)
+    return judged(better[-1], view, alone.without, seen=seen)
 
 
 def _best(tried: Sequence[Judged], far: Grown) -> Judged | None:
@@ -167,7 +180,13 @@ def _above_twin(found: Screened) -> bool:
 
 
 def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
-    """Tell whether this may be what an accepted rival, not quite as modelled, leaves over."""
+    """Tell whether this may be what an accepted rival, not quite as modelled, leaves over.
+
+    What takes a clear error down to the noise is no wrong shape for somebody's rest.
+    """
+    noise, before = found.view.noise, found.without.rms
+    if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
+        return False
     for one in accepted:
         if found.effect.name not in one.effect.rivals:
             continue

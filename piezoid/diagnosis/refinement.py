@@ -16,6 +16,7 @@ from piezoid.diagnosis.view import View
 PARTS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
 STEPS = 6
 LEAST_STEP = 0.05
+FARTHEST = 5.0  # times the way of one round
 BETTER = 5e-4  # of the error: what a step must gain
 
 
@@ -46,6 +47,49 @@ def refined(
         for name in one.free:
             best = _walked(best, clean, others, name, part)
     return best
+
+
+def refined_together(
+    several: Sequence[Accepted], clean: View, others: Sequence[Accepted]
+) -> tuple[list[Accepted], View]:
+    """Return effects with parameters that are better together, and the view with all at work.
+
+    One after the other creeps along a valley: a limit found without the lag behind it follows a
+    part of the lag. So the way they went in one round is gone on, as far as a parabola says.
+
+    Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
+    """
+    there, start = list(several), extended(clean, [*others, *several])
+    view = start
+    for k, one in enumerate(several):
+        rest = [*others, *there[:k], *there[k + 1 :]]
+        there[k], view = refined(one, clean, rest, finer=1)
+
+    def onward(length: float) -> tuple[list[Accepted], View]:
+        far = [_beyond(a, b, length) for a, b in zip(several, there, strict=True)]
+        return far, extended(clean, [*others, *far])
+
+    twice = onward(1.0)
+    length = _lowest(start.rms**2, view.rms**2, twice[1].rms**2) - 1.0
+    return min((there, view), twice, onward(length), key=lambda found: found[1].rms)
+
+
+def _lowest(none: float, once: float, twice: float) -> float:
+    """Return how many steps lead to the lowest place of a parabola through three errors."""
+    bend = twice - 2.0 * once + none
+    slope = once - none - 0.5 * bend
+    return float(np.clip(-slope / bend, 1.0, FARTHEST)) if bend > 0.0 else FARTHEST
+
+
+def _beyond(before: Accepted, now: Accepted, length: float) -> Accepted:
+    """Return an effect as many times as far on as it came."""
+    parameters = dict(now.parameters)
+    for name, width in now.free.items():
+        a, b = before.parameters[name], now.parameters[name]
+        far = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
+        low, high = now.limits.get(name, (-float("inf"), float("inf")))
+        parameters[name] = min(max(far, low), high)
+    return replace(now, parameters=parameters)
 
 
 def _walked(

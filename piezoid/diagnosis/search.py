@@ -21,7 +21,7 @@ from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
 WORTH = 0.02  # of the rms: what removing a cause must lose
-CLEARLY = 0.35  # of the error: what structure takes off that nothing else here looks like
+CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 
@@ -87,7 +87,7 @@ def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
-        beside = any(_alike(cause.effect, effect) for cause in outcome.causes)
+        beside = any(cause.effect.resembles(effect) for cause in outcome.causes)
         progress(f"testing {effect.name.replace('_', ' ')}")
         found = screen(effect, final)
         if found is None:
@@ -104,10 +104,6 @@ def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
                 rivals=_with_rival(outcome.rivals, effect),
             )
     return outcome
-
-
-def _alike(one: Effect, other: Effect) -> bool:
-    return one.name in other.rivals or other.name in one.rivals
 
 
 def _stands(structure: Judged, final: View, *, beside: bool) -> bool:

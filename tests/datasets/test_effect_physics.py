@@ -6,8 +6,12 @@ from numpy.typing import NDArray
 
 from piezoid_datasets.virtual_lab.ablation import change_m
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from piezoid_datasets.virtual_lab.effects.non_congruence import freer_end
 from piezoid_datasets.virtual_lab.effects.rate_dependence import follow_slowly
 from piezoid_datasets.virtual_lab.effects.slew_limit import limited
+from piezoid_datasets.virtual_lab.truths.bouc_wen import TRUTH as BOUC_WEN
+from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth
+from piezoid_datasets.virtual_lab.truths.wall_pinning import TRUTH as WALLS
 from tests.datasets.campaigns import campaign, number, pair, pairs
 
 Array = NDArray[np.float64]
@@ -224,6 +228,24 @@ def test_non_congruence_opens_loops_at_one_end_and_closes_them_at_the_other() ->
     ]
     assert openings[0] * openings[1] < 0.0
     assert abs(np.mean(change[_near(volts, 5.0)])) < 0.1 * max(map(abs, openings))
+
+
+@pytest.mark.parametrize("truth", [WALLS, BOUC_WEN])
+def test_walls_become_freer_where_they_are_freer_by_nature(truth: Truth) -> None:
+    for seed in range(6):
+        ceramic = truth.draw(np.random.default_rng(seed))
+        wide = [_width(ceramic, bias) for bias in (-0.5, 0.5)]
+        if abs(wide[1] / wide[0] - 1.0) > 0.03:
+            assert freer_end(ceramic) == np.sign(wide[1] - wide[0])
+
+
+def _width(ceramic: Ceramic, bias: float) -> float:
+    """Return the rms opening of a small loop, of its twentieth round."""
+    up = np.linspace(bias - 0.25, bias + 0.25, 201)
+    once = np.concatenate([up, up[-2:0:-1]])
+    _, moved = ceramic.respond(np.tile(once, 20), np.array([-1.0, 1.0]))
+    last = moved[-len(once) :]
+    return float(np.sqrt(np.mean((last[1:200] - last[:200:-1]) ** 2)))
 
 
 def _near(volts: Array, at: float) -> NDArray[np.bool_]:

@@ -18,7 +18,6 @@ from piezoid.diagnosis.effects import (
 from piezoid.diagnosis.folds import Held, surely
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.screening import _best
-from piezoid.diagnosis.search import _alike
 
 BLOCKS = 40
 
@@ -95,5 +94,5 @@ def test_of_clips_that_explain_as_much_the_one_that_is_as_deep_as_its_share_is_b
 
 
 def test_only_causes_that_look_like_a_structure_hold_it_back():
-    assert _alike(creep.EFFECT, initial_state.EFFECT)
-    assert not _alike(resonance.EFFECT, initial_state.EFFECT)
+    assert creep.EFFECT.resembles(initial_state.EFFECT)
+    assert not resonance.EFFECT.resembles(initial_state.EFFECT)

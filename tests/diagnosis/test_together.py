@@ -1,0 +1,57 @@
+"""Effects beside those that look alike: refined together, and not taken for what these leave."""
+
+from types import SimpleNamespace
+
+import pytest
+
+import piezoid.diagnosis.growth as growth
+from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
+from piezoid.diagnosis.extended import extended
+from piezoid.diagnosis.refinement import begun, refined, refined_together
+from piezoid.diagnosis.screening import screen
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import recorded, view_of_recordings
+
+NOISE = 1.0
+
+
+def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_other() -> None:
+    sizes = {"slew_limit": 0.5, "lag": 0.3}
+    campaign = draw_campaign(12, truth="preisach", plans=("sweep", "rates"), effects=sizes)
+    numbers = {effect.name: effect.numbers for effect in campaign.answer.effects}
+    clean = view_of_recordings(*recorded(campaign))
+    found, view = [], clean
+    for effect in (slew_limit.EFFECT, lag.EFFECT):
+        seen = screen(effect, view)
+        one = begun(effect, seen.trial, float(seen.held.coefficient[0]))
+        better, view = refined(one, clean, found)
+        found.append(better)
+    together, left = refined_together(found, clean, [])
+    true_s = float(numbers["lag"]["time_constant_s"])
+    apart_s, found_s = (pair[1].parameters["time_s"] for pair in (found, together))
+    assert abs(found_s / true_s - 1.0) < 0.5 * abs(apart_s / true_s - 1.0)
+    assert left.rms < 0.8 * view.rms
+    assert left.rms == pytest.approx(extended(clean, together).rms)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "rest"),
+    [
+        (1.6, 1.1, False),  # down to the noise
+        (1.6, 1.4, True),
+        (1.2, 1.02, True),  # hardly more than noise was there
+    ],
+)
+def test_a_small_part_beside_a_rival_is_its_rest_unless_nothing_is_left_after(
+    monkeypatch, before, after, rest
+) -> None:
+    rival = SimpleNamespace(effect=gain_change.EFFECT)
+    drift = SimpleNamespace(
+        effect=thermal_drift.EFFECT,
+        share=0.1,
+        without=SimpleNamespace(rms=before),
+        view=SimpleNamespace(rms=after, noise=NOISE),
+    )
+    monkeypatch.setattr(growth, "extended", lambda *_: SimpleNamespace(rms=10.0))
+    assert growth._left_over(drift, None, [rival]) is rest
