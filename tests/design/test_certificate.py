@@ -60,6 +60,14 @@ def test_the_norm_of_a_lag_is_its_geometric_sum():
     assert impulse_response([1.0, 2.0], [1.0])[:3] == pytest.approx([1.0, 2.0, 0.0])
 
 
+def test_an_impulse_response_is_as_long_as_it_is_felt_and_no_longer():
+    for root, most in ((0.0, 500), (0.5, 500), (0.99, 6_000), (0.999999, 400_000)):
+        found = impulse_response([1.0], [1.0, -root])
+        np.testing.assert_allclose(found, root ** np.arange(len(found)), rtol=1e-6, atol=1e-300)
+        assert len(found) <= most
+        assert found[-1] < 1e-12 or len(found) == most
+
+
 def test_dividing_by_a_difference_undoes_multiplying_by_it(rng):
     p = rng.normal(size=5)
     np.testing.assert_allclose(without_difference(np.convolve(p, [1.0, -1.0])), p, atol=1e-14)

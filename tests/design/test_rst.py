@@ -133,6 +133,12 @@ def test_the_tracking_polynomial_leaves_only_zeros_delay_and_the_reference_model
     np.testing.assert_allclose(y, expected, atol=1e-12)
 
 
+def test_a_target_on_the_unit_circle_is_refused():
+    plant = plant_from_chain(vertical_chain())
+    with pytest.raises(UnstableLoopError, match="magnitude 1"):
+        place(plant, np.array([1.0, -1.0]))
+
+
 def test_an_unstable_target_is_refused():
     with pytest.raises(UnstableLoopError, match=r"magnitude 1\.01"):
         place(plant_from_chain(vertical_chain()), [1.0, -1.01])

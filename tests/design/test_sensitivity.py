@@ -1,5 +1,7 @@
 """Margins by second routes: delayed loops, brute-force Nyquist distance, Bode's integral."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -166,6 +168,20 @@ def test_a_violation_names_template_member_frequency_and_amount():
     assert (margin.member, margin.limit) == ("4 eV", 0.6)
 
 
+def test_a_delay_margin_is_missed_by_every_member_that_has_less():
+    family = vertical_family()
+    R, S = loop(1e3, 0.9)
+    reached_s = {m.label: margins(m, R, S).delay_margin_s for m in family.members}
+    for asked_s in (0.99 * min(reached_s.values()), 1.01 * min(reached_s.values()), 1.0):
+        found = violations(
+            family.members, R, S, templates=[], modulus_margin=1e-3, delay_margin_s=asked_s
+        )
+        assert {v.template for v in found} <= {"delay margin"}
+        late = {label: s for label, s in reached_s.items() if s < asked_s}
+        assert {v.member: v.found for v in found} == pytest.approx(late)
+        assert all((v.limit, v.unit) == (asked_s, "s") for v in found)
+
+
 def test_the_searchs_grid_agrees_with_the_fine_check():
     family, asked = vertical_family(), vertical_specification(100.0)
     grid = family_grid(family, asked, count=2000)
@@ -209,3 +225,30 @@ def test_predicted_noise_is_the_simulated_noise(rng):
     measured = y[1000:].std()
     assert noise_rms(plant, R, S, asked) == pytest.approx(measured, rel=0.05)
     assert judge(grid, R, S).noise_rms == pytest.approx(noise_rms(plant, R, S, asked), rel=0.02)
+
+
+def test_what_is_predicted_of_a_scan_is_the_sum_over_its_harmonics():
+    family, asked = vertical_family(), vertical_specification(100.0)
+    R, S = loop(1e3, 0.9)
+    found = judge(family_grid(family, asked), R, S)
+    odd = np.array([1, 3, 5, 7])  # of a triangle: those beyond are small
+    left = [
+        sensitivities(m, R, S, odd * asked.scan_frequency_Hz).Syp / odd for m in family.members
+    ]
+    worst = max(float(np.linalg.norm(part)) for part in left)
+    assert found.disturbance_rms == pytest.approx(worst * asked.disturbance_rms)
+    assert found.predicted_error >= max(found.disturbance_rms, found.noise_rms)
+
+
+def test_steps_of_the_converter_make_noise_as_large_as_they_are():
+    family = vertical_family()
+    R, S = loop(1e3, 0.9)
+    quiet = replace(vertical_specification(100.0), sensor_noise_rms=0.0)
+    noise = [
+        judge(family_grid(family, replace(quiet, voltage_step_V=step_V)), R, S).noise_rms
+        for step_V in (1e-3, 2e-3)
+    ]
+    assert noise[1] == pytest.approx(2.0 * noise[0])
+    asked = replace(quiet, voltage_step_V=1e-3)
+    worst = max(noise_rms(m, R, S, asked) for m in family.members)
+    assert noise[0] == pytest.approx(worst, rel=0.05)

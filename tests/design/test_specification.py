@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from piezoid.design.chain import plant_from_chain
@@ -43,6 +44,21 @@ def test_defaults_ask_half_a_modulus_margin_and_one_sample_of_delay():
     assert asked.delay_margin_s == pytest.approx(1.0 / RATE_Hz)
     assert asked.bandwidth_Hz == pytest.approx(94.5)
     assert asked.all_templates[0].limit_dB([asked.bandwidth_Hz])[0] == pytest.approx(-3.0)
+    assert asked.scan_frequency_Hz == pytest.approx(9.45)
+
+
+def test_the_default_lets_no_frequency_cost_more_than_ten_times_the_static_drive():
+    asked = default_specification(
+        plant_from_chain(lateral_chain(LATERAL_m_per_V)),
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=1e-7,
+    )
+    (control,) = (t for t in asked.all_templates if t.function == "Sup")
+    allowed_V_per_m = 10.0 ** (control.limit_dB([1e-3, 10.0, RATE_Hz / 2]) / 20.0)
+    np.testing.assert_allclose(allowed_V_per_m, 10.0 / LATERAL_m_per_V)
+    assert np.isinf(control.limit_dB([0.9e-3])).all()
 
 
 def test_a_fast_plant_is_limited_by_its_delay():
