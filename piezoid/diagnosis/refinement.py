@@ -70,7 +70,7 @@ def refined_together(
         return far, extended(clean, [*others, *far])
 
     twice = onward(1.0)
-    length = _lowest(start.rms**2, view.rms**2, twice[1].rms**2) - 1.0
+    length = _lowest(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
     return min((there, view), twice, onward(length), key=lambda found: found[1].rms)
 
 
