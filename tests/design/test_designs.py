@@ -116,6 +116,7 @@ def test_margins_in_the_record_are_recomputed_from_r_and_s(lateral, vertical):
 def test_only_a_form_with_bounds_has_a_certificate(lateral):
     assert lateral.loop("mpi_dob").certificate is None
     certificate = lateral.loop("dob").certificate
+    assert all(loop.A_0.tolist() == [1.0] for loop in lateral.loops)
     assert certificate.is_guaranteed
     assert certificate.guaranteed_error_m > 0
     assert any("bounds for tests" in sentence for sentence in certificate.conditions)

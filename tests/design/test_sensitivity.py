@@ -196,13 +196,40 @@ def test_the_searchs_grid_agrees_with_the_fine_check():
             assert seen.excess_dB > 20.0
 
 
+def test_rejection_is_that_of_the_worst_member_beside_a_straight_line():
+    family, asked = vertical_family(), vertical_specification(100.0)
+    R, S = loop(1e3, 0.9)
+    grid = family_grid(family, asked)
+    f = grid.frequency_Hz[grid.frequency_Hz <= asked.bandwidth_Hz]
+    relative = [
+        np.abs(sensitivities(m, R, S, f).Syp) * asked.bandwidth_Hz / f for m in family.members
+    ]
+    assert worst_place(grid, R, S).rejection == pytest.approx(np.max(relative))
+    # A loop that keeps every limit is told how much room is left, by both.
+    easy = replace(asked, bandwidth_Hz=1.0, modulus_margin=0.05, delay_margin_s=1e-7)
+    roomy = family_grid(family, easy)
+    assert judge(roomy, R, S).excess_dB == worst_place(roomy, R, S).excess_dB < 0.0
+
+
+def test_a_sensitivity_that_is_largest_at_half_the_rate_is_found_there():
+    plant = plant_from_fraction(
+        "first", [0.0, 0.5], [1.0, -0.2], sampling_rate_Hz=RATE_Hz, output_unit="1"
+    )
+    # |1 + 0.5 z / (1 - 0.2 z)| at z = -1: 1 - 0.5 / 1.2
+    found = margins(plant, [1.0], [1.0])
+    assert found.modulus_margin == pytest.approx(1.0 - 0.5 / 1.2, rel=1e-3)
+    assert found.modulus_Hz == pytest.approx(RATE_Hz / 2, rel=1e-2)
+
+
 def test_the_grid_counts_unstable_members():
     family = vertical_family()
     grid = family_grid(family, vertical_specification(100.0))
     R, S = loop(1e3, 0.9)
     counts = []
     for factor in (1.0, 8.0):
-        counts.append(worst_place(grid, factor * R, S).excess_dB > 50.0)
+        seen = worst_place(grid, factor * R, S)
+        assert judge(grid, factor * R, S).excess_dB == seen.excess_dB
+        counts.append(seen.excess_dB > 50.0)
         unstable = [
             spectral_radius(closed_loop_polynomial(m, factor * R, S)) > 1.0 for m in family.members
         ]
