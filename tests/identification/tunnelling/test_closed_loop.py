@@ -148,6 +148,13 @@ def test_lines_on_the_mains_are_left_out() -> None:
     assert np.isin([40.0, 70.0, 110.0, 1000.0], frequency_Hz).all()
 
 
+def test_the_slowest_line_of_a_dither_is_used_however_slow() -> None:
+    record = loop_records([Junction()], periods=10, seed=13)[0]
+    slow = _changed(record, sampling_rate_Hz=2.0)
+    found_Hz = spectra_of_dither(slow, highest_Hz=0.9).frequency_Hz
+    np.testing.assert_allclose(found_Hz, np.array(LINES) * 2.0 / PERIOD_SAMPLES)
+
+
 def test_the_unit_of_the_dither_does_not_matter() -> None:
     junction = Junction()
     record = loop_records([junction], periods=12, seed=15)[0]

@@ -1,0 +1,48 @@
+"""A fit without each block of its data, from the normal equations of the blocks."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.jackknife import Jackknife, left_out
+from piezoid.identification.hysteresis.remarks import _about_search
+from piezoid.numerics.arrays import Array
+
+
+def blocks_of(count: int) -> tuple[Array, Array]:
+    """J'J and J'e of every block; of the first number the whole fit is the least error."""
+    rng = np.random.default_rng(3)
+    rows, error = rng.normal(size=(count, 20, 3)), rng.normal(size=(count, 20))
+    error -= (rows[..., 0] * error).sum() / (rows[..., 0] ** 2).sum() * rows[..., 0]
+    return np.einsum("bri,brj->bij", rows, rows), np.einsum("bri,br->bi", rows, error)
+
+
+def jackknife_of(count: int) -> Jackknife:
+    """One number that is free, one held from below, one held from above."""
+    bounds = np.array([-10.0, 0.0, 0.0]), np.array([10.0, 2.0, 1.0])
+    return left_out(np.array([0.5, 0.0, 1.0]), bounds, *blocks_of(count))
+
+
+def test_numbers_on_a_bound_stay_there_whichever_block_is_left_out() -> None:
+    found = jackknife_of(12)
+    assert found.free.tolist() == [True, False, False]
+    assert (found.replicates[:, 1:] == [0.0, 1.0]).all()
+
+
+def test_a_free_number_becomes_what_the_other_blocks_say() -> None:
+    normals, gradients = blocks_of(12)
+    # Products of the others add up to what the block's own take away.
+    others = normals[:, 0, 0].sum() - normals[:, 0, 0]
+    expected = 0.5 + gradients[:, 0] / others
+    np.testing.assert_allclose(jackknife_of(12).replicates[:, 0], expected)
+
+
+@pytest.mark.parametrize(("blocks", "is_said"), [(9, True), (10, False)])
+def test_intervals_on_less_than_ten_blocks_say_so(blocks: int, is_said: bool) -> None:
+    for converged, gap in ((True, 0.0), (False, 1.0)):
+        fitted = SimpleNamespace(minimum=SimpleNamespace(converged=converged), kkt_gap=gap)
+        said = _about_search(fitted, jackknife_of(blocks))  # type: ignore[arg-type]
+        assert any(f"{blocks} blocks" in remark for remark in said) is is_said
+        assert any("limit of iterations" in remark for remark in said) is not converged
+        assert any("optimal only to" in remark for remark in said) is (gap > 0.0)
