@@ -43,3 +43,13 @@ def test_sections_multiply_to_the_filter_with_unit_gain_at_rest(taps, rng):
         together = np.convolve(together, section[:3])
     np.testing.assert_allclose(together[:taps], coefficients, atol=1e-9)
     np.testing.assert_allclose(together[taps:], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("late", [1, 2, 3, 4, 5])
+def test_a_filter_that_begins_late_has_sections_that_only_wait(late):
+    coefficients = np.concatenate([np.zeros(late), [0.75, 0.25]])
+    together = np.ones(1)
+    for section in filter_sections(coefficients):
+        together = np.convolve(together, section[:3])
+    np.testing.assert_allclose(together[: late + 2], coefficients, atol=1e-15)
+    assert not together[late + 2 :].any()
