@@ -43,6 +43,12 @@ def test_declared_sources_are_type_b_and_have_their_closed_forms() -> None:
     assert not displacement_budget(axis_model(), EVERYTHING).unknown
 
 
+def test_noise_is_new_at_each_position_and_what_was_calibrated_once_is_not() -> None:
+    parts = displacement_budget(axis_model(), EVERYTHING).budget.contributions
+    new = {one.name for one in parts if not one.is_shared}
+    assert new == {"residual on held-out data, sensor noise included", "step of the converter"}
+
+
 def test_the_residual_enters_whole_and_sources_from_data_are_type_a() -> None:
     held = by_name()
     assert held["residual on held-out data, sensor noise included"] == ("A", 3e-8)

@@ -146,3 +146,19 @@ def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> No
     assert CreepLadder.from_json(even.to_json()) == even
     with pytest.raises(ValueError, match="expected equal"):
         replace(even, share=(0.01, 0.02, 0.01))
+
+
+def test_a_gain_that_changes_multiplies_from_its_instant_on_and_steps_its_zero_once() -> None:
+    here = where()
+    name, instant_s = here.recording, float(here.time_s[here.samples // 2])
+    change = GainChange(
+        recording=name, instant_s=instant_s, ratio=1.5, offset_m=3e-9, later=("after",)
+    )
+    late = here.time_s >= instant_s
+    moved_m = 1e-6 * np.sin(here.time_s)
+    np.testing.assert_allclose(change.response(moved_m, here), moved_m * np.where(late, 1.5, 1.0))
+    np.testing.assert_allclose(change.added(here), np.where(late, 3e-9, 0.0))
+    for other, ratio in (("after", 1.5), ("before", 1.0)):
+        there = replace(here, recording=other)
+        np.testing.assert_allclose(change.response(moved_m, there), ratio * moved_m)
+        assert change.added(there) == 0.0
