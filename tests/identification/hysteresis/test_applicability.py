@@ -76,4 +76,5 @@ def test_a_loop_crosses_where_three_standard_errors_say_so(scatter: float, is_to
     told = applicability._crossing(loops, 1.0, 0.0)  # type: ignore[arg-type]
     assert bool(told) is is_told
     assert ("opens the wrong way by 20.00 %" in told) is is_told
+    assert ("widest opening 100.00 %" in told) is is_told
     assert not applicability._crossing(loops, 1.0, 0.03)  # type: ignore[arg-type]
