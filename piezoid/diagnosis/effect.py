@@ -38,6 +38,8 @@ class Trial:
     least       size below which the first coefficient is none
     apart       part of the first column, by length, that the null must leave over: a lag at one
                 frequency is a width of the loop
+    alone       whether it is all that is wrong of its kind: where many shapes are missing, one of
+                them is no more than the nearest
     free        parameters worth refining: by which factor (above 1) or step (below) to try
     limits      ranges of these; one that ends at its limit was not found
     """
@@ -48,6 +50,7 @@ class Trial:
     within: tuple[float, float] = (-float("inf"), float("inf"))
     least: float = 0.0
     apart: float = 0.0
+    alone: bool = True
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 

@@ -1,19 +1,22 @@
 """The structural envelope: a wide class of hysteresis that does not know of rate, time or other
 axes.
 
-    y = sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j, u) + zero of the track
+    y = sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
+        + zero of the track
 
-z_i plays, n = 1 .. 4; x_j friction states that forget exponentially with the way the drive went,
+z_i plays, n = 1 .. 4; x_jn friction states that forget exponentially with the way the drive went,
 
-    dx/dt = du/dt - |du/dt| x / r,
+    dx/dt = d(u^n)/dt - |du/dt| x / r,
 
-f_j their powers and their products with the drive; and, where that beats every effect, one
+f_j powers of the first and their products with the drive; and, where that beats every effect, one
 Bouc-Wen state of free parameters, because its small loops do not close. Plays with powers of their
-states are Preisach operators in play form; products with the drive let loops change with bias;
-friction states are Dahl's. The class is far wider than any model that ships: what it can follow is
-no evidence of a cause, and effects are decided on what it cannot.
+states are Preisach operators in play form; friction states are Dahl's, and with the powers of the
+drive those of walls drawn to a curved anhysteretic; products with the drive let loops change with
+bias. The class is far wider than any model that ships: what it can follow is no evidence of a
+cause, and effects are decided on what it cannot.
 
-Source: Krejci (1996); Dahl (1968); Bouc (1967); a wide class of nulls, Box (1980).
+Source: Krejci (1996); Dahl (1968); Jiles & Atherton (1986); Bouc (1967); a wide class of nulls,
+Box (1980).
 """
 
 from dataclasses import dataclass
@@ -21,7 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
-from piezoid.diagnosis.friction import FRICTION, rubbed
+from piezoid.diagnosis.friction import rubbed, rubbing
 from piezoid.diagnosis.pasts import Turns, past
 from piezoid.diagnosis.shape import (
     KNEE_COLUMNS,
@@ -36,7 +39,6 @@ from piezoid.diagnosis.shape import (
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.friction import friction_states
 from piezoid.operators.play import first_carry, play_columns, play_tangents
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
@@ -114,7 +116,7 @@ class Envelope:
         """Return states of plays and friction along another drive, at a track's rows."""
         turns, place = self.turns[k], self.tracks[k].place
         states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
-        friction = friction_states(drive, FRICTION, rubbed(drive, turns))
+        friction = rubbing(drive, rubbed(drive, turns))
         return _rows(states, place), _rows(friction, place)
 
     def _kept(self, k: int) -> Array:
@@ -146,7 +148,7 @@ class Envelope:
     def along(self, drive: Array, turns: Turns, weight: Array) -> Array:
         """Return what the shared columns make of any drive that turned before, (samples,)."""
         memory = past(drive, turns)
-        friction = friction_states(drive, FRICTION, rubbed(drive, turns))
+        friction = rubbing(drive, rubbed(drive, turns))
         parts = []
         for first in range(0, len(drive), CHUNK):
             part = np.asarray(drive[first : first + CHUNK])

@@ -15,13 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.friction import FRICTION, rubbed
+from piezoid.diagnosis.friction import REACH, rubbed, rubbing
 from piezoid.diagnosis.pasts import Turns, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.friction import friction_states
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: then all is forgotten
@@ -107,7 +106,7 @@ class _Sketch:
     def misfit(self, turns: Turns) -> float:
         """Return the standard deviation of what a past misses."""
         states, _ = play_columns(self.drive, THRESHOLD, past(self.drive, turns))
-        forgotten = np.exp(-self.way[:, None] / FRICTION)
+        forgotten = np.exp(-self.way[:, None] / REACH)
         rubs = self.friction + (rubbed(self.drive, turns) - self.began) * forgotten
         model = shape(states, rubs, self.drive, self.weight[:SHARED])
         if self.knee:
@@ -132,6 +131,6 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
         drive=np.asarray(track.drive[points]),
         response=np.asarray(track.response[points]),
         began=began,
-        friction=friction_states(track.drive, FRICTION, began)[points],
+        friction=rubbing(track.drive, began)[points],
         way=way[points],
     )

@@ -107,6 +107,8 @@ def _best(effect: Effect, rows: Sequence[Row]) -> Row:
 
 def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
     low, high = trial.within
+    if not trial.alone:
+        return False
     if effect.drive is not None or effect.passes is not None:
         # such a tangent errs by factors, but not in its sign; the share is one after the refit
         low, high = LEAST_SHARE, float("inf")

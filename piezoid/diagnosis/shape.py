@@ -1,14 +1,14 @@
 """The shape of the envelope: powers of states and their products with the drive.
 
-    sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j, u)
+    sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
 
-z_0 the drive itself, z_i plays, n = 1 .. 4, x_j friction states, f_j their powers up to the third
-and their products with the drive and its square.
+z_0 the drive itself, z_i plays, n = 1 .. 4, x_jn friction states of the n-th power of the drive,
+f_j powers of x_j1 up to the third and its products with the drive and its square.
 """
 
 import numpy as np
 
-from piezoid.diagnosis.friction import FRICTION
+from piezoid.diagnosis.friction import FRICTION, REACH
 from piezoid.numerics.arrays import Array
 from piezoid.operators.polynomials import sum_of_polynomials
 
@@ -19,7 +19,9 @@ TURN_AT = 0.15
 THRESHOLD = np.concatenate(
     [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]
 )
-SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * len(FRICTION)
+RUBS = len(FRICTION)
+CURVED = len(REACH) - RUBS
+SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * RUBS + CURVED
 KNEE_COLUMNS = 5
 
 
@@ -48,13 +50,13 @@ def write_shape(columns: Array, states: Array, friction: Array, drive: Array) ->
     for lower in (base[:, 1:], columns[:, first : first + PLAYS]):
         np.multiply(u, lower, out=columns[:, first : first + PLAYS])
         first += PLAYS
-    count = len(FRICTION)
-    parts = [columns[:, first + count * n : first + count * (n + 1)] for n in range(5)]
-    np.divide(friction, np.minimum(FRICTION, 1.0), out=parts[0])
+    parts = [columns[:, first + RUBS * n : first + RUBS * (n + 1)] for n in range(5)]
+    np.divide(friction[:, :RUBS], np.minimum(FRICTION, 1.0), out=parts[0])
     np.multiply(parts[0], parts[0], out=parts[1])
     np.multiply(parts[1], parts[0], out=parts[2])
     np.multiply(u, parts[0], out=parts[3])
     np.multiply(u, parts[3], out=parts[4])
+    columns[:, SHARED - CURVED : SHARED] = friction[:, RUBS:]
 
 
 def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
@@ -62,23 +64,24 @@ def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
     plays = PLAYS + 1
     power = weight[: plays * POWERS].reshape(POWERS, plays)
     bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
-    rub = weight[plays * POWERS + 2 * PLAYS :].reshape(5, len(FRICTION))
+    rub = weight[plays * POWERS + 2 * PLAYS : SHARED - CURVED].reshape(5, RUBS)
     u = drive
     base = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
     of_plays = sum_of_polynomials(
         states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
     )
     of_friction = sum_of_polynomials(
-        friction, u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
+        friction[:, :RUBS], u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
     )
-    return np.asarray(base + of_plays + of_friction)
+    curved = friction[:, RUBS:] @ weight[SHARED - CURVED : SHARED]
+    return np.asarray(base + of_plays + of_friction + curved)
 
 
 def bias_places() -> tuple[int, ...]:
     """Return which of the shared columns are products with the drive."""
     plays = (PLAYS + 1) * POWERS
-    friction = plays + 2 * PLAYS + 3 * len(FRICTION)
-    return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED))
+    friction = plays + 2 * PLAYS + 3 * RUBS
+    return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED - CURVED))
 
 
 def knee_columns(state: Array, drive: Array) -> Array:

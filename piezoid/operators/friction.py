@@ -1,8 +1,12 @@
 """Friction states: they forget exponentially with the way the drive went.
 
-    dx/dt = du/dt - |du/dt| x / r
+    dx/dt = d(u^n)/dt - |du/dt| x / r
 
-Source: Dahl, Aerospace Corporation TR-0158 (1968).
+n = 1 is Dahl's friction. Walls that are drawn to a curved anhysteretic A(u) obey the same law with
+A in the place of u^n: the powers up to the third are the beginning of its series.
+
+Source: Dahl, Aerospace Corporation TR-0158 (1968); Jiles & Atherton, J. Magn. Magn. Mater. 61
+(1986); Coleman & Hodgdon, Int. J. Eng. Sci. 24 (1986).
 """
 
 import numpy as np
@@ -10,15 +14,25 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
 
+POWERS = (1, 2, 3)
 
-def friction_states(drive: Array, reach: Array, start: Array) -> Array:
-    """Follow friction along a drive; over a straight part x goes to r sgn(du) by exp(-|du| / r).
+
+def friction_states(
+    drive: Array, reach: Array, start: Array, *, power: Array | None = None
+) -> Array:
+    """Follow friction along a drive; over a straight part a state goes exponentially to
+
+        q_1 = s r,   q_2 = 2 s r u - 2 r^2,   q_3 = 3 s r u^2 - 6 r^2 u + 6 s r^3,   s = sgn(du)
 
     drive     (samples,)         of any unit
     reach     (states,)          r, of the drive's unit, > 0
     start     (states,)          x at the first sample
-    returned  (samples, states)  of the drive's unit, column-major
+    power     (states,)          n, 1 to 3; all 1 where nothing is said
+    returned  (samples, states)  of the drive's unit to the power, column-major
     """
+    powers = np.ones(len(reach)) if power is None else contiguous(power)
+    if not np.isin(powers, POWERS).all():
+        raise ValueError(f"powers are {np.unique(powers)}, known are {POWERS}")
     given, state = contiguous(drive), np.array(start, dtype=np.float64)
     states = np.empty((len(given), len(state)), order="F")
     KERNELS.pk_friction(
@@ -26,6 +40,7 @@ def friction_states(drive: Array, reach: Array, start: Array) -> Array:
         address(given),
         len(state),
         address(contiguous(reach)),
+        address(powers),
         address(state),
         len(given),
         address(states),

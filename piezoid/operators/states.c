@@ -72,16 +72,31 @@ void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma,
     *state = z;
 }
 
+/* What a friction state of u^n follows on a straight way without end. */
+static double followed(int power, double u, double r, double sign) {
+    switch (power) {
+    case 1:
+        return sign * r;
+    case 2:
+        return 2.0 * r * (sign * u - r);
+    default:
+        return 3.0 * r * (u * (sign * u - 2.0 * r) + 2.0 * sign * r * r);
+    }
+}
+
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 double *state, size_t stride, double *column) {
+                 const double *power, double *state, size_t stride, double *column) {
     for (size_t j = 0; j < states; ++j) {
+        const double r = reach[j];
+        const int n = (int)power[j];
         double x = state[j];
         double *own = column + j * stride;
         for (size_t k = 0; k < samples; ++k) {
-            const double way = k > 0 ? input[k] - input[k - 1] : 0.0;
+            const double before = k > 0 ? input[k - 1] : input[k], way = input[k] - before;
             if (way > 0.0 || way < 0.0) {
-                const double end = way > 0.0 ? reach[j] : -reach[j];
-                x = end + (x - end) * exp(-fabs(way) / reach[j]);
+                const double sign = way > 0.0 ? 1.0 : -1.0;
+                const double start = followed(n, before, r, sign);
+                x = followed(n, input[k], r, sign) + (x - start) * exp(-fabs(way) / r);
             }
             own[k] = x;
         }

@@ -34,13 +34,15 @@ void pk_activated(size_t samples, const double *input, double step, double wide,
 void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
                  double longest, double *state, double *output);
 
-/* Friction states, one for each reach r; over a straight part of the input
- *   x[k] = e x[k-1] + sgn(du) r (1 - e),   e = exp(-|du| / r)
- *   state  (states,)          in/out: at the first sample, then at the last one
- *   column (states, stride)   out
+/* Friction states, each with a reach r and a power n = 1, 2 or 3 of the input,
+ *   dx = d(u^n) - |du| x / r;    over a straight part, s = sgn(du),
+ *   x[k] = q(u[k]) + (x[k-1] - q(u[k-1])) exp(-|du| / r),
+ *   q = s r,   2 s r u - 2 r^2,   3 s r u^2 - 6 r^2 u + 6 s r^3
+ *   state  (states,)         in/out: at the first sample, then at the last one
+ *   column (states, stride)  out
  */
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 double *state, size_t stride, double *column);
+                 const double *power, double *state, size_t stride, double *column);
 
 /* Add a polynomial of every column, whose first coefficient goes with the input u:
  *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i

@@ -10,7 +10,7 @@ from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null, surely
-from piezoid.diagnosis.friction import FRICTION
+from piezoid.diagnosis.friction import REACH
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import with_own_pasts
@@ -40,7 +40,7 @@ def late_view() -> View:
 
 def test_the_response_without_columns_is_the_response_with_them():
     chance = np.random.default_rng(1)
-    states, rubs = chance.normal(size=(50, PLAYS)), chance.normal(size=(50, len(FRICTION)))
+    states, rubs = chance.normal(size=(50, PLAYS)), chance.normal(size=(50, len(REACH)))
     drive, weight = chance.normal(size=50), chance.normal(size=SHARED)
     expected = shape_columns(states, rubs, drive) @ weight
     np.testing.assert_allclose(shape(states, rubs, drive, weight), expected, rtol=1e-10, atol=1e-9)
@@ -76,7 +76,7 @@ def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     view = view_of_recordings(known, lab)
     assert with_own_pasts(view).rms > 0.95 * view.rms
     unknown, lab = recorded(
-        draw_campaign(404, truth="preisach", plans=("sweep", "check"), careless=True)
+        draw_campaign(407, truth="preisach", plans=("sweep", "check"), careless=True)
     )
     view = view_of_recordings(unknown, lab)
     found = with_own_pasts(view)
@@ -126,8 +126,8 @@ def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
 def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     recordings, lab = healthy()
     one_late = [
-        with_displacement(r, delayed(r.displacement_m(), 4e-3, r.sampling_rate_Hz))
-        if "check" in r.name
+        with_displacement(r, delayed(r.displacement_m(), 4e-4, r.sampling_rate_Hz))
+        if "rates" in r.name
         else r
         for r in recordings
     ]

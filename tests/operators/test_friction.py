@@ -23,12 +23,30 @@ def test_friction_solves_its_equation_of_motion() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-7)
 
 
+@pytest.mark.parametrize("power", [2, 3])
+def test_friction_of_a_curved_rest_is_what_a_first_order_lag_along_the_way_leaves(power) -> None:
+    way = np.sin(np.linspace(0.0, 9.0, 40_001)) * np.linspace(1.0, 0.3, 40_001)
+    lagging = np.zeros((len(way), len(REACH)))
+    for k, step in enumerate(np.abs(np.diff(way))):
+        target = 0.5 * (way[k] ** power + way[k + 1] ** power)
+        lagging[k + 1] = lagging[k] + (target - lagging[k]) * -np.expm1(-step / REACH)
+    expected = way[:, None] ** power - lagging
+    found = friction_states(way, REACH, np.zeros(len(REACH)), power=np.full(len(REACH), power))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_only_powers_whose_closed_form_is_known_are_followed() -> None:
+    with pytest.raises(ValueError, match="known are"):
+        friction_states(np.zeros(3), REACH, np.zeros(3), power=np.array([1.0, 2.0, 4.0]))
+
+
 def test_friction_knows_only_the_turns_of_the_drive() -> None:
     turns = np.array([0.0, 1.0, -0.6, 0.2, -0.1])
     places = [np.linspace(a, b, 50) for a, b in pairwise(turns.tolist())]
-    start = np.array([0.01, -0.1, 0.3])
-    finely = friction_states(np.concatenate(places), REACH, start)[-1]
-    np.testing.assert_allclose(friction_states(turns, REACH, start)[-1], finely, rtol=1e-12)
+    start, power = np.array([0.01, -0.1, 0.3]), np.array([1.0, 3.0, 2.0])
+    finely = friction_states(np.concatenate(places), REACH, start, power=power)[-1]
+    coarsely = friction_states(turns, REACH, start, power=power)[-1]
+    np.testing.assert_allclose(coarsely, finely, rtol=1e-11)
 
 
 def test_friction_ends_at_its_reach_and_rests_with_the_drive() -> None:

@@ -6,7 +6,8 @@ Why it happens
     Walls are freer where the ceramic is less polarised; no sum of plays or relays knows of that.
 How it is detected
     The fitted loop less its middle line, times the drive, explains what plays, friction and powers
-    of their states cannot; and it opens by more than ceramics do by themselves.
+    of their states cannot; nearly all of what any products of states with the drive explain, and
+    it opens by more than ceramics do by themselves.
 What the extension adds
     An envelope in front of the plays (the generalised model), as far as it can follow.
 Source
@@ -23,7 +24,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-OPENING = 0.22  # of loops over half the range; ceramics by themselves open by up to 0.19
+OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
+ALONE = 0.88  # of what all products with the drive explain, in power: a ceramic of another kind
+# misses many of them,
+MUCH = 0.5  # of the whole error, in power, but never one so much
 PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
 POINTS = 401
 
@@ -36,7 +40,18 @@ def _against(view: View) -> Null:
 
 def _trials(view: View) -> list[Trial]:
     place, width = [t.drive[t.place] for t in view.tracks], _irreversible(view)
-    return [Trial(columns=(np.concatenate(place) * width)[:, None], least=OPENING)]
+    column = np.concatenate(place) * width
+    return [Trial(columns=column[:, None], least=OPENING, alone=_is_alone(view, column))]
+
+
+def _is_alone(view: View, column: Array) -> bool:
+    """Tell whether one column explains nearly all that products with the drive do, or much."""
+    null, bias = _against(view), len(view.envelope.bias_columns)
+    across, residual = null.without(column), null.residual
+    one = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
+    left = float(np.sum(view.null.residual**2))
+    error = float(np.sum(residual**2))
+    return one > min(ALONE * (error - left * (1.0 + bias / len(residual))), MUCH * error)
 
 
 def _irreversible(view: View) -> Array:
@@ -89,6 +104,5 @@ EFFECT = Effect(
     shows_at=4e-3,
     quiet=2.0,
     sure=3.3,
-    worth=0.12,
     common=True,
 )
