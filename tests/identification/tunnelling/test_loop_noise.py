@@ -42,7 +42,7 @@ def test_the_interval_of_a_drift_is_students_of_its_blocks() -> None:
     step_m = np.array([1.0, 3.0, 2.0, 2.0, 1.0, 3.0, 2.0, 2.0, 2.0]) * 1e-12
     blocks_m = np.repeat(np.concatenate([[0.0], np.cumsum(step_m)]), 100)
     rate_m_per_s, half_m_per_s = loop_noise._drift(np.append(blocks_m, 7.0), 1000.0)
-    assert rate_m_per_s == pytest.approx(20e-12, abs=0.0)
+    assert rate_m_per_s == pytest.approx(20e-12, rel=1e-9, abs=0.0)
     # nine differences of ten blocks of 0.1 s: t(0.975, 8) = 2.306
     expected_m_per_s = 2.306 * 10.0 * step_m.std(ddof=1) / 3.0
     assert half_m_per_s == pytest.approx(expected_m_per_s, rel=1e-3, abs=0.0)
