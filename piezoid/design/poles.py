@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from piezoid.design.chain import Section
 from piezoid.design.plant import Plant
-from piezoid.design.rst import sampled_poles
-from piezoid.numerics.polynomial import roots_of
+from piezoid.design.rst import section_poles
 
 Poles = NDArray[np.complex128]
 
@@ -65,10 +64,10 @@ def observer_poles(plant: Plant, choice: PoleChoice, oscillation_Hz: tuple[float
     ]
     for f in oscillation_Hz:
         pair = Section(frequency_Hz=f, damping=_WELL_DAMPED)
-        parts.append(roots_of(sampled_poles(pair, rate_Hz)))
+        parts.append(section_poles(pair, rate_Hz))
     return np.concatenate(parts).astype(np.complex128)
 
 
 def _replacement(section: Section, count: int, rate_Hz: float) -> Poles:
     single = section if count == 2 else Section(frequency_Hz=section.frequency_Hz)
-    return roots_of(sampled_poles(single, rate_Hz))
+    return section_poles(single, rate_Hz)

@@ -9,7 +9,7 @@ from piezoid.design.chain import Section
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.numerics.polynomial import from_roots, product, solve_bezout, spectral_radius
+from piezoid.numerics.polynomial import Roots, from_roots, product, solve_bezout, spectral_radius
 
 INTEGRATOR = np.array([1.0, -1.0])
 OPEN_AT_NYQUIST = np.array([1.0, 1.0])
@@ -81,17 +81,19 @@ def place(
     )
 
 
-def sampled_poles(section: Section, sampling_rate_Hz: float) -> Array:
-    """Return the monic polynomial with a continuous section's poles mapped by exp(s Ts).
-
-    Damping above one gives two real poles.
-    """
+def section_poles(section: Section, sampling_rate_Hz: float) -> Roots:
+    """Return a section's poles mapped by exp(s Ts); damping above one gives two real ones."""
     w = 2.0 * np.pi * section.frequency_Hz
     if section.damping is None:
-        return from_roots([np.exp(-w / sampling_rate_Hz)])
+        return np.array([np.exp(-w / sampling_rate_Hz)], dtype=np.complex128)
     root = np.sqrt(complex(section.damping**2 - 1.0))
     s = w * np.array([-section.damping + root, -section.damping - root])
-    return from_roots(np.exp(s / sampling_rate_Hz))
+    return np.asarray(np.exp(s / sampling_rate_Hz))
+
+
+def sampled_poles(section: Section, sampling_rate_Hz: float) -> Array:
+    """Return the monic polynomial with the poles of ``section_poles``."""
+    return from_roots(section_poles(section, sampling_rate_Hz))
 
 
 def closed_loop_target(
