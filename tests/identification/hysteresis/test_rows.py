@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.identification.hysteresis.rows import column_places, rows_of, simulate
+from piezoid.identification.hysteresis.rows import chain_of, column_places, rows_of, simulate
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import RATE_Hz, first_order_lag, play_sum, wandering
 
@@ -60,6 +60,19 @@ def test_tangents_are_finite_differences_of_the_simulation(
         down = simulate(theta - step, coordinates, 0, piece, sensor_Hz)
         wrong = np.abs((up - down)[sample] / (2 * STEP) - tangent[:, j]) > 1e-4
         assert wrong.mean() < KINKS, f"number {place}"
+
+
+@pytest.mark.parametrize(("share_of_rate", "is_filter"), [(0.2, True), (0.3, True), (0.4, False)])
+def test_a_declared_pole_quicker_than_half_a_sample_is_a_delay(
+    rng: np.random.Generator, share_of_rate: float, is_filter: bool
+) -> None:
+    coordinates = Coordinates(shape=Shape(plays=2, below=0, above=0, lag="delay"), offsets=(1,))
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    pole_Hz = share_of_rate * RATE_Hz
+    chain, late = chain_of(theta, coordinates, 0, piece, pole_Hz)
+    delay = late + float(chain.share or 0.0)
+    assert (chain.sensor is not None) is is_filter
+    assert delay == pytest.approx(3.3 + (0.0 if is_filter else 1 / (2 * np.pi * share_of_rate)))
 
 
 @pytest.mark.parametrize("stride", [1, 5])

@@ -94,6 +94,18 @@ def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     assert whole.limiting_source == attenuated.limiting_source == "gap"
 
 
+@pytest.mark.parametrize(
+    ("samples", "rate_Hz", "spacing_Hz"), [(100_000, 1e3, 1.0), (2_048, 1e4, 1e4 / 512)]
+)
+def test_lines_of_a_density_are_a_hertz_apart_or_what_a_quarter_of_the_record_tells(
+    samples: int, rate_Hz: float, spacing_Hz: float
+) -> None:
+    frequency_Hz, density = power_density(np.sin(np.arange(samples)), rate_Hz)
+    assert np.diff(frequency_Hz) == pytest.approx(spacing_Hz)
+    assert len(density) == len(frequency_Hz)
+    assert frequency_Hz[-1] == pytest.approx(rate_Hz / 2)
+
+
 def test_the_power_density_integrates_to_the_variance(rng: np.random.Generator) -> None:
     signal = rng.standard_normal(40000)
     frequency_Hz, density = power_density(signal, 1000.0)
