@@ -34,6 +34,7 @@ ALONE = 0.75  # of the error: what slips must leave where nothing else speaks
 ALONE_AGAIN = 0.97  # the same where a clock has slipped elsewhere
 SURE = 3.0  # standard errors by which slips must be better than a cause
 SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere; then below SEPARABLE it is said
+CHANCE = 5e-4  # of one block alone, a transient at its beginning say, much may come by chance
 SEPARABLE = 1.96  # standard errors between two that are told apart
 
 
@@ -84,7 +85,8 @@ def stand_better(instead: Instead, without: View, cause: View | None, *, again: 
     again  whether a clock has slipped elsewhere
     """
     if cause is None:
-        return instead.view.rms < (ALONE_AGAIN if again else ALONE) * without.rms
+        much = instead.view.rms < (ALONE_AGAIN if again else ALONE) * without.rms
+        return much and instead.fault.p_value < CHANCE
     clear = _clear(instead, cause)
     return instead.view.rms < cause.rms and clear > (SURE_AGAIN if again else SURE)
 

@@ -1,6 +1,7 @@
 """Slips of a clock are found, sized, undone, and told from delays of the stage."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
 from piezoid.diagnosis.slips import beside, strongest
-from piezoid.diagnosis.slips_instead import slips_instead, stand_better
+from piezoid.diagnosis.slips_instead import Instead, slips_instead, stand_better
 from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
@@ -152,3 +153,11 @@ def test_a_delay_of_the_stage_is_not_taken_for_slips():
     view = view_of_quickening(0, 8, late_s=2e-3)
     slips = slips_instead(view, [], view)
     assert slips is None or not stand_better(slips, view, with_delay(view), again=True)
+
+
+@pytest.mark.parametrize(("p_value", "stands"), [(1e-6, True), (0.02, False)])
+def test_slips_that_explain_much_of_one_block_only_are_no_evidence(p_value, stands):
+    view = SimpleNamespace(rms=1.0)
+    fault = Fault(tracks=(), value=2.0, spread=0.4, p_value=p_value)
+    slips = Instead(clean=view, view=SimpleNamespace(rms=0.6), fault=fault)
+    assert stand_better(slips, view, None, again=False) is stands
