@@ -24,6 +24,7 @@ from functools import cached_property
 
 import numpy as np
 
+from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.friction import rubbed, rubbing
 from piezoid.diagnosis.pasts import Turns, past
 from piezoid.diagnosis.shape import (
@@ -38,13 +39,10 @@ from piezoid.diagnosis.shape import (
 )
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.play import first_carry, play_columns, play_tangents
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
 CHUNK = 65536
-
-Knee = tuple[float, float, float]
 
 
 def _rows(columns: Array, place: Places) -> Array:
@@ -58,7 +56,7 @@ class Envelope:
 
     tracks  what is followed
     turns   (tracks,)  values at which the drive turned before each track
-    knee    beta, gamma and exponent of a Bouc-Wen state beside the others, or none
+    knee    a Bouc-Wen state beside the others, or none
     free    whether the first states of every track may be corrected
     """
 
@@ -162,9 +160,7 @@ class Envelope:
     def bent(self, turns: Turns, drive: Array) -> Array:
         """Return the Bouc-Wen state along a drive that turned before, (samples,)."""
         assert self.knee is not None
-        way = np.array([*turns, float(drive[0])])
-        start = float(bouc_wen_states(way, *self.knee)[-1])
-        return bouc_wen_states(drive, *self.knee, start)
+        return bent_states(self.knee, turns, drive)
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""

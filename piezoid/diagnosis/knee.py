@@ -5,7 +5,7 @@ It is structure, not a cause: it is taken in only where it leaves less than any 
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import Knee
+from piezoid.diagnosis.bouc_wen import Knee
 from piezoid.diagnosis.view import View, with_knee
 
 BETAS = (0.8, 1.6, 3.2)
@@ -13,18 +13,18 @@ RATIOS = (0.0, 0.4)  # gamma over beta
 EXPONENTS = (1.0, 1.6)
 PARTS = (1.0, 0.5, 0.25, 0.1)
 BETA, EXPONENT = 1.4, 1.35  # factors of a full step
-RATIO = 0.25  # its step
+RATIO, BEND = 0.25, 0.25  # steps
 RCOND = 1e-9  # of lengths: columns that the others already have
-LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0))
+LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
 
 
-Law = tuple[float, float, float]  # beta, gamma / beta, exponent
+Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 
 
 def with_best_knee(view: View) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
     bare = with_knee(view, None)
-    laws: list[Law] = [(b, r, n) for b in BETAS for r in RATIOS for n in EXPONENTS]
+    laws: list[Law] = [(b, r, n, 0.0) for b in BETAS for r in RATIOS for n in EXPONENTS]
     best = min(((_left(bare, law), law) for law in laws), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
@@ -49,14 +49,19 @@ def _better(bare: View, best: tuple[float, Law], place: int, part: float) -> tup
 
 
 def _stepped(law: Law, place: int, part: float) -> Law:
-    beta, ratio, exponent = law
-    steps = (beta * BETA**part, ratio + RATIO * part, exponent * EXPONENT**part)
+    beta, ratio, exponent, bend = law
+    steps = (
+        beta * BETA**part,
+        ratio + RATIO * part,
+        exponent * EXPONENT**part,
+        bend + BEND * part,
+    )
     low, high = LIMITS[place]
     there = [*law]
     there[place] = min(max(steps[place], low), high)
-    return there[0], there[1], there[2]
+    return there[0], there[1], there[2], there[3]
 
 
 def _knee(law: Law) -> Knee:
-    beta, ratio, exponent = law
-    return beta, ratio * beta, exponent
+    beta, ratio, exponent, bend = law
+    return beta, ratio * beta, exponent, bend

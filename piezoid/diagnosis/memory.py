@@ -14,13 +14,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
 from piezoid.diagnosis.pasts import Turns, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: then all is forgotten
@@ -96,7 +96,7 @@ class _Sketch:
     """
 
     weight: Array
-    knee: tuple[float, float, float] | None
+    knee: Knee | None
     drive: Array
     response: Array
     began: Array
@@ -110,9 +110,7 @@ class _Sketch:
         rubs = self.friction + (rubbed(self.drive, turns) - self.began) * forgotten
         model = shape(states, rubs, self.drive, self.weight[:SHARED])
         if self.knee:
-            way = np.array([*turns, float(self.drive[0])])
-            start = float(bouc_wen_states(way, *self.knee)[-1])
-            bent = bouc_wen_states(self.drive, *self.knee, start)
+            bent = bent_states(self.knee, turns, self.drive)
             model = model + knee_columns(bent, self.drive) @ self.weight[SHARED:]
         return float(np.std(model - self.response))
 

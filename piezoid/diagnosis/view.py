@@ -11,7 +11,8 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.envelope import Envelope, Knee
+from piezoid.diagnosis.bouc_wen import Knee
+from piezoid.diagnosis.envelope import Envelope
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.pasts import Turns, pasts
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
