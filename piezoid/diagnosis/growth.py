@@ -152,7 +152,9 @@ def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, far.clean, far.accepted)
         alone = judged(better, view, without, seen=found)
-        finer.append(_together(alone, far, found) if alone.sound else alone)
+        # beside a limit that follows a part of it, a delay differs from recording to recording
+        better_so = alone.sound or len(one.free) == 1
+        finer.append(_together(alone, far, found) if better_so else alone)
     return finer
 
 

@@ -113,8 +113,10 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
     """
     if structure.held.gain > CLEARLY and not beside:
         return True
-    quiet = min(structure.effect.quiet, QUIET) if beside else structure.effect.quiet
-    return final.rms < quiet * final.noise
+    if not beside:
+        return final.rms < structure.effect.quiet * final.noise
+    worth = structure.held.gain > structure.effect.worth  # and no half of it
+    return worth and final.rms < min(structure.effect.quiet, QUIET) * final.noise
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:

@@ -33,7 +33,7 @@ class Cause:
 
     @property
     def effect(self) -> SimpleNamespace:
-        return SimpleNamespace(name=self.name, quiet=self.quiet)
+        return SimpleNamespace(name=self.name, quiet=self.quiet, worth=0.1)
 
     @property
     def held(self) -> SimpleNamespace:
@@ -71,6 +71,8 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
         (0.5, 1.7, True, False),  # causes that are not quite as modelled may look like it
         (0.2, 1.55, True, False),
         (0.2, 1.4, True, True),
+        (0.09, 1.4, False, True),  # half the worth near the noise, but
+        (0.09, 1.4, True, False),  # all of it beside what looks alike
     ],
 )
 def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, beside, stands) -> None:

@@ -57,7 +57,7 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
-    rivals=("creep", "thermal_drift", "gain_change"),
+    rivals=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
     against=_against,
     sure=4.0,
