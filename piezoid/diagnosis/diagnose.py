@@ -2,15 +2,14 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.judgement import Judged
-from piezoid.diagnosis.screening import Screened
+from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
@@ -21,12 +20,9 @@ from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.model import AxisModel
-from piezoid.readable import told
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-WIDTH = "the drive has one speed at every place, so this is a width of the loop and no more"
-POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 Progress = Callable[[str], None]
 
 
@@ -86,7 +82,7 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
     ]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     named = {finding.effect for finding in findings}
-    absent = [_absent(effect, outcome) for effect in EFFECTS if effect.name not in named]
+    unseen = [absent(effect, outcome) for effect in EFFECTS if effect.name not in named]
     return Diagnosis(
         axis=axis,
         stroke_m=2.0 * stroke_m,
@@ -96,7 +92,7 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
         noise_floor_rms_m=noise * stroke_m,
         explained_fraction=_explained(numbers.baseline, numbers.final, noise),
         findings=tuple(findings),
-        not_detected=tuple(absent),
+        not_detected=tuple(unseen),
         model=numbers.model,
     )
 
@@ -139,7 +135,7 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
     stroke_m = outcome.first.stroke_m
     before, after = numbers.without[effect.name], numbers.final
     rivals = outcome.rivals.get(effect.name, ())
-    structure = _structure(rivals)
+    structure = _structure([*rivals, *_named_beside(cause, outcome)])
     return Finding(
         effect=effect.name,
         held_out_gain=_gain(before, after),
@@ -161,6 +157,14 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
 def _structure(rivals: Sequence[str]) -> list[Effect]:
     """Return the rivals that are hysteresis: an experiment on the effect alone parts none."""
     return [rival for rival in map(_named, rivals) if rival.against is not None]
+
+
+def _named_beside(cause: Judged, outcome: Outcome) -> list[str]:
+    """Return causes that may hold a part of this one, where it is not sure beyond doubt."""
+    if cause.held.z > CERTAIN or cause.effect.against is not None:
+        return []
+    others = [other.effect for other in outcome.causes if other is not cause]
+    return [other.name for other in others if other.resembles(cause.effect)]
 
 
 def _or_none_at_all(size: Size) -> Size:
@@ -187,61 +191,3 @@ def _first_words(effect: Effect) -> str:
 
 def _named(name: str) -> Effect:
     return next(effect for effect in EFFECTS if effect.name == name)
-
-
-def _absent(effect: Effect, outcome: Outcome) -> NotDetected:
-    found = outcome.screened.get(effect.name)
-    why = effect.untestable(outcome.final) or ("" if found is None or found.apart else WIDTH)
-    if why or (found is None and effect.fault is None):
-        return NotDetected(
-            effect=effect.name,
-            upper_bound_m=None,
-            detection_limit_m=None,
-            reason=why or "nothing in these recordings excites it",
-            next_experiment=effect.experiment,
-        )
-    if found is None:
-        least = effect.least if effect.bound is None else effect.bound(outcome.clean)
-        limit_m = least * 2.0 * outcome.final.stroke_m
-        return NotDetected(
-            effect=effect.name,
-            upper_bound_m=limit_m,
-            detection_limit_m=limit_m,
-            reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
-            next_experiment=effect.experiment,
-        )
-    return _bounded(found, outcome)
-
-
-def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
-    across_m = 2.0 * outcome.final.stroke_m
-    doubt = found.bound - found.share
-    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
-    bound_m = across_m * found.bound
-    # what may be there and was not named has not shown either
-    limit_m = max(across_m * max(POWER * doubt, needed, found.effect.least, found.floor), bound_m)
-    return NotDetected(
-        effect=found.effect.name,
-        upper_bound_m=bound_m,
-        detection_limit_m=limit_m,
-        reason=(
-            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.held.gain:.2g} % off the "
-            f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
-            f"{_held_back(found, outcome)}"
-        ),
-        next_experiment=found.effect.experiment,
-    )
-
-
-def _beside_twin(found: Screened) -> str:
-    if found.twin is None:
-        return ""
-    return f", its unphysical twin {100 * found.twin.gain:.2g} %"
-
-
-def _held_back(found: Screened, outcome: Outcome) -> str:
-    if found.effect.name not in outcome.held_back:
-        return ""
-    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
-    beside = f"what {causes} may leave over" if causes else "what else no hysteresis here follows"
-    return f": not named, because these recordings do not tell it from {beside}"

@@ -1,5 +1,6 @@
 """What a search keeps, takes back, and says of the rest; stand-ins for the fits."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -10,7 +11,7 @@ import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.rivals as rivals
 import piezoid.diagnosis.search as search
 from piezoid.diagnosis.diagnosis import Finding, Size
-from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.growth import SLIP, Grown
 from piezoid.diagnosis.slips_instead import Instead, fault_beside
@@ -85,17 +86,21 @@ def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
     assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
 
 
-def creep_beside(monkeypatch, *near: str) -> Finding:
+def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float = 4.0) -> Finding:
     """Return the finding of a creep of 0.74 % a decade that was not told from others."""
     size = Size(value=0.74, unit=creep.EFFECT.unit, ci95=(0.39, 1.09))
     monkeypatch.setattr(diagnose, "size_of", lambda _: size)
     cause = SimpleNamespace(
         effect=creep.EFFECT,
         share=0.01,
-        held=SimpleNamespace(gain=0.1, p_value=1e-6),
+        held=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
         accepted=SimpleNamespace(parameters={}),
     )
-    outcome = SimpleNamespace(first=SimpleNamespace(stroke_m=1e-5), rivals={"creep": near})
+    outcome = SimpleNamespace(
+        first=SimpleNamespace(stroke_m=1e-5),
+        rivals={"creep": near},
+        causes=[cause, *(SimpleNamespace(effect=effect) for effect in found)],
+    )
     numbers = SimpleNamespace(without={"creep": 0.02}, final=0.018)
     return diagnose._of_cause(cause, outcome, numbers)
 
@@ -112,6 +117,13 @@ def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment(mon
     assert found.size.ci95 == (0.39, 1.09)
     assert "A part of it" not in found.explanation
     assert found.next_experiment == creep.EFFECT.experiment
+
+
+def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it(monkeypatch) -> None:
+    found = [initial_state.EFFECT, thermal_drift.EFFECT]
+    assert creep_beside(monkeypatch, found=found).size.ci95 == (0.0, 1.09)
+    assert creep_beside(monkeypatch, found=found, z=9.0).size.ci95 == (0.39, 1.09)
+    assert creep_beside(monkeypatch, found=[thermal_drift.EFFECT]).size.ci95 == (0.39, 1.09)
 
 
 def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> None:

@@ -1,0 +1,71 @@
+"""Absence: how large an effect may be that was not named, and the size that would have shown."""
+
+from math import sqrt
+
+from piezoid.diagnosis.diagnosis import NotDetected
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.screening import Screened
+from piezoid.diagnosis.search import Outcome
+from piezoid.readable import told
+
+WIDTH = "the drive has one speed at every place, so this is a width of the loop and no more"
+POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
+
+
+def absent(effect: Effect, outcome: Outcome) -> NotDetected:
+    """Return what is known of an effect that is not among the causes."""
+    found = outcome.screened.get(effect.name)
+    why = effect.untestable(outcome.final) or ("" if found is None or found.apart else WIDTH)
+    if why or (found is None and effect.fault is None):
+        return NotDetected(
+            effect=effect.name,
+            upper_bound_m=None,
+            detection_limit_m=None,
+            reason=why or "nothing in these recordings excites it",
+            next_experiment=effect.experiment,
+        )
+    if found is None:
+        least = effect.least if effect.bound is None else effect.bound(outcome.clean)
+        limit_m = least * 2.0 * outcome.final.stroke_m
+        return NotDetected(
+            effect=effect.name,
+            upper_bound_m=limit_m,
+            detection_limit_m=limit_m,
+            reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
+            next_experiment=effect.experiment,
+        )
+    return _bounded(found, outcome)
+
+
+def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
+    across_m = 2.0 * outcome.final.stroke_m
+    doubt = found.bound - found.share
+    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
+    bound_m = across_m * found.bound
+    # what may be there and was not named has not shown either
+    limit_m = max(across_m * max(POWER * doubt, needed, found.effect.least, found.floor), bound_m)
+    return NotDetected(
+        effect=found.effect.name,
+        upper_bound_m=bound_m,
+        detection_limit_m=limit_m,
+        reason=(
+            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.held.gain:.2g} % off the "
+            f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
+            f"{_held_back(found, outcome)}"
+        ),
+        next_experiment=found.effect.experiment,
+    )
+
+
+def _beside_twin(found: Screened) -> str:
+    if found.twin is None:
+        return ""
+    return f", its unphysical twin {100 * found.twin.gain:.2g} %"
+
+
+def _held_back(found: Screened, outcome: Outcome) -> str:
+    if found.effect.name not in outcome.held_back:
+        return ""
+    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
+    beside = f"what {causes} may leave over" if causes else "what else no hysteresis here follows"
+    return f": not named, because these recordings do not tell it from {beside}"
