@@ -144,7 +144,7 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
         p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
         share=cause.share,
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
-        not_separable_from=rivals,
+        not_separable_from=(*rivals, *(s.name for s in structure if s.name not in rivals)),
         explanation=_first_words(effect)
         + f" Here it is {100 * cause.share:.3g} % of the stroke (rms); beside "
         f"everything else found it takes {100 * cause.held.gain:.3g} % off "

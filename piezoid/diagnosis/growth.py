@@ -152,16 +152,19 @@ def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
         progress(f"refitting with {found.effect.name.replace('_', ' ')}")
         better, view = refined(one, far.clean, far.accepted)
         alone = judged(better, view, without, seen=found)
-        # beside a limit that follows a part of it, a delay differs from recording to recording
-        better_so = alone.sound or len(one.free) == 1
-        finer.append(_together(alone, far, found) if better_so else alone)
+        finer.append(_together(alone, far, found))
     return finer
 
 
 def _together(alone: Judged, far: Grown, seen: Screened) -> Judged:
-    """Refine what was accepted alone for both, where these look alike, and the effect again."""
+    """Refine what was accepted alone for both, where these look alike, and the effect again.
+
+    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
+    recording to recording. Where more is free than a time, that costs too much to hope for.
+    """
+    free = len(alone.accepted.free)
     alike = [one for one in far.accepted if one.free and one.effect.resembles(alone.effect)]
-    if not alike or not alone.accepted.free:
+    if not alike or not (free == 1 or (free and alone.sound)):
         return alone
     others = [one for one in far.accepted if one not in alike]
     better, view = refined_together([*alike, alone.accepted], far.clean, others)

@@ -12,7 +12,7 @@ from piezoid.design.chain import (
     varied,
 )
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.rst import sampled_poles
+from piezoid.design.rst import closed_loop_target, place, sampled_poles
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import roots_of
@@ -20,6 +20,7 @@ from piezoid.numerics.polynomial import roots_of
 RATE_Hz = 20e3
 LATERAL_m_per_V = 15 * 235e-9
 NEPER_PER_V = 18.0 * 10.246  # 1 eV
+LOOPS = ((300.0, 0.9), (1e3, 0.9), (2e3, 0.7), (3e3, 0.6))  # Hz and damping of targets
 
 
 def lateral_chain(gain: float = 1.0, delay_s: float = 0.0) -> Chain:
@@ -135,3 +136,11 @@ def random_chain(rng: np.random.Generator) -> Chain:
         sections=tuple(sections),
         delay_s=float(rng.uniform(0.0, 3.0)) / RATE_Hz,
     )
+
+
+def loop(frequency_Hz: float, damping: float) -> tuple[Array, Array]:
+    """R and S placed on the vertical axis for one of LOOPS."""
+    dominant = Section(frequency_Hz=frequency_Hz, damping=damping)
+    target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=2)
+    c = place(plant_from_chain(vertical_chain()), target, H_R=[1.0, 1.0])
+    return c.R, c.S

@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.specification import (
+    Specification,
     default_specification,
     rest_delay_s,
     slowest_Hz,
@@ -32,14 +33,18 @@ def test_the_slowest_frequency_and_the_delay_are_the_chains():
     assert rest_delay_s(late) == pytest.approx(expected_s + 70e-6, rel=1e-3)
 
 
-def test_defaults_ask_half_a_modulus_margin_and_one_sample_of_delay():
-    asked = default_specification(
+def asked_by_default() -> Specification:
+    return default_specification(
         plant_from_chain(lateral_chain(LATERAL_m_per_V)),
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1e-9,
         disturbance_rms=1e-7,
     )
+
+
+def test_defaults_ask_half_a_modulus_margin_and_one_sample_of_delay():
+    asked = asked_by_default()
     assert asked.modulus_margin == 0.5
     assert asked.delay_margin_s == pytest.approx(1.0 / RATE_Hz)
     assert asked.bandwidth_Hz == pytest.approx(94.5)
@@ -48,13 +53,7 @@ def test_defaults_ask_half_a_modulus_margin_and_one_sample_of_delay():
 
 
 def test_the_default_lets_no_frequency_cost_more_than_ten_times_the_static_drive():
-    asked = default_specification(
-        plant_from_chain(lateral_chain(LATERAL_m_per_V)),
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        sensor_noise_rms=1e-9,
-        disturbance_rms=1e-7,
-    )
+    asked = asked_by_default()
     (control,) = (t for t in asked.all_templates if t.function == "Sup")
     allowed_V_per_m = 10.0 ** (control.limit_dB([1e-3, 10.0, RATE_Hz / 2]) / 20.0)
     np.testing.assert_allclose(allowed_V_per_m, 10.0 / LATERAL_m_per_V)

@@ -121,8 +121,11 @@ def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment(mon
 
 def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it(monkeypatch) -> None:
     found = [initial_state.EFFECT, thermal_drift.EFFECT]
-    assert creep_beside(monkeypatch, found=found).size.ci95 == (0.0, 1.09)
-    assert creep_beside(monkeypatch, found=found, z=9.0).size.ci95 == (0.39, 1.09)
+    doubtful, sure = (creep_beside(monkeypatch, found=found, z=z) for z in (4.0, 9.0))
+    assert doubtful.size.ci95 == (0.0, 1.09)
+    assert doubtful.not_separable_from == ("initial_state",)
+    assert initial_state.EFFECT.experiment in doubtful.next_experiment
+    assert (sure.size.ci95, sure.not_separable_from) == ((0.39, 1.09), ())
     assert creep_beside(monkeypatch, found=[thermal_drift.EFFECT]).size.ci95 == (0.39, 1.09)
 
 

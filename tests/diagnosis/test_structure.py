@@ -1,0 +1,54 @@
+"""What ceramics do by themselves is in the envelope, and is named as no effect."""
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.effects import non_congruence
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.judgement import structure_of
+from piezoid.diagnosis.knee import with_best_knee
+from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.shape import CURVED, SHARED
+from piezoid.diagnosis.view import View, with_knee
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import healthy_view, recorded, view_of_recordings
+
+
+def sound_stage(truth: str, seed: int) -> View:
+    campaign = draw_campaign(seed, truth=truth, plans=("sweep", "check"))
+    return view_of_recordings(*recorded(campaign))
+
+
+@pytest.mark.parametrize("seed", [1, 3])
+def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing(seed) -> None:
+    view = sound_stage("wall_pinning", seed)
+    straight = np.delete(view.null.columns, range(SHARED - CURVED, SHARED), axis=1)
+    assert view.rms < 1.1 * view.noise
+    assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
+    assert abs(float(screen(non_congruence.EFFECT, view).held.coefficient[0])) < 0.05
+
+
+def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named() -> None:
+    view = sound_stage("bouc_wen", 3)
+    found = screen(non_congruence.EFFECT, view)
+    assert found.held.gain > non_congruence.EFFECT.worth
+    assert abs(float(found.held.coefficient[0])) > non_congruence.OPENING
+    assert not structure_of(found, view).speaks
+
+
+def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only() -> None:
+    bent = with_best_knee(sound_stage("bouc_wen", 5))
+    *law, bend = bent.envelope.knee
+    assert abs(bend) > 0.1
+    assert bent.rms < 1.1 * bent.noise
+    assert with_knee(bent, (*law, 0.0)).rms > 1.2 * bent.noise
+
+
+def test_products_that_are_known_of_the_first_columns_change_nothing() -> None:
+    view = healthy_view()
+    more = np.column_stack([view.envelope.columns, np.linspace(-1.0, 1.0, len(view.response))])
+    made = Null(columns=more, response=view.response, block=view.block)
+    known = Null(columns=more, response=view.response, block=view.block, known=view.envelope.gram)
+    np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
+    assert known.rms == pytest.approx(made.rms, rel=1e-9)
