@@ -57,15 +57,20 @@ def calibrate(
     calibration without one.
     """
     told("reading recordings")
-    from piezoid.records.collection import collect
-    from piezoid.records.lab import read_lab
-    from piezoid_cli.side_by_side import side_by_side
-    from piezoid_cli.stage_jobs import jobs_of, run_job, weight_of
+    from piezoid_cli.side_by_side import others, side_by_side
+    from piezoid_cli.stage_jobs import jobs_of, ready, run_job, weight_of
 
-    declared = None if lab is None else read_lab(lab)
-    held = collect(files, declared)
-    blank, jobs = jobs_of(held, declared)
-    found = side_by_side(run_job, jobs, told, processes=processes, weight=weight_of)
+    # One more begins to load before it is known what there is to do: a single file is one axis.
+    with others(int(processes > 1 and len(files) > 1), ready) as begun:
+        from piezoid.records.collection import collect
+        from piezoid.records.lab import read_lab
+
+        declared = None if lab is None else read_lab(lab)
+        held = collect(files, declared)
+        blank, jobs = jobs_of(held, declared)
+        found = side_by_side(
+            run_job, jobs, told, processes=processes, weight=weight_of, begun=begun
+        )
     return finished(_stage(blank, found), held, lab, declared, told)
 
 

@@ -1,7 +1,8 @@
 """Jobs of one command side by side: in this process, and in as many more as there are cores.
 
-This process takes jobs as well. The others are started only for what is left, and have one thread
-of linear algebra each; what a job gives does not depend on who does it.
+This process takes jobs as well, and begins with the heaviest: it is there already. The others are
+started for what is left, or ahead of it, and have one thread of linear algebra each; what a job
+gives does not depend on who does it.
 """
 
 import os
@@ -19,6 +20,7 @@ from piezoid.errors import PiezoidError
 from piezoid_cli.letters import received, send
 
 Told = Callable[[str], None]
+Ready = Callable[[], None]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -38,6 +40,7 @@ def side_by_side(
     *,
     processes: int,
     weight: Callable[[Job], float],
+    begun: Sequence[Connection] = (),
 ) -> list[Result]:
     """Return ``work(job, told)`` of every job, in their order.
 
@@ -45,19 +48,20 @@ def side_by_side(
     told       says what is being done, here and elsewhere
     processes  at most so many, this one among them; 1 does one job after the other
     weight     of a job: with several processes, the heaviest begin
+    begun      processes ``others`` began, for this call alone; where too few, more begin
 
     A ``PiezoidError`` is raised as if every job had been done here, that of the first job in
     order. Whatever else ends another process, a mistake of ours, memory that is full, somebody's
     kill, costs time and no result: its job is done here. None of them outlives this call.
     """
-    others = min(processes, len(jobs)) - 1
-    if others < 1:
+    count = min(processes, len(jobs)) - 1
+    if count < 1:
         return [work(job, told) for job in jobs]
     order = sorted(range(len(jobs)), key=lambda index: -weight(jobs[index]))
     board = _Board(order, told)
     settled: list[Future[Result]] = [Future() for _ in jobs]
-    with _workers(others) as channels:
-        for channel in channels:
+    with others(count - len(begun)) as more:
+        for channel in (*begun[:count], *more):
             Thread(target=_serve, args=(channel, work, jobs, board, settled), daemon=True).start()
         for index in board.taken():
             _settle(settled[index], work, jobs[index], board.teller(index))
@@ -95,6 +99,18 @@ def _serve(
     settled: "Sequence[Future[Result]]",
 ) -> None:
     """Let one process do jobs until none is left, or until it is gone."""
+    with suppress(Exception):  # whoever is gone before it is ready takes nothing
+        _answer(channel, lambda _: None)
+        _serve_ready(channel, work, jobs, board, settled)
+
+
+def _serve_ready(
+    channel: Connection,
+    work: Callable[[Job, Told], Result],
+    jobs: Sequence[Job],
+    board: "_Board",
+    settled: "Sequence[Future[Result]]",
+) -> None:
     for index in board.taken():
         try:
             send(channel, (work, jobs[index]))
@@ -156,16 +172,23 @@ class _Board:
         return told
 
 
+def _at_once() -> None:
+    """Have nothing to load."""
+
+
 @contextmanager
-def _workers(count: int) -> Iterator[list[Connection]]:
-    """Give channels to processes of our own; they end with the block, whatever they do."""
+def others(count: int, ready: Ready = _at_once) -> Iterator[list[Connection]]:
+    """Give channels to processes of our own; they end with the block, whatever they do.
+
+    ready  what each does first, such as loading what jobs need; found by its name in its module
+    """
     context = get_context("spawn")
     processes: list[SpawnProcess] = []
     channels: list[Connection] = []
     try:
         for _ in range(count):
             ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs,), daemon=True)
+            process = context.Process(target=_work, args=(theirs, ready), daemon=True)
             with suppress(OSError), theirs, _deaf():  # no room for one more: fewer do it all
                 process.start()
                 processes.append(process)
@@ -196,11 +219,13 @@ def _deaf() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _work(channel: Connection) -> None:
+def _work(channel: Connection, ready: Ready) -> None:
     """Do what comes until nobody is there any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anybody loads linear algebra
     with suppress(Exception):  # where the job is done again, it shows itself
+        ready()
+        send(channel, ("done", None))
         while True:
             work, job = received(channel)
             try:

@@ -111,6 +111,13 @@ def jobs_of(
     return stage, [*([tip] if tip.recordings or tip.sweeps else []), *ways]
 
 
+def ready() -> None:
+    """Load what doing a job needs, while somebody else still reads the recordings."""
+    import piezoid.design.stage
+    import piezoid.diagnosis.diagnose
+    import piezoid.identification.fit  # noqa: F401
+
+
 def weight_of(job: "AxisJob | TipJob") -> float:
     """Return how long a job takes beside the others: samples of axes, and the tip last."""
     if isinstance(job, TipJob):

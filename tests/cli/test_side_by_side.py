@@ -17,7 +17,7 @@ import pytest
 
 from piezoid.errors import ExcitationError, PiezoidError, TemplateError
 from piezoid.numerics.arrays import Array
-from piezoid_cli.side_by_side import side_by_side
+from piezoid_cli.side_by_side import others, side_by_side
 
 Told = Callable[[str], None]
 HERE = os.getpid()
@@ -77,6 +77,52 @@ def test_results_are_those_of_one_process_in_the_order_of_the_jobs(tmp_path: Pat
     assert 0.0 in [one.words["here"] for one in together]
 
 
+def test_the_heaviest_job_begins_here_while_the_others_are_still_starting(tmp_path: Path) -> None:
+    place = str(tmp_path / "begun")
+    jobs = [Sum(numbers=frozen(count), place=place) for count in (4, 9, 5)]
+    assert [one.words["here"] for one in run(*jobs, processes=2)][1] == 1.0
+
+
+def load() -> None:
+    """Take a while, and leave word of it."""
+    time.sleep(0.2)
+    os.environ["LOADED"] = "yes"
+
+
+def loaded(job: Sum, told: Told) -> str:
+    """Say whether whoever does this job had loaded before."""
+    work(job, told)
+    return "here" if os.getpid() == job.parent else os.environ.get("LOADED", "no")
+
+
+def test_a_process_that_was_begun_before_the_jobs_were_known_does_them_once_it_has_loaded(
+    tmp_path: Path,
+) -> None:
+    jobs = [Sum(numbers=frozen(count), place=str(tmp_path / "begun")) for count in (4, 9, 5)]
+    with others(1, load) as begun:
+        found = side_by_side(loaded, jobs, print, processes=2, weight=len_of, begun=begun)
+    assert set(found) == {"here", "yes"}
+    assert found[1] == "here"
+
+
+def fail() -> None:
+    """Not get ready."""
+    raise ImportError("no such library")
+
+
+def test_a_process_that_never_gets_ready_takes_no_job() -> None:
+    jobs = [Sum(numbers=frozen(count)) for count in (4, 9)]
+    with others(1, fail) as begun:
+        found = side_by_side(work, jobs, print, processes=2, weight=len_of, begun=begun)
+    assert [one.words for one in found] == [
+        {"sum": float(job.numbers.sum()), "here": 1.0} for job in jobs
+    ]
+
+
+def len_of(job: Sum) -> float:
+    return float(len(job.numbers))
+
+
 def test_two_processes_say_what_both_do_in_the_order_of_the_jobs() -> None:
     said: list[str] = []
     both = Event()
@@ -134,7 +180,7 @@ def test_an_error_said_elsewhere_is_said_here_word_for_word() -> None:
 
 INTERRUPTED = """
 import os, signal, sys, time
-from piezoid_cli.side_by_side import side_by_side
+from piezoid_cli.side_by_side import others, side_by_side
 
 def work(job, told):
     told(f"{os.getpid()}")
