@@ -98,10 +98,11 @@ def _only_lag(
         return ""
     progress("a lag alone, without hysteresis")
     zones = min(choice.best.shape.below, 2)
+    within = AS_GOOD * choice.best.held_out_rms
     for lag in ("first_order", "delay"):
         shape = Shape(plays=0, below=zones, above=zones, lag=lag)
-        trial = attempt(pieces, shape, replace(settings, lag_s=None))
-        if trial.held_out_rms <= AS_GOOD * choice.best.held_out_rms:
+        trial = attempt(pieces, shape, replace(settings, lag_s=None), within=within)
+        if trial is not None:
             return (
                 f"a {lag.replace('_', '-')} lag of {told(trial.lag_s, 's')} without any "
                 f"hysteresis leaves {100 * trial.held_out_rms / height:.3g} % of the displacement "

@@ -25,6 +25,7 @@ LAGS = ("delay", "first_order")
 BENDS = (3, 6)
 CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
 FOLDS = 3
+ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,6 +45,12 @@ class Trial:
     def held_out_rms(self) -> float:
         """Return the rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    @classmethod
+    def of(cls, shape: Shape, folds: Sequence[tuple[Array, float]]) -> "Trial":
+        """Return the trial whose folds left these residuals and found these lags."""
+        residuals = [residual for residual, _ in folds]
+        return cls(shape=shape, residual=np.concatenate(residuals), lag_s=folds[-1][1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -100,17 +107,34 @@ def _try(
         f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
         f"{shape.lag.replace('_', ' ')}"
     )
-    return attempt(pieces, shape, settings)
+    return Trial.of(shape, list(_folded(pieces, shape, settings)))
 
 
-def attempt(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Trial:
+def attempt(
+    pieces: Sequence[Piece], shape: Shape, settings: Settings, *, within: float
+) -> Trial | None:
+    """Try a shape as the others were tried; None where its held-out error is above ``within``.
+
+    Whoever is that wrong on some folds stays it whatever the others say: they are left out.
+    """
+    room = within**2 * sum(_unseen_rows(*fold) for fold in folds_of(pieces)) * (1.0 + ROUNDED)
+    found = []
+    for residual, lag_s in _folded(pieces, shape, settings):
+        found.append((residual, lag_s))
+        room -= float(residual @ residual)
+        if room < 0.0:
+            return None
+    trial = Trial.of(shape, found)
+    return trial if trial.held_out_rms <= within else None
+
+
+def _folded(
+    pieces: Sequence[Piece], shape: Shape, settings: Settings
+) -> Iterator[tuple[Array, float]]:
     """Fit a shape to every fold's training part and look at the part it did not see."""
-    residuals, lag_s = [], 0.0
     for training, testing in folds_of(pieces):
         fitted = search(training, shape, settings)
-        residuals.append(_unseen(fitted, training, testing))
-        lag_s = fitted.operator.lag_s
-    return Trial(shape=shape, residual=np.concatenate(residuals), lag_s=lag_s)
+        yield _unseen(fitted, training, testing), fitted.operator.lag_s
 
 
 def _recordings(pieces: Sequence[Piece]) -> int:
@@ -132,8 +156,18 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
             yield training, testing
 
 
+def _is_continued(training: Sequence[Piece], testing: Sequence[Piece]) -> bool:
+    return bool({p.recording for p in testing} & {p.recording for p in training})
+
+
+def _unseen_rows(training: Sequence[Piece], testing: Sequence[Piece]) -> int:
+    if _is_continued(training, testing):
+        return sum(whole.last - part.last for part, whole in zip(training, testing, strict=True))
+    return sum(piece.rows for piece in testing)
+
+
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
-    if {p.recording for p in testing} & {p.recording for p in training}:
+    if _is_continued(training, testing):
         return np.concatenate(
             [
                 (continued(fitted, i, part) - part.response)[part.last : whole.last]

@@ -1,0 +1,55 @@
+"""Which of several shapes is taken, and when a trial may end early."""
+
+import math
+
+import pytest
+
+from piezoid.identification.hysteresis import order
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.order import Trial, attempt
+from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.search import Settings
+from tests.identification.hysteresis.stages import decaying, recording
+from tests.identification.hysteresis.test_parts import stage
+
+SHAPE = Shape(plays=2, below=0, above=0)
+SETTINGS = Settings(longest_lag_s=0.02, follow_zero=False)
+
+
+def pieces(count: int) -> tuple[Piece, ...]:
+    """Cut so many recordings of one stage, each of its own noise."""
+    drive = decaying(10, per_unit=10)
+    made = [recording(drive, stage(drive, seed), f"{seed}.csv") for seed in range(count)]
+    return pieces_of(made, "x", scales_of(made, "x"), Rig())
+
+
+def whole(count: int) -> Trial:
+    """Try the shape on every fold."""
+    found = attempt(pieces(count), SHAPE, SETTINGS, within=math.inf)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_trial_within_its_limit_is_the_one_without_a_limit(count: int) -> None:
+    free = whole(count)
+    just = attempt(pieces(count), SHAPE, SETTINGS, within=free.held_out_rms)
+    assert just is not None
+    assert just.residual.tobytes() == free.residual.tobytes()
+    assert just.lag_s == free.lag_s
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_trial_beyond_its_limit_is_none_however_little_it_misses(count: int) -> None:
+    within = math.nextafter(whole(count).held_out_rms, 0.0)
+    assert attempt(pieces(count), SHAPE, SETTINGS, within=within) is None
+
+
+def test_a_trial_that_is_hopeless_on_its_first_fold_asks_no_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    limit, asked = 0.5 * whole(3).held_out_rms, []
+    search = order.search
+    monkeypatch.setattr(order, "search", lambda *of: asked.append(of) or search(*of))
+    assert attempt(pieces(3), SHAPE, SETTINGS, within=limit) is None
+    assert len(asked) == 1
