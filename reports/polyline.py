@@ -10,6 +10,10 @@ from piezoid.numerics.arrays import Array
 
 MOST = 50_000  # samples that are worth splitting one by one
 Places = NDArray[np.int_]
+Chord = tuple[int, int]
+"""The places of its ends."""
+Worst = tuple[float, int]
+"""Minus the largest distance from a chord, and where."""
 
 
 def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Places, float]:
@@ -24,15 +28,15 @@ def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Place
     returned   (kept,) places, and the largest distance of what was left out
     """
     places, cell = _moving(x, y, 0.5 * tolerance)
-    x, y = x[places], y[places]
-    kept = {0, len(x) - 1}
-    waiting = [_worst(x, y, 0, len(x) - 1)]
+    chords = _chords(x[places], y[places], tolerance)
+    kept, whole = {0, len(places) - 1}, (0, len(places) - 1)
+    waiting = [(*chords[whole], *whole)]
     while waiting and len(kept) < points and -waiting[0][0] > tolerance:
         _, middle, first, last = heapq.heappop(waiting)
         kept.add(middle)
         for part in ((first, middle), (middle, last)):
-            if part[1] - part[0] > 1:
-                heapq.heappush(waiting, _worst(x, y, *part))
+            if part in chords:
+                heapq.heappush(waiting, (*chords[part], *part))
     left = max(-waiting[0][0], 0.0) if waiting else 0.0
     return places[sorted(kept)], float(left + math.sqrt(2.0) * cell)
 
@@ -50,20 +54,42 @@ def _moving(x: Array, y: Array, cell: float) -> tuple[Places, float]:
         cell *= 2.0
 
 
-def _worst(x: Array, y: Array, first: int, last: int) -> tuple[float, int, int, int]:
-    """Return (minus the largest distance from the chord, where, and the chord itself)."""
-    if last - first < 2:
-        return 0.0, first, first, last
-    a, b = x[first + 1 : last] - x[first], y[first + 1 : last] - y[first]
-    across, up = x[last] - x[first], y[last] - y[first]
+def _chords(x: Array, y: Array, tolerance: float) -> dict[Chord, Worst]:
+    """Return every chord that splitting can come to, with its worst point.
+
+    Where a chord is split does not depend on when: all that are split together are looked at
+    together, thousands of short ones at once.
+    """
+    first, last = np.array([0]), np.array([len(x) - 1])
+    found: dict[Chord, Worst] = {(0, len(x) - 1): (0.0, 0)}
+    while True:
+        inside = last - first > 1
+        first, last = first[inside], last[inside]
+        if not len(first):
+            return found
+        far, middle = _worst(x, y, first, last)
+        chords = zip(first.tolist(), last.tolist(), strict=True)
+        found |= zip(chords, zip((-far).tolist(), middle.tolist(), strict=True), strict=True)
+        split = far > tolerance
+        edges = np.stack([first[split], middle[split], last[split]], axis=1)
+        first, last = edges[:, :2].ravel(), edges[:, 1:].ravel()
+
+
+def _worst(x: Array, y: Array, first: Places, last: Places) -> tuple[Array, Places]:
+    """Return the largest distance from each chord, and where; chords follow one another."""
+    counts = last - first - 1
+    begins = np.cumsum(counts) - counts
+    chord = np.repeat(np.arange(len(first)), counts)
+    place = np.arange(len(chord)) + (first + 1 - begins)[chord]
+    a, b = x[place] - x[first][chord], y[place] - y[first][chord]
+    across, up = (x[last] - x[first])[chord], (y[last] - y[first])[chord]
     length = across * across + up * up
-    if length > 0:
-        along = np.minimum(np.maximum((a * across + b * up) / length, 0.0), 1.0)
-        distance = np.hypot(a - along * across, b - along * up)
-    else:
-        distance = np.hypot(a, b)
-    place = int(distance.argmax())
-    return -float(distance[place]), first + 1 + place, first, last
+    share = (a * across + b * up) / np.where(length > 0, length, 1.0)
+    along = np.minimum(np.maximum(share, 0.0), 1.0)
+    distance = np.hypot(a - along * across, b - along * up)
+    far = np.maximum.reduceat(distance, begins)
+    is_far = np.flatnonzero(distance == far[chord])
+    return far, place[is_far[np.searchsorted(is_far, begins)]]
 
 
 def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:

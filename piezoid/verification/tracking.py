@@ -72,29 +72,50 @@ def align(
 
         minimise over tau  sum_axes sum_k |y(t_k) - r(t_k - tau)|^2     by Gauss-Newton from 0
 
-    wanted, moved  (axes, samples)
-    longest_s      the delay stays within +- this; as much is left out at both ends
+    wanted, moved  (axes, samples)  four samples or more
+    longest_s      the delay stays within +- this; as much is left out at both ends, and of a
+                   short record two samples are left
     """
-    from scipy.interpolate import CubicSpline
-
     samples = wanted.shape[1]
-    time_s = np.arange(samples) / sampling_rate_Hz
-    out = min(int(np.ceil(longest_s * sampling_rate_Hz)), (samples - 2) // 2)
-    inner, kept = time_s[out : samples - out], moved[:, out : samples - out]
-    spline = CubicSpline(time_s, wanted, axis=1)
-    slope = spline.derivative()
-    delay_s = 0.0
+    longest = min(longest_s * sampling_rate_Hz, (samples - 2) // 2)
+    out = int(np.ceil(longest))
+    kept, pieces = moved[:, out : samples - out], _cubic_pieces(wanted)
+    delay = 0.0  # in samples
     for _ in range(_ITERATIONS):
-        error, rate = kept - spline(inner - delay_s), slope(inner - delay_s)
+        late, rate = _earlier(pieces, out, kept.shape[1], delay)
         power = float(np.sum(rate**2))
         if power == 0.0:
             break
-        change_s = float(np.sum(error * rate)) / power
-        before_s, delay_s = delay_s, float(np.clip(delay_s - change_s, -longest_s, longest_s))
-        if delay_s == before_s:
+        change = float(np.sum((kept - late) * rate)) / power
+        before, delay = delay, float(np.clip(delay - change, -longest, longest))
+        if delay == before:
             break
-    error = kept - spline(inner - delay_s)
-    return float(np.sqrt(np.sum(error**2) / len(inner))), delay_s
+    late, _ = _earlier(pieces, out, kept.shape[1], delay)
+    rms = float(np.sqrt(np.sum((kept - late) ** 2) / kept.shape[1]))
+    return rms, delay / sampling_rate_Hz
+
+
+def _cubic_pieces(signal: Array) -> Array:
+    """Return the cubic spline through evenly spaced samples, (power, axes, samples - 1).
+
+    Powers of the share of an interval, the highest first.
+    """
+    from scipy.interpolate import CubicSpline
+
+    spline = CubicSpline(np.arange(signal.shape[1]), signal, axis=1)
+    return np.ascontiguousarray(np.swapaxes(spline.c, 1, 2))
+
+
+def _earlier(pieces: Array, first: int, count: int, delay: float) -> tuple[Array, Array]:
+    """Return signal and slope a delay before so many samples, (axes, count), slope per sample.
+
+    All look at the same share of their intervals, which nobody has to search for one by one.
+    """
+    whole = int(np.ceil(delay))
+    begin = min(max(first - whole, 0), pieces.shape[2] - count)
+    t = first - delay - begin
+    c3, c2, c1, c0 = pieces[:, :, begin : begin + count]
+    return ((c3 * t + c2) * t + c1) * t + c0, (3.0 * c3 * t + 2.0 * c2) * t + c1
 
 
 def shape_error(wanted: Array, moved: Array, sampling_rate_Hz: float, delay_s: float) -> Array:

@@ -1,5 +1,6 @@
 """Curves on paper: within their tolerance, with their spikes, on round ticks."""
 
+import itertools
 import re
 
 import numpy as np
@@ -62,6 +63,34 @@ def test_noise_on_half_a_million_samples_is_drawn_within_what_is_told() -> None:
     assert len(kept) <= 2400
     some = rng.choice(500_000, 500, replace=False)
     assert _distance(x[some], y[some], x[kept], y[kept]) <= left
+
+
+def _one_by_one(x: Array, y: Array, tolerance: float, points: int) -> set[int]:
+    """Split the worst chord of all, as long as there is one: the definition."""
+    kept = [0, len(x) - 1]
+    while len(kept) < points:
+        found = []
+        for first, last in itertools.pairwise(kept):
+            dx, dy = x[last] - x[first], y[last] - y[first]
+            a, b = x[first : last + 1] - x[first], y[first : last + 1] - y[first]
+            t = np.clip((a * dx + b * dy) / max(dx * dx + dy * dy, 1e-300), 0, 1)
+            far = np.hypot(a - t * dx, b - t * dy)
+            found.append((float(far.max()), first + int(far.argmax())))
+        far, middle = max(found)
+        if far <= tolerance:
+            break
+        kept = sorted([*kept, middle])
+    return set(kept)
+
+
+@given(st.integers(0, 2**32), st.integers(2, 60), st.integers(2, 40))
+def test_the_worst_chord_is_split_first_whatever_is_looked_at_together(
+    seed: int, count: int, points: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = 10.0 * np.arange(count), rng.uniform(0, 300, count)
+    kept, _ = thinned(x, y, tolerance=3.0, points=points)
+    assert set(kept.tolist()) == _one_by_one(x, y, 3.0, points)
 
 
 def test_a_straight_line_needs_its_ends_only() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from piezoid.verification.surface import RoughSurface
 from piezoid.verification.tracking import align, track
@@ -119,6 +120,20 @@ def test_the_delay_never_leaves_its_range():
     rms, delay_s = align(wanted, np.roll(wanted, 40, axis=1), RATE_Hz, 1e-3)
     assert delay_s == pytest.approx(1e-3)
     assert rms > 0.1
+
+
+@pytest.mark.parametrize("samples", [5, 8, 400])
+@pytest.mark.parametrize("delay", [-40.0, -1.0, -0.25, 0.0, 0.999, 1.0, 40.0])
+def test_what_is_left_is_measured_from_the_spline_through_the_path(samples, delay):
+    rng = np.random.default_rng(samples)
+    wanted, longest = np.cumsum(rng.normal(size=(2, samples)), axis=1), (samples - 2) // 2
+    spline, at = CubicSpline(np.arange(samples), wanted, axis=1), np.arange(samples)
+    delay = float(np.clip(delay, -longest, longest))
+    rms, delay_s = align(wanted, spline(at - delay), RATE_Hz, longest / RATE_Hz)
+    out = int(np.ceil(longest))
+    left = (spline(at - delay) - spline(at - delay_s * RATE_Hz))[:, out : samples - out]
+    assert abs(delay_s) * RATE_Hz <= longest
+    assert rms == pytest.approx(np.sqrt((left**2).sum() / left.shape[1]), abs=1e-12)
 
 
 def test_a_surface_has_its_roughness_and_stands_still_under_the_start():
