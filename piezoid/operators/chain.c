@@ -54,24 +54,30 @@ static void side(double h, size_t count, const double *knot, const double *slope
     }
 }
 
-static double part_of(double x, double from, double width) {
-    const double beyond = x - from;
-    return beyond < 0.0 ? 0.0 : (beyond < width ? beyond : width);
+/* Add weight times the part of x inside each segment of its side of the envelope. */
+static void spread(const pk_chain *c, double weight, double x, double *below, double *above) {
+    const double far = fabs(x);
+    double *segment = x < 0.0 ? below : above;
+    for (size_t k = 0; k < c->bends && far > c->bend[k]; ++k) {
+        const double beyond = far - c->bend[k];
+        const double width = k + 1 < c->bends ? c->bend[k + 1] - c->bend[k] : HUGE_VAL;
+        segment[k] += weight * (beyond < width ? beyond : width);
+    }
 }
 
 /* Derivatives by the slopes of the envelope: a play holds the drive at which it last moved. */
 static void envelope(const work *w, double raw, double steep, double *column) {
     const pk_chain *c = w->chain;
+    double *below = column;
+    double *above = column + c->bends;
+    memset(column, 0, 2 * c->bends * sizeof(double));
+    spread(c, c->weight[0], raw, below, above);
+    for (size_t i = 0; i < w->plays; ++i) {
+        spread(c, c->weight[i + 1], w->last[i], below, above);
+    }
     for (size_t k = 0; k < c->bends; ++k) {
-        const double width = k + 1 < c->bends ? c->bend[k + 1] - c->bend[k] : HUGE_VAL;
-        double below = c->weight[0] * part_of(-raw, c->bend[k], width);
-        double above = c->weight[0] * part_of(raw, c->bend[k], width);
-        for (size_t i = 0; i < w->plays; ++i) {
-            below += c->weight[i + 1] * part_of(-w->last[i], c->bend[k], width);
-            above += c->weight[i + 1] * part_of(w->last[i], c->bend[k], width);
-        }
-        column[k] = -steep * below;
-        column[c->bends + k] = steep * above;
+        below[k] *= -steep;
+        above[k] *= steep;
     }
 }
 
