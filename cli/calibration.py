@@ -57,7 +57,9 @@ def calibrate(
     calibration without one.
     """
     told("reading recordings")
-    from piezoid_cli.side_by_side import others, side_by_side
+    from piezoid_cli.aside import with_trials_aside
+    from piezoid_cli.other_process import others
+    from piezoid_cli.side_by_side import side_by_side
     from piezoid_cli.stage_jobs import jobs_of, ready, run_job, weight_of
 
     # One more begins to load before it is known what there is to do: a single file is one axis.
@@ -67,7 +69,8 @@ def calibrate(
 
         declared = None if lab is None else read_lab(lab)
         held = collect(files, declared)
-        blank, jobs = jobs_of(held, declared)
+        blank, ways = jobs_of(held, declared)
+        jobs = with_trials_aside(ways, begun)
         found = side_by_side(
             run_job, jobs, told, processes=processes, weight=weight_of, begun=begun
         )

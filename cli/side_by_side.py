@@ -6,24 +6,17 @@ gives does not depend on who does it.
 """
 
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager, suppress
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from threading import Lock, Thread
 from typing import Any, TypeVar
 
 from piezoid.errors import PiezoidError
-from piezoid_cli.letters import received, send
+from piezoid_cli.other_process import Other, others
 
 Told = Callable[[str], None]
-Ready = Callable[[], None]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def usable_cores() -> int:
@@ -40,7 +33,7 @@ def side_by_side(
     *,
     processes: int,
     weight: Callable[[Job], float],
-    begun: Sequence[Connection] = (),
+    begun: Sequence[Other] = (),
 ) -> list[Result]:
     """Return ``work(job, told)`` of every job, in their order.
 
@@ -48,7 +41,8 @@ def side_by_side(
     told       says what is being done, here and elsewhere
     processes  at most so many, this one among them; 1 does one job after the other
     weight     of a job: with several processes, the heaviest begin
-    begun      processes ``others`` began, for this call alone; where too few, more begin
+    begun      processes that began before; they come as soon as they are free. Where they are too
+               few, more begin
 
     A ``PiezoidError`` is raised as if every job had been done here, that of the first job in
     order. Whatever else ends another process, a mistake of ours, memory that is full, somebody's
@@ -61,8 +55,8 @@ def side_by_side(
     board = _Board(order, told)
     settled: list[Future[Result]] = [Future() for _ in jobs]
     with others(count - len(begun)) as more:
-        for channel in (*begun[:count], *more):
-            Thread(target=_serve, args=(channel, work, jobs, board, settled), daemon=True).start()
+        for other in (*begun[:count], *more):
+            Thread(target=_serve, args=(other, work, jobs, board, settled), daemon=True).start()
         for index in board.taken():
             _settle(settled[index], work, jobs[index], board.teller(index))
             board.done(index, settled[index])
@@ -92,29 +86,18 @@ def _settle(
 
 
 def _serve(
-    channel: Connection,
+    other: Other,
     work: Callable[[Job, Told], Result],
     jobs: Sequence[Job],
     board: "_Board",
     settled: "Sequence[Future[Result]]",
 ) -> None:
     """Let one process do jobs until none is left, or until it is gone."""
-    with suppress(Exception):  # whoever is gone before it is ready takes nothing
-        _answer(channel, lambda _: None)
-        _serve_ready(channel, work, jobs, board, settled)
-
-
-def _serve_ready(
-    channel: Connection,
-    work: Callable[[Job, Told], Result],
-    jobs: Sequence[Job],
-    board: "_Board",
-    settled: "Sequence[Future[Result]]",
-) -> None:
+    if not other.is_there():
+        return
     for index in board.taken():
         try:
-            send(channel, (work, jobs[index]))
-            settled[index].set_result(_answer(channel, board.teller(index)))
+            settled[index].set_result(other.ask(work, jobs[index], board.teller(index)).result())
         except PiezoidError as refusal:
             settled[index].set_exception(refusal)
         except Exception:
@@ -122,17 +105,6 @@ def _serve_ready(
             board.done(index, settled[index])
             return
         board.done(index, settled[index])
-
-
-def _answer(channel: Connection, told: Told) -> Any:
-    while True:
-        kind, content = received(channel)
-        if kind == "told":
-            told(content)
-        elif kind == "refused":
-            raise content
-        else:
-            return content
 
 
 class _Board:
@@ -170,66 +142,3 @@ class _Board:
             self._told(said)
 
         return told
-
-
-def _at_once() -> None:
-    """Have nothing to load."""
-
-
-@contextmanager
-def others(count: int, ready: Ready = _at_once) -> Iterator[list[Connection]]:
-    """Give channels to processes of our own; they end with the block, whatever they do.
-
-    ready  what each does first, such as loading what jobs need; found by its name in its module
-    """
-    context = get_context("spawn")
-    processes: list[SpawnProcess] = []
-    channels: list[Connection] = []
-    try:
-        for _ in range(count):
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_work, args=(theirs, ready), daemon=True)
-            with suppress(OSError), theirs, _deaf():  # no room for one more: fewer do it all
-                process.start()
-                processes.append(process)
-                channels.append(ours)
-        yield channels
-    finally:
-        for process in processes:
-            process.kill()
-        for process in processes:
-            process.join()
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Let whoever is started here not hear Ctrl-C, which goes to all processes at once.
-
-    This one hears it afterwards: what is blocked is not lost, even while it is ignored.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    hears = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, hears)
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-def _work(channel: Connection, ready: Ready) -> None:
-    """Do what comes until nobody is there any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anybody loads linear algebra
-    with suppress(Exception):  # where the job is done again, it shows itself
-        ready()
-        send(channel, ("done", None))
-        while True:
-            work, job = received(channel)
-            try:
-                answer = ("done", work(job, lambda text: send(channel, ("told", text))))
-            except PiezoidError as refusal:
-                answer = ("refused", refusal)
-            send(channel, answer)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.design.stage import Outcome
     from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.identification.hysteresis.order import Elsewhere
     from piezoid.identification.model import ActuatorModel, AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid.records.collection import Collection
@@ -23,12 +24,14 @@ class AxisJob:
 
     stage       without any axis
     recordings  that hold the axis, and no others
+    elsewhere   trials of the fit that somebody else makes
     """
 
     stage: "ActuatorModel"
     axis: str
     recordings: "Sequence[Recording]"
     lab: "Lab | None"
+    elsewhere: "Elsewhere | None" = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,7 +144,10 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
     def of_axis(text: str) -> None:
         told(f"axis {job.axis}: {text}")
 
-    model = fit_axis(job.recordings, job.axis, job.lab or Lab(), progress=of_axis)
+    elsewhere = job.elsewhere or (lambda _: None)
+    model = fit_axis(
+        job.recordings, job.axis, job.lab or Lab(), elsewhere=elsewhere, progress=of_axis
+    )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
         model = diagnosis.model

@@ -9,7 +9,8 @@ import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.dynamics.axis_dynamics import with_dynamics
-from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
+from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
@@ -82,17 +83,25 @@ def fit_axis(
     axis: str,
     lab: Lab,
     *,
+    elsewhere: Elsewhere = lambda _: None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> AxisModel:
     """Fit one axis: its hysteresis, then its dynamics where a recording excites them.
 
     recordings  any; those without drive and displacement of the axis are passed over
+    elsewhere   the trials of ``trials_of``, where somebody else has made them meanwhile
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
     held = moving(recordings, axis)
-    fitted = estimate_axis(held, axis, rig_of(lab, axis), progress=progress)
+    rig = rig_of(lab, axis)
+    fitted = estimate_axis(held, axis, rig, elsewhere=elsewhere, progress=progress)
     return with_dynamics(fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz)
+
+
+def trials_of(recordings: Sequence[Recording], axis: str, lab: Lab) -> tuple[Trial, ...]:
+    """Return those trials of ``fit_axis`` that need nothing of the others."""
+    return bent_trials(moving(recordings, axis), axis, rig_of(lab, axis))
 
 
 def _of_axis(progress: Callable[[str], None], axis: str, text: str) -> None:

@@ -17,7 +17,8 @@ import pytest
 
 from piezoid.errors import ExcitationError, PiezoidError, TemplateError
 from piezoid.numerics.arrays import Array
-from piezoid_cli.side_by_side import others, side_by_side
+from piezoid_cli.other_process import others
+from piezoid_cli.side_by_side import side_by_side
 
 Told = Callable[[str], None]
 HERE = os.getpid()
@@ -180,7 +181,8 @@ def test_an_error_said_elsewhere_is_said_here_word_for_word() -> None:
 
 INTERRUPTED = """
 import os, signal, sys, time
-from piezoid_cli.side_by_side import others, side_by_side
+from piezoid_cli.other_process import others
+from piezoid_cli.side_by_side import side_by_side
 
 def work(job, told):
     told(f"{os.getpid()}")

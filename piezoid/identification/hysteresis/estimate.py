@@ -11,7 +11,15 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
-from piezoid.identification.hysteresis.order import ORDERS, Choice, choose_shape
+from piezoid.identification.hysteresis.order import (
+    ORDERS,
+    Choice,
+    Elsewhere,
+    Trial,
+    attempted,
+    bent_shapes,
+    choose_shape,
+)
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
@@ -30,6 +38,7 @@ CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
 POLISH = 4  # Jacobians over every row once the thinned search is done
 Progress = Callable[[str], None]
+Orders = Sequence[tuple[int, int]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,7 +56,8 @@ def estimate_axis(
     axis: str,
     rig: Rig,
     *,
-    orders: Sequence[tuple[int, int]] = ORDERS,
+    orders: Orders = ORDERS,
+    elsewhere: Elsewhere = lambda _: None,
     progress: Progress = lambda _: None,
 ) -> AxisModel:
     """Fit one axis: convex start, Gauss-Newton, order by held-out error, uncertainty, verdict.
@@ -56,20 +66,42 @@ def estimate_axis(
     axis        name
     rig         poles the laboratory declares
     orders      (plays, dead zones per side) to choose from
+    elsewhere   the trials of ``bent_trials``, where somebody else has made them meanwhile
     progress    told what is being done, for whoever waits
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
     ready = _prepare(recordings, axis, rig, progress)
-    choosing = replace(ready.settings, rows=CHOOSING_ROWS, iterations=12)
-    against = reason_in_loops(ready.pieces)
-    # Where the loops rule the class out, one small fit is enough to show how wrong it is.
-    tried = orders[:1] if against else orders
-    choice = choose_shape(ready.pieces, choosing, orders=tried, progress=progress)
+    choosing, tried, against = _choosing(ready, orders)
+    choice = choose_shape(
+        ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
+    )
     against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
     progress("final fit")
     fitted = _final(ready, choice)
     return _axis_model(recordings, axis, rig, ready, choice, fitted, against)
+
+
+def bent_trials(
+    recordings: Sequence[Recording], axis: str, rig: Rig, *, orders: Orders = ORDERS
+) -> tuple[Trial, ...]:
+    """Return the trials with an envelope as ``estimate_axis`` makes them, and nothing else.
+
+    For another process: they are a third of the choice and need nothing of the rest of it.
+    """
+    ready = _prepare(recordings, axis, rig, lambda _: None)
+    choosing, tried, _ = _choosing(ready, orders)
+    return tuple(attempted(ready.pieces, shape, choosing) for shape in bent_shapes(tried))
+
+
+def _choosing(ready: Prepared, orders: Orders) -> tuple[Settings, Orders, str]:
+    """Return how shapes are tried, which orders, and what in the loops is against the class.
+
+    Where the loops rule it out, one small fit is enough to show how wrong it is.
+    """
+    against = reason_in_loops(ready.pieces)
+    settings = replace(ready.settings, rows=CHOOSING_ROWS, iterations=12)
+    return settings, orders[:1] if against else orders, against
 
 
 def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Progress) -> Prepared:

@@ -67,32 +67,50 @@ class Choice:
     kind: str
 
 
+Elsewhere = Callable[[Shape], Trial | None]
+"""What somebody else has tried meanwhile; None: try it here."""
+
+
 def choose_shape(
     pieces: Sequence[Piece],
     settings: Settings,
     *,
     orders: Sequence[tuple[int, int]] = ORDERS,
+    elsewhere: Elsewhere = lambda _: None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Choice:
-    """Try orders, then envelopes and lags, and take the smallest that predicts as well."""
-    trials = [
-        _try(pieces, Shape(plays=plays, below=zones, above=zones), settings, progress)
-        for plays, zones in orders
-    ]
+    """Try orders, then envelopes and lags, and take the smallest that predicts as well.
+
+    elsewhere  gives the trials of ``bent_shapes``, which need nothing of the others; it is asked
+               last, when they have had the most time
+    """
+    trials = [_try(pieces, shape, settings, progress) for shape in _shapes_of(orders)]
     best = _smallest_close(trials)
-    # An envelope has something to bend only where minor loops stand at several biases, and then
-    # it needs the plays: it is tried at the richest order.
-    richest = max((trial.shape for trial in trials), key=lambda shape: shape.plays)
-    for shape in (
-        *(replace(richest, bends=bends) for bends in BENDS),
-        *(replace(best.shape, lag=lag) for lag in LAGS[1:]),
-    ):
-        other = _try(pieces, shape, settings, progress)
+    late = [_try(pieces, replace(best.shape, lag=lag), settings, progress) for lag in LAGS[1:]]
+    bent = [
+        elsewhere(shape) or _try(pieces, shape, settings, progress)
+        for shape in bent_shapes(orders)
+    ]
+    for other in (*bent, *late):
         trials.append(other)
         if other.held_out_rms * CLOSE < best.held_out_rms:
             best = other
     kind = "other recordings" if _recordings(pieces) > 1 else "second half"
     return Choice(best=best, trials=tuple(trials), kind=kind)
+
+
+def _shapes_of(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
+    return tuple(Shape(plays=plays, below=zones, above=zones) for plays, zones in orders)
+
+
+def bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
+    """Return the shapes with an envelope.
+
+    It has something to bend only where minor loops stand at several biases, and then it needs the
+    plays: it is tried at the richest order.
+    """
+    richest = max(_shapes_of(orders), key=lambda shape: shape.plays)
+    return tuple(replace(richest, bends=bends) for bends in BENDS)
 
 
 def _smallest_close(trials: Sequence[Trial]) -> Trial:
@@ -107,6 +125,11 @@ def _try(
         f"{shape.plays} plays, {shape.below + shape.above} dead zones, {2 * shape.bends} bends, "
         f"{shape.lag.replace('_', ' ')}"
     )
+    return attempted(pieces, shape, settings)
+
+
+def attempted(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Trial:
+    """Try a shape on every fold."""
     return Trial.of(shape, list(_folded(pieces, shape, settings)))
 
 

@@ -1,0 +1,139 @@
+"""One more process of our own: it loads what jobs need, then does one job after the other."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Any, TypeVar
+
+from piezoid.errors import PiezoidError
+from piezoid_cli.letters import received, send
+
+Told = Callable[[str], None]
+Ready = Callable[[], None]
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def _silent(_: str) -> None:
+    """Say nothing."""
+
+
+def _at_once() -> None:
+    """Have nothing to load."""
+
+
+class Other:
+    """A process at the other end of a channel; it does what it is asked in the order of asking."""
+
+    def __init__(self, channel: Connection) -> None:
+        """Wait, in a thread of its own, until the process has loaded what it needs."""
+        self._channel = channel
+        self._line = ThreadPoolExecutor(1)
+        self._last: Future[Any] = self._line.submit(self._answer, _silent)
+
+    def ask(
+        self, work: Callable[[Job, Told], Result], job: Job, told: Told = _silent
+    ) -> "Future[Result]":
+        """Return what will be ``work(job, told)``.
+
+        It holds the ``PiezoidError`` that the work raised, or any other exception where the
+        process or the job was lost on the way.
+        """
+        found = self._line.submit(self._done, work, job, told)
+        self._last = found
+        return found
+
+    def is_there(self) -> bool:
+        """Wait until all that was asked is done, and tell whether the process still lives."""
+        try:
+            self._last.result()
+        except PiezoidError:
+            return True
+        except Exception:
+            return False
+        return True
+
+    def leave(self) -> None:
+        """Ask nothing any more."""
+        self._line.shutdown(wait=False, cancel_futures=True)
+
+    def _done(self, work: Callable[[Job, Told], Result], job: Job, told: Told) -> Any:
+        send(self._channel, (work, job))
+        return self._answer(told)
+
+    def _answer(self, told: Told) -> Any:
+        while True:
+            kind, content = received(self._channel)
+            if kind == "told":
+                told(content)
+            elif kind == "refused":
+                raise content
+            else:
+                return content
+
+
+@contextmanager
+def others(count: int, ready: Ready = _at_once) -> Iterator[list[Other]]:
+    """Give processes of our own; they end with the block, whatever they do.
+
+    ready  what each does first, such as loading what jobs need; found by its name in its module
+    """
+    context = get_context("spawn")
+    processes: list[SpawnProcess] = []
+    found: list[Other] = []
+    try:
+        for _ in range(count):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_work, args=(theirs, ready), daemon=True)
+            with suppress(OSError), theirs, _deaf():  # no room for one more: fewer do it all
+                process.start()
+                processes.append(process)
+                found.append(Other(ours))
+        yield found
+    finally:
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.join()
+        for other in found:
+            other.leave()
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Let whoever is started here not hear Ctrl-C, which goes to all processes at once.
+
+    This one hears it afterwards: what is blocked is not lost, even while it is ignored.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    hears = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, hears)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _work(channel: Connection, ready: Ready) -> None:
+    """Do what comes until nobody is there any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.environ.update(dict.fromkeys(_THREADS, "1"))  # before anybody loads linear algebra
+    with suppress(Exception):  # where the job is done again, it shows itself
+        ready()
+        send(channel, ("done", None))
+        while True:
+            work, job = received(channel)
+            try:
+                answer = ("done", work(job, lambda text: send(channel, ("told", text))))
+            except PiezoidError as refusal:
+                answer = ("refused", refusal)
+            send(channel, answer)
