@@ -10,14 +10,14 @@ Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
-from piezoid.diagnosis.pasts import Turns, past, pasts
+from piezoid.diagnosis.pasts import Turns, habits, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
@@ -45,6 +45,18 @@ def with_own_pasts(view: View) -> View:
         here = view.envelope.turns
         view = min(view, with_pasts(view, (*here[:k], best, *here[k + 1 :])), key=_error)
     return view
+
+
+def with_one_habit(view: View) -> View:
+    """Return the view in which all drives came from one habit of a laboratory.
+
+    A view whose memory nothing spoke against is such a one.
+    """
+    if not view.envelope.free:
+        return view
+    kept = replace(view, envelope=replace(view.envelope, free=False))
+    drives = [track.drive for track in view.tracks]
+    return min((with_pasts(kept, turns) for turns in habits(drives)), key=_error)
 
 
 def _error(view: View) -> float:

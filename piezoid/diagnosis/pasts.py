@@ -1,4 +1,9 @@
-"""Pasts: histories of a drive before its first sample, and the memory they leave."""
+"""Pasts: histories of a drive before its first sample, and the memory they leave.
+
+Of all that a drive did, later turns wipe out those between them.
+
+Source: Krejci (1996); Mayergoyz (1991) on wiping out.
+"""
 
 from collections.abc import Sequence
 
@@ -10,6 +15,8 @@ from piezoid.operators.play import play_columns
 
 PASTS = 16
 ONCE, TWICE = 9, 5  # places of turns to try
+HABITS = 4  # of the histories are what a laboratory does on purpose
+DECAYING = 24  # turns that end at rest
 Turns = tuple[float, ...]
 
 
@@ -20,9 +27,10 @@ def past(drive: Array, turns: Sequence[float]) -> Array:
 
 
 def pasts(drive: Array) -> tuple[Turns, ...]:
-    """Return histories to choose from: cycled over the range first, then what people do instead.
+    """Return histories to choose from, cycled over the range first, then what people do instead.
 
-    They come from rest or from one end, and turn once or twice more, or at random.
+    They cycle the other way, come from rest, or from ever smaller turns about the first value.
+    Or they come from rest or from one end, and turn once or twice more, or at random.
     """
     low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
     once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
@@ -36,7 +44,41 @@ def pasts(drive: Array) -> tuple[Turns, ...]:
         (low, high),
         (high, low),
         (0.0,),
+        _decaying(float(drive[0])),
         *((end, turn) for end in (low, high, 0.0) for turn in once),
         *((end, a, b) for end in (low, high) for a in twice for b in twice if a != b),
         *drawn,
     )
+
+
+def _decaying(about: float) -> Turns:
+    away = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
+    away[1::2] *= -1.0
+    return (*(about + away).tolist(),)
+
+
+def habits(drives: Sequence[Array]) -> tuple[tuple[Turns, ...], ...]:
+    """Return what was done before drives by a laboratory that does it always alike.
+
+    Before each of them, or before the first, and each goes on where the one before it ended.
+    """
+    known = [pasts(drive)[:HABITS] for drive in drives]
+    alike = zip(*known, strict=True)
+    return (*alike, *(_one_after_another(turns, drives) for turns in known[0]))
+
+
+def _one_after_another(turns: Turns, drives: Sequence[Array]) -> tuple[Turns, ...]:
+    found = [turns]
+    for drive in drives[:-1]:
+        found.append(_left_by(found[-1], drive))
+    return (*found,)
+
+
+def _left_by(turns: Turns, drive: Array) -> Turns:
+    """Return the turns that nothing later wiped out: seen from the end, each goes farther."""
+    way = np.array([*turns, *drive])[::-1]
+    higher = np.diff(np.maximum.accumulate(way)) > 0.0
+    lower = np.diff(np.minimum.accumulate(way)) < 0.0
+    places = np.flatnonzero(higher | lower)
+    outermost = np.append(higher[places][1:] != higher[places][:-1], True)
+    return (*way[1:][places[outermost]][::-1].tolist(),) if len(places) else turns

@@ -5,8 +5,9 @@ What you see
 Why it happens
     The drive turned elsewhere before the recording began, and hysteresis remembers it.
 How it is detected
-    A memory fitted for each recording explains its beginning better than the one that a drive
-    cycled over its range would leave.
+    A memory fitted for each recording explains its beginning better than what laboratories do on
+    purpose, and always alike, would leave: drives cycled over their range, at rest before, or one
+    after another.
 What the extension adds
     A memory of its own for each recording.
 Source
@@ -17,20 +18,21 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.memory import with_one_habit
 from piezoid.diagnosis.signals import scaled_to, with_displacement
-from piezoid.diagnosis.view import View, cycled, with_free_memory
+from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.records.recording import Recording
 
 CHANGE = 1e-6  # of half the stroke: pasts that differ by less are one
 
 
 def _against(view: View) -> Null:
-    """Return the envelope as it would be had every drive been cycled before."""
-    return cycled(view).null
+    """Return the envelope as it would be had the same been done before every recording."""
+    return with_one_habit(view).null
 
 
 def _trials(view: View) -> list[Trial]:
-    before, free = cycled(view), with_free_memory(view)
+    before, free = with_one_habit(view), with_free_memory(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
