@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters
+from piezoid.diagnosis.ringing import calmed
 from piezoid.diagnosis.view import View, with_commands
 from piezoid.numerics.arrays import Array
 
@@ -59,8 +60,10 @@ def extended(clean: View, accepted: Sequence[Accepted]) -> View:
     if not behind:
         return view
     last = view.rms
+    rings = [one for one in behind if one.effect.rings]
+    calm = calmed(view, lambda plain: columns_of(plain, rings)) if rings else view
     for _ in range(ROUNDS):
-        offset, columns = offset_of(view, behind), columns_of(view, behind)
+        offset, columns = offset_of(view, behind), columns_of(view, behind, calm)
         view = replace(view, offset=offset, accepted=columns)
         if abs(view.rms / last - 1.0) < SETTLED:
             break
@@ -93,12 +96,21 @@ def offset_of(view: View, accepted: Sequence[Accepted]) -> Array:
     return np.concatenate(parts)
 
 
-def columns_of(view: View, accepted: Sequence[Accepted]) -> Array:
-    """Return the columns of all accepted effects that act on the response."""
+def seen_by(one: Accepted, view: View) -> View:
+    """Return the view of which the columns of an accepted effect are made."""
+    return calmed(view, lambda plain: columns_of(plain, [one])) if one.effect.rings else view
+
+
+def columns_of(view: View, accepted: Sequence[Accepted], calm: View | None = None) -> Array:
+    """Return the columns of all accepted effects that act on the response.
+
+    calm  the view of which what rings is made, None: the same
+    """
     parts = [np.zeros((len(view.offset), 0))]
     for one in accepted:
         if one.adds and one.effect.columns is not None:
-            parts.append(one.effect.columns(view, one.parameters))
+            seen = calm if one.effect.rings and calm is not None else view
+            parts.append(one.effect.columns(seen, one.parameters))
         if one.effect.beside is not None:
             parts.append(one.effect.beside(view))
     return np.hstack(parts)

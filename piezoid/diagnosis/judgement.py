@@ -7,9 +7,10 @@ import numpy as np
 
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.extended import Accepted, seen_by
 from piezoid.diagnosis.folds import Held, compared, surely
-from piezoid.diagnosis.screening import Screened, null_of, screened
+from piezoid.diagnosis.knee import with_knee_of
+from piezoid.diagnosis.screening import Screened, null_of, screen, screened
 from piezoid.diagnosis.view import View
 
 CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
@@ -97,7 +98,7 @@ def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judge
 
 def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
     assert one.effect.columns is not None
-    columns = one.effect.columns(view, one.parameters)
+    columns = one.effect.columns(seen_by(one, view), one.parameters)
     if not np.any(columns):  # refitted with it, the stage itself does what it would have added
         return Judged(
             accepted=one,
@@ -121,8 +122,23 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
     )
 
 
-def structure_of(found: Screened, final: View) -> Judged:
-    """Return what a test of the envelope's own structure comes to, with all causes at work."""
+def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | None:
+    """Judge a part of the envelope's own structure, with all causes at work; None without trials.
+
+    What speaks has to speak beside the Bouc-Wen state that serves the class without it best.
+    """
+    found = screen(effect, final)
+    if found is None:
+        return None
+    structure = _of_structure(found, final)
+    if not structure.speaks or effect.against is None:
+        return found, structure
+    bent = with_knee_of(final, effect.against)
+    again = screen(effect, bent)
+    return (found, structure) if again is None else (again, _of_structure(again, bent))
+
+
+def _of_structure(found: Screened, final: View) -> Judged:
     accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
     return Judged(
         accepted=accepted,

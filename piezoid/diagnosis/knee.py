@@ -1,11 +1,16 @@
 """Knee: the Bouc-Wen state that would serve the envelope best.
 
-It is structure, not a cause: it is taken in only where it leaves less than any effect does.
+It is structure, not a cause: it is taken in only where it leaves less than any effect does. What
+else is said to be structure has to beat the class without it, where that has a knee of its own.
 """
+
+from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee
+from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.view import View, with_knee
 
 BETAS = (0.8, 1.6, 3.2)
@@ -19,32 +24,46 @@ LIMITS = ((0.2, 20.0), (-0.4, 0.9), (1.0, 4.0), (-0.6, 0.6))
 
 
 Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
+Left = Callable[[Law], float]
 
 
 def with_best_knee(view: View) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
     bare = with_knee(view, None)
-    laws: list[Law] = [(b, r, n, 0.0) for b in BETAS for r in RATIOS for n in EXPONENTS]
-    best = min(((_left(bare, law), law) for law in laws), key=lambda pair: pair[0])
+
+    def left(law: Law) -> float:
+        # the view's own columns are taken out of all
+        across = bare.null.without(with_knee(bare, _knee(law)).envelope.bent_rows)
+        found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
+        return float(np.sum((bare.null.residual - across @ found) ** 2))
+
+    return with_knee(view, _best(left))
+
+
+def with_knee_of(view: View, against: Callable[[View], Null]) -> View:
+    """Return the view with the knee that serves a smaller class best.
+
+    against  (view) -> the smaller class
+    """
+    return with_knee(view, _best(lambda law: against(with_knee(view, _knee(law))).rms))
+
+
+def _best(left: Left) -> Knee:
+    """Return the state that leaves least: the best of a grid, then one step after another."""
+    laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, (0.0,))]
+    best = min(((left(law), law) for law in laws), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
-            best = _better(bare, best, place, part)
-    return with_knee(view, _knee(best[1]))
+            best = _better(left, best, place, part)
+    return _knee(best[1])
 
 
-def _left(bare: View, law: Law) -> float:
-    """Return the sum of squares left beside a view whose own columns are taken out of all."""
-    across = bare.null.without(with_knee(bare, _knee(law)).envelope.bent_rows)
-    found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
-    return float(np.sum((bare.null.residual - across @ found) ** 2))
-
-
-def _better(bare: View, best: tuple[float, Law], place: int, part: float) -> tuple[float, Law]:
+def _better(left: Left, best: tuple[float, Law], place: int, part: float) -> tuple[float, Law]:
     for sign in (1.0, -1.0):
         there = _stepped(best[1], place, sign * part)
-        left = _left(bare, there)
-        if left < best[0]:
-            return left, there
+        rest = left(there)
+        if rest < best[0]:
+            return rest, there
     return best
 
 

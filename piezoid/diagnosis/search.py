@@ -13,7 +13,7 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.growth import SLIP, Grown, Progress, grown
-from piezoid.diagnosis.judgement import Judged, structure_of
+from piezoid.diagnosis.judgement import Judged, judged_structure
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.rivals import Rivals, told_apart
@@ -89,10 +89,10 @@ def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
             continue
         beside = any(cause.effect.resembles(effect) for cause in outcome.causes)
         progress(f"testing {effect.name.replace('_', ' ')}")
-        found = screen(effect, final)
-        if found is None:
+        judgement = judged_structure(effect, final)
+        if judgement is None:
             continue
-        structure = structure_of(found, final)
+        found, structure = judgement
         if structure.speaks and _stands(structure, final, beside=beside):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue

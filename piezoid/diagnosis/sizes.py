@@ -19,7 +19,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.extended import Accepted, driven, offset_of
+from piezoid.diagnosis.extended import Accepted, driven, offset_of, seen_by
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.view import View
@@ -31,30 +31,35 @@ QUANTILE = 2.0  # of Student's distribution for some sixty blocks
 
 def size_of(cause: Judged) -> Size:
     """Return a cause's size with its 95 % interval."""
-    effect, one, view = cause.effect, cause.accepted, cause.view
+    effect, one = cause.effect, cause.accepted
     beta = cause.held.coefficient
     if effect.size is None:
         value = 100.0 * cause.share
         # what blocks explain is known to one part in z, its root to half of that
         reach = QUANTILE * value / (2.0 * max(cause.held.z, 1.0))
     else:
-        value = effect.size(view, one.parameters, beta)
+        value = effect.size(_seen(cause), one.parameters, beta)
         reach = QUANTILE * hypot(_spread(cause, value), effect.known_to * value)
     return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
 
 
+def _seen(cause: Judged) -> View:
+    """Return the view in which a size is seen: what a limit cuts off is there without it only."""
+    return cause.without if cause.effect.drive is not None else cause.view
+
+
 def _spread(cause: Judged, value: float) -> float:
     """Return the standard error of a size that coefficients and parameters make together."""
-    effect, one, view = cause.effect, cause.accepted, cause.view
+    effect, one, view, seen = cause.effect, cause.accepted, cause.view, _seen(cause)
     assert effect.size is not None
     beta = cause.held.coefficient
     columns = [_nudged(cause, name) for name in one.free]
     gradient = [
-        (effect.size(view, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
+        (effect.size(seen, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
         for name in one.free
     ]
     if one.adds and effect.columns is not None:
-        columns += list(effect.columns(view, one.parameters).T)
+        columns += list(effect.columns(seen_by(one, view), one.parameters).T)
         for k in range(len(beta)):
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
@@ -81,7 +86,8 @@ def _nudged(cause: Judged, name: str) -> Array:
         change = _of_drive(cause, there)
     else:
         assert effect.columns is not None
-        moved = effect.columns(view, there.parameters) - effect.columns(view, one.parameters)
+        here = seen_by(one, view)
+        moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
         change = moved @ cause.held.coefficient
     return np.asarray(change / NUDGE)
 

@@ -9,7 +9,7 @@ import pytest
 import piezoid.diagnosis.effects as folder
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.judgement import judged, structure_of
+from piezoid.diagnosis.judgement import judged, judged_structure
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -31,7 +31,8 @@ def speaks(effect: Effect, view) -> bool:
     if found is None:
         return False
     if effect.against is not None:
-        return structure_of(found, view).speaks
+        _, structure = judged_structure(effect, view)
+        return structure.speaks
     one, there = refined(begun(effect, found.trial, float(found.held.coefficient[0])), view, [])
     return judged(one, there, view, seen=found).speaks
 

@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.judgement import structure_of
+from piezoid.diagnosis.judgement import judged_structure
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.shape import CURVED, SHARED
@@ -34,7 +34,8 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
     found = screen(non_congruence.EFFECT, view)
     assert found.held.gain > non_congruence.EFFECT.worth
     assert abs(float(found.held.coefficient[0])) > non_congruence.OPENING
-    assert not structure_of(found, view).speaks
+    _, structure = judged_structure(non_congruence.EFFECT, view)
+    assert not structure.speaks
 
 
 def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only() -> None:

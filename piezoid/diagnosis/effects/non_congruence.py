@@ -5,9 +5,9 @@ What you see
 Why it happens
     Walls are freer where the ceramic is less polarised; no sum of plays or relays knows of that.
 How it is detected
-    The fitted loop less its middle line, times the drive, explains what plays, friction and powers
-    of their states cannot; nearly all of what any products of states with the drive explain, and
-    it opens by more than ceramics do by themselves.
+    The fitted loop less its middle line, times the drive, explains what plays, friction, powers of
+    their states and the Bouc-Wen state that serves these best cannot; a good part of what any
+    products of states with the drive explain, and it opens by more than ceramics do by themselves.
 What the extension adds
     An envelope in front of the plays (the generalised model), as far as it can follow.
 Source
@@ -25,9 +25,10 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
 OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
-ALONE = 0.88  # of what all products with the drive explain, in power: a ceramic of another kind
-# misses many of them,
-MUCH = 0.5  # of the whole error, in power, but never one so much
+ALONE = 0.3  # of what all products with the drive explain, in power: a ceramic of another kind
+# misses many of them
+LEAST = 8e-5  # of the stroke, of what no other class follows: it is a small part of the opening,
+WORTH = 0.035  # but more of the error than one class of ceramics leaves for want of another
 PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
 POINTS = 401
 
@@ -45,13 +46,13 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _is_alone(view: View, column: Array) -> bool:
-    """Tell whether one column explains nearly all that products with the drive do, or much."""
+    """Tell whether one column explains a good part of what all products with the drive do."""
     null, bias = _against(view), len(view.envelope.bias_columns)
     across, residual = null.without(column), null.residual
     one = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
     left = float(np.sum(view.null.residual**2))
     error = float(np.sum(residual**2))
-    return one > min(ALONE * (error - left * (1.0 + bias / len(residual))), MUCH * error)
+    return one > ALONE * (error - left * (1.0 + bias / len(residual)))
 
 
 def _irreversible(view: View) -> Array:
@@ -103,6 +104,8 @@ EFFECT = Effect(
     inject=inject,
     shows_at=4e-3,
     quiet=2.0,
+    least=LEAST,
+    worth=WORTH,
     sure=3.3,
     common=True,
 )

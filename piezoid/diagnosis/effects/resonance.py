@@ -17,6 +17,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.ringing import without_memory
 from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -26,6 +27,9 @@ from piezoid.records.recording import Recording
 
 ALLOWED = (0.01, 1.6)
 QUALITIES = (4.0, 12.0, 40.0)
+SHARP = (20.0, 60.0)  # of the modes to try about the best one of the grid,
+APART = 0.5  # of their width,
+TELLING = 0.02  # of the squared residual: what it must take
 DAMPED = (2.5, 300.0)  # below it is a lag, above it nobody can tell
 LOWEST_Hz = 15.0
 INJECTED_Hz = 300.0
@@ -53,15 +57,47 @@ def _trials(view: View) -> list[Trial]:
         for f in np.geomspace(LOWEST_Hz, highest_Hz, count)
         for q in QUALITIES
     ]
+    trials = [_trial(view, way, highest_Hz) for way in ways]
+    best, taken = _best(view, trials)
+    if taken < TELLING:
+        return trials
+    plain = without_memory(view)
+    return trials + [_trial(plain, way, highest_Hz) for way in _closer(best.parameters)]
+
+
+def _trial(view: View, way: Parameters, highest_Hz: float) -> Trial:
+    return Trial(
+        columns=_columns(view, way),
+        parameters=way,
+        within=ALLOWED,
+        free={"frequency_Hz": 1.06, "quality": 1.6},
+        limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
+    )
+
+
+def _best(view: View, trials: list[Trial]) -> tuple[Trial, float]:
+    """Return the trial that takes most of the squared residual, and which part of it."""
+    across = view.null.without(np.hstack([trial.columns for trial in trials]))
+    residual = view.null.residual
+    square = np.einsum("ij,ij->j", across, across) + 1e-300
+    taken = (across.T @ residual) ** 2 / square / float(residual @ residual)
+    k = int(np.argmax(taken))
+    return trials[k], float(taken[k])
+
+
+def _closer(best: Parameters) -> list[dict[str, float]]:
+    """Return modes about the best, as close together as their own widths.
+
+    A sharp mode between two of the grid shows a shoulder there, and a search by steps from it ends
+    at a blunter one beside it.
+    """
+    reach = 2.0 ** (1.0 / PER_OCTAVE)
     return [
-        Trial(
-            columns=_columns(view, way),
-            parameters=way,
-            within=ALLOWED,
-            free={"frequency_Hz": 1.06, "quality": 1.6},
-            limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
+        {"frequency_Hz": best["frequency_Hz"] * float(ratio), "quality": quality}
+        for quality in SHARP
+        for ratio in np.geomspace(
+            1.0 / reach, reach, int(2.0 * np.log(reach) * quality / APART) + 1
         )
-        for way in ways
     ]
 
 
@@ -98,6 +134,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
+    rings=True,
     inject=inject,
     extend=extend,
 )
