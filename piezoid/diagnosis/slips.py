@@ -98,11 +98,13 @@ def _strongest(view: View, null: Null, k: int) -> Slip | None:
         return None
     track = Searched.of(view, null, k)
     first = track.instants()
+    farthest = FARTHEST * len(track.static)
     best = None
     for samples in track.promising(first) if len(first) else ():
         gain, beta = track.score(samples, first)
         # a tangent knows the direction, a slip of one sample must be nearly whole
-        gain = np.where(beta > (0.6 if abs(samples) == 1 else 0.2), gain, 0.0)
+        least, most = 0.6 if abs(samples) == 1 else 0.2, farthest / abs(samples)
+        gain = np.where((beta > least) & (beta < most), gain, 0.0)
         j = int(np.argmax(gain))
         if gain[j] > (best.gain if best else 0.0):
             best = Slip(

@@ -44,7 +44,9 @@ def _far(values: Array, width: int, spread: Array) -> tuple[Array, Array]:
     spread  (2,)  places among the sorted ones between which those lie that are surely good
     """
     reach = width // 2
-    near = np.lib.stride_tricks.sliding_window_view(np.pad(values, reach, mode="reflect"), width)
+    # turned round at its ends, a slope would have a tip there that stands apart by itself
+    padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
+    near = np.lib.stride_tricks.sliding_window_view(padded, width)
     ordered = np.sort(near, axis=1)
     low, high = (int(place) for place in spread)
     return np.asarray(values - ordered[:, reach]), np.asarray(ordered[:, high] - ordered[:, low])

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
+from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -42,6 +43,10 @@ RANGE = 4.0  # in half ranges of the drive: more than any track has
 FINER = 4  # frequencies for every one that the range can tell
 CLEAR = 30.0  # times the median power
 NEAR = 0.4  # how far from one the saw's height may be
+SURE = 3.0  # standard errors of it
+DIGITS = 6  # of half the range that tell values of a drive apart
+BETWEEN = 4.0  # values of a drive within a step, or the steps may be its own
+LEAST_BETWEEN = 0.1  # of all rows
 
 
 def _fault(view: View) -> Fault | None:
@@ -118,7 +123,10 @@ def _of_drive(view: View) -> Fault | None:
     saw = _strongest(drive, residual)
     if saw is None:
         return None
-    wave = view.null.without(saw.of(drive))
+    between = np.concatenate([_goes_between(t, saw.step) for t in view.tracks])
+    if np.mean(between) < LEAST_BETWEEN:
+        return None
+    wave = view.null.without(saw.of(drive) * between)
     square = float(wave @ wave)
     height = float(wave @ residual) / square
     blocks = np.array_split(np.arange(len(wave)), 20)
@@ -127,12 +135,24 @@ def _of_drive(view: View) -> Fault | None:
         return None
     tracks = tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks)
     spread = float(np.std(heights, ddof=1) / np.sqrt(len(heights)))
+    if height < SURE * spread:
+        return None
     return Fault(
         tracks=tracks,
         value=1e9 * view.stroke_m * height,
         spread=1e9 * view.stroke_m * max(spread, 0.01 * height),
         p_value=saw.p_value,
     )
+
+
+def _goes_between(track: Track, step: float) -> Array:
+    """Return for every row whether its drive takes values between steps, 1 or 0.
+
+    One that repeats itself after few samples has a lattice of its own, and so has any residual.
+    """
+    values = np.unique(np.round(track.drive, DIGITS))
+    apart = float(np.median(np.diff(values))) if len(values) > 1 else np.inf
+    return np.full(len(track.place), float(apart * BETWEEN < step))
 
 
 def _strongest(drive: Array, residual: Array) -> Saw | None:
