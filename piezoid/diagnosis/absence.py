@@ -51,7 +51,7 @@ def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
         reason=(
             f"at most {told(bound_m, 'm')} rms; it takes {100 * found.held.gain:.2g} % off the "
             f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
-            f"{_held_back(found, outcome)}"
+            f"{_held_back(found, outcome) or _in_spite_of(found, outcome)}"
         ),
         next_experiment=found.effect.experiment,
     )
@@ -61,6 +61,17 @@ def _beside_twin(found: Screened) -> str:
     if found.twin is None:
         return ""
     return f", its unphysical twin {100 * found.twin.gain:.2g} %"
+
+
+def _in_spite_of(found: Screened, outcome: Outcome) -> str:
+    """Say why what seems to be evidence by itself was not named."""
+    if found.held.gain < found.effect.worth or found.held.z < found.effect.sure:
+        return ""
+    if not found.sound:
+        return ": not named, because physics allows it no such size"
+    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
+    rest = f", or may be what {causes} leave over" if causes else ""
+    return f": not named, because refitted with everything else it is no better than others{rest}"
 
 
 def _held_back(found: Screened, outcome: Outcome) -> str:

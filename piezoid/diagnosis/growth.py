@@ -32,6 +32,8 @@ KNEE = 0.97  # of the error: what one more state of hysteresis must leave
 LEFT_OVER = 0.3  # of a rival's share
 CLEAR = 1.25  # times the noise: an error that is there
 REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
+MOST = 0.4  # of the error, so much taken off, and
+OVER_TWIN = 3.0  # times what its twin takes: a wrong shape for somebody's rest does no such thing
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
 Progress = Callable[[str], None]
@@ -187,9 +189,12 @@ def _above_twin(found: Screened) -> bool:
 def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
     """Tell whether this may be what an accepted rival, not quite as modelled, leaves over.
 
-    What takes a clear error down to the noise is no wrong shape for somebody's rest.
+    What takes a clear error down to the noise is no wrong shape for somebody's rest, nor is what
+    takes most of it and far more than its unphysical twin.
     """
     noise, before = found.view.noise, found.without.rms
+    if found.held.gain > MOST and found.twin and found.held.gain > OVER_TWIN * found.twin.gain:
+        return False
     if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
         return False
     for one in accepted:

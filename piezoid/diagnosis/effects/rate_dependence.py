@@ -125,7 +125,7 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
-    rivals=("delay", "lag"),
+    rivals=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
     inject=inject,

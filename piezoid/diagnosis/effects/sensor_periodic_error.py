@@ -141,7 +141,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
-    worth=0.05,
+    worth=0.07,  # of many waves one always fits best
     inject=inject,
     extend=extend,
 )
