@@ -25,7 +25,9 @@ def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Ar
     that is not definite to rounding; whoever damps it avoids that. Columns of very different
     size: rounding is judged by the largest.
     """
-    at_lower, at_upper = upper <= lower, np.zeros(len(right), dtype=bool)
+    # Where a search stands on a bound, it mostly stays there: a step begins at 0.
+    at_lower = (upper <= lower) | ((lower == 0.0) & (right < 0.0))
+    at_upper = (upper == 0.0) & (right > 0.0) & ~at_lower
     fewest, patience, steepest = len(right) + 1, PATIENCE, _largest(np.diag(gram))
     x = np.clip(np.zeros_like(right), lower, upper)
     for _ in range(ROUNDS):

@@ -37,3 +37,21 @@ def test_nothing_is_small_or_large_by_itself(seed: int, power: int) -> None:
     np.testing.assert_allclose(numbers, known, atol=1e-12)
     whole = bounded_minimum(unit * gram, unit * right, lower, upper)
     np.testing.assert_allclose(whole, known, atol=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1), power=st.integers(-60, 60))
+def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
+    seed: int, power: int
+) -> None:
+    chance, unit = np.random.default_rng(seed), 10.0**power
+    rows = chance.standard_normal((40, 10)) + chance.uniform(-2, 2) * chance.standard_normal(
+        (40, 1)
+    )
+    gram, right = rows.T @ rows, unit * (rows.T @ chance.standard_normal(40))
+    side = chance.integers(0, 3, 10)
+    lower, upper = np.where(side == 0, 0.0, -unit), np.where(side == 1, 0.0, unit)
+    found = bounded_minimum(gram, right, lower, upper)
+    slope = (gram @ found - right) / unit
+    assert ((lower <= found) & (found <= upper)).all()
+    assert (slope[found > lower] <= 1e-9).all()
+    assert (slope[found < upper] >= -1e-9).all()

@@ -148,10 +148,11 @@ def _folded(
     held, vectors = [], []
     for fold in range(FOLDS):
         kept = [part.fold != fold for part in parts]
-        gram = sum((r[k].T @ r[k] for r, k in zip(rows, kept, strict=True)), np.zeros((1, 1)))
+        own = [r[k] for r, k in zip(rows, kept, strict=True)]  # megabytes: copied once
+        gram = sum((r.T @ r for r in own), np.zeros((1, 1)))
         here, now = state, list(errors)
         for _ in range(CHORDS):
-            there, found = _chord(here, parts, rows, now, kept, gram, longest_lag_s)
+            there, found = _chord(here, parts, own, now, kept, gram, longest_lag_s)
             if there is here:
                 break
             here, now = there, found
@@ -171,7 +172,7 @@ def _chord(
 ) -> tuple[State, list[Array]]:
     """Return the next point on the rows kept; firmer where the first step fails."""
     across = zip(rows, errors, kept, strict=True)
-    slope = sum((r[k].T @ e[k] for r, e, k in across), np.zeros(1))
+    slope = sum((r.T @ e[k] for r, e, k in across), np.zeros(1))
     whole = _with_prior(state, gram, slope)
     before, bounds = _kept_cost(errors, kept) + _prior_cost(state), state.bounds(longest_lag_s)
     for damping in FIRM:

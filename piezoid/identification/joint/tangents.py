@@ -30,10 +30,11 @@ def tangents_of(state: State, index: int, part: Part, followed: Followed) -> Arr
     """Return d reading / d vector, (rows, numbers)."""
     coordinates = state.coordinates
     rows = np.zeros((len(part.place), len(state.vector)), order="F")
-    static = _behind(state, index, part, followed)
+    static, gain = _behind(state, index, part, followed)
     plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
-    rows[:, : lag.start] = static[:, : lag.start]
-    rows[:, coordinates.memory_slice(index)] = static[:, static.shape[1] - plays :]
+    shared = static[:, plays : plays + lag.start]
+    np.multiply(shared, gain, out=rows[:, : lag.start])
+    np.multiply(static[:, :plays], gain, out=rows[:, coordinates.memory_slice(index)])
     rows[:, coordinates.offset_slice(index)] = 1.0
     if lag.stop > lag.start:
         rows[:, lag] = _by_lag(state, index, part, followed)[:, None]
@@ -42,8 +43,10 @@ def tangents_of(state: State, index: int, part: Part, followed: Followed) -> Arr
     return rows
 
 
-def _behind(state: State, index: int, part: Part, followed: Followed) -> Array:
-    """Return the columns of the hysteresis behind the filters, at the rows that count."""
+def _behind(state: State, index: int, part: Part, followed: Followed) -> tuple[Array, Array]:
+    """Return the columns of the hysteresis behind the filters, at the rows that count, memory
+    first; and by how much the extensions scale each row, (rows, 1).
+    """
     rate_Hz = part.where.rate_Hz
     late = late_s(state, rate_Hz) * rate_Hz
     whole = int(np.floor(late))
@@ -63,13 +66,13 @@ def _behind(state: State, index: int, part: Part, followed: Followed) -> Array:
     gain = np.ones(len(followed.drive))
     for extension in state.extensions:
         gain = gain * extension.gain(part.where)
-    return np.asarray(columns * gain[part.place, None])
+    return columns, gain[part.place, None]
 
 
 def _columns(
     state: State, index: int, part: Part, drive: Array, source: Samples, share: float | None
 ) -> Array:
-    """Return the static columns at some samples, in the order of the vector, memory last."""
+    """Return the static columns at some samples, memory first, then in the vector's order."""
     operator = state.operator
     chain = Chain(
         gap=operator.gap,
@@ -83,7 +86,7 @@ def _columns(
     following = Following(chain, float(drive[0]))
     rows = np.empty((len(source), chain.plays + chain.columns), order="F")
     following.rows(drive[: int(source[-1]) + 1], source, rows)
-    return np.asfortranarray(np.hstack([rows[:, chain.plays : -2], rows[:, : chain.plays]]))
+    return rows[:, :-2]
 
 
 def _by_lag(state: State, index: int, part: Part, followed: Followed) -> Array:
