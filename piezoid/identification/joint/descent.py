@@ -148,8 +148,9 @@ def _folded(
     held, vectors = [], []
     for fold in range(FOLDS):
         kept = [part.fold != fold for part in parts]
-        own = [r[k] for r, k in zip(rows, kept, strict=True)]  # megabytes: copied once
-        gram = sum((r.T @ r for r in own), np.zeros((1, 1)))
+        own = [r[k] for r, k in zip(rows, kept, strict=True)]  # megabytes: not for every step
+        # An array times itself is rounded otherwise: enough to move a controller's free poles.
+        gram = sum((r[k].T @ o for r, k, o in zip(rows, kept, own, strict=True)), np.zeros((1, 1)))
         here, now = state, list(errors)
         for _ in range(CHORDS):
             there, found = _chord(here, parts, own, now, kept, gram, longest_lag_s)
