@@ -35,6 +35,21 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
     assert left.rms == pytest.approx(extended(clean, together).rms)
 
 
+def is_rest(monkeypatch, before: float, after: float, gain: float, twin: float | None) -> bool:
+    """Say of a small drift beside a large change of gain whether it is what this leaves over."""
+    rival = SimpleNamespace(effect=gain_change.EFFECT)
+    drift = SimpleNamespace(
+        effect=thermal_drift.EFFECT,
+        share=0.1,
+        held=SimpleNamespace(gain=gain),
+        twin=None if twin is None else SimpleNamespace(gain=twin),
+        without=SimpleNamespace(rms=before),
+        view=SimpleNamespace(rms=after, noise=NOISE),
+    )
+    monkeypatch.setattr(growth, "extended", lambda *_: SimpleNamespace(rms=100.0))
+    return growth._left_over(drift, None, [rival])
+
+
 @pytest.mark.parametrize(
     ("before", "after", "rest"),
     [
@@ -46,12 +61,19 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
 def test_a_small_part_beside_a_rival_is_its_rest_unless_nothing_is_left_after(
     monkeypatch, before, after, rest
 ) -> None:
-    rival = SimpleNamespace(effect=gain_change.EFFECT)
-    drift = SimpleNamespace(
-        effect=thermal_drift.EFFECT,
-        share=0.1,
-        without=SimpleNamespace(rms=before),
-        view=SimpleNamespace(rms=after, noise=NOISE),
-    )
-    monkeypatch.setattr(growth, "extended", lambda *_: SimpleNamespace(rms=10.0))
-    assert growth._left_over(drift, None, [rival]) is rest
+    assert is_rest(monkeypatch, before, after, 0.1, None) is rest
+
+
+@pytest.mark.parametrize(
+    ("gain", "twin", "rest"),
+    [
+        (0.5, 0.1, False),  # most of the error, and five times what its twin takes
+        (0.5, 0.2, True),  # the twin takes nearly as much
+        (0.5, None, True),  # there is no twin to tell by
+        (0.3, 0.05, True),  # far above the twin, but little of the error
+    ],
+)
+def test_what_takes_most_of_the_error_and_far_more_than_its_twin_is_nobodys_rest(
+    monkeypatch, gain, twin, rest
+) -> None:
+    assert is_rest(monkeypatch, 10.0, 10.0 * (1.0 - gain), gain, twin) is rest
