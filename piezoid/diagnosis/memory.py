@@ -17,7 +17,7 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
-from piezoid.diagnosis.pasts import Turns, habits, past, pasts
+from piezoid.diagnosis.pasts import HABITS, Turns, habits, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
 from piezoid.numerics.arrays import Array
@@ -26,6 +26,8 @@ from piezoid.operators.play import play_columns
 COVERED = 0.97  # of the whole range: then all is forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
 CLEARLY = 0.9  # of the misfit of a cycled past: what another past must leave to be believed
+AS_GOOD = 1.03  # times the squared error of pasts fitted one by one: what one habit for all may
+NEARLY = 0.025  # leave, or of what these take off: so much they take of whatever else is wrong
 OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave to be taken
 POINTS = 500  # of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
@@ -40,7 +42,8 @@ def with_own_pasts(view: View) -> View:
     own = tuple(_best_past(view.envelope.turns[k], [s]) for k, s in enumerate(sketches))
     shared = (_best_past(view.envelope.turns[0], sketches),) * len(sketches)
     view = with_free_memory(view)
-    view = min(view, with_pasts(view, own), with_pasts(view, shared), key=_error)
+    alike = [with_pasts(view, turns) for turns in habits(_drives(view))[1:HABITS]]
+    view = min(view, with_pasts(view, own), with_pasts(view, shared), *alike, key=_error)
     for k, best in enumerate(own):
         here = view.envelope.turns
         view = min(view, with_pasts(view, (*here[:k], best, *here[k + 1 :])), key=_error)
@@ -50,13 +53,22 @@ def with_own_pasts(view: View) -> View:
 def with_one_habit(view: View) -> View:
     """Return the view in which all drives came from one habit of a laboratory.
 
-    A view whose memory nothing spoke against is such a one.
+    A view whose memory nothing spoke against is such a one. Another habit than to cycle the drive
+    over its range must leave as little as pasts that were fitted one by one: a wide class follows
+    nearly any past nearly as well as another, but the true one it needs no help with.
     """
     if not view.envelope.free:
         return view
     kept = replace(view, envelope=replace(view.envelope, free=False))
-    drives = [track.drive for track in view.tracks]
-    return min((with_pasts(kept, turns) for turns in habits(drives)), key=_error)
+    first = cycled(view)
+    best = min((with_pasts(kept, turns) for turns in habits(_drives(view))), key=_error)
+    own = view.rms**2
+    least = max(AS_GOOD * own, own + NEARLY * (first.rms**2 - own))
+    return best if best.rms**2 < least else first
+
+
+def _drives(view: View) -> list[Array]:
+    return [track.drive for track in view.tracks]
 
 
 def _error(view: View) -> float:

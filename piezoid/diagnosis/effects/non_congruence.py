@@ -104,6 +104,7 @@ EFFECT = Effect(
     inject=inject,
     shows_at=4e-3,
     quiet=2.0,
+    knee=True,
     least=LEAST,
     worth=WORTH,
     sure=3.3,

@@ -141,7 +141,8 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
-    worth=0.07,  # of many waves one always fits best
+    worth=0.06,
+    common=True,  # of many waves one always fits best
     inject=inject,
     extend=extend,
 )
