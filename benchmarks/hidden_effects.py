@@ -35,6 +35,16 @@ PAIRS, NULLS = 7, 4
 PUT_IN = 0.1
 CYCLE = len(HIDDEN) + PAIRS + NULLS
 Numbers = Mapping[str, float | str]
+
+
+def cut_off_percent(numbers: Numbers, rig: Rig) -> float:
+    """Return the larger part of the drive's range, which every sweep covers, beyond a limit."""
+    low_V, high_V = (rig.amplifier_gain_V_per_V * v for v in (rig.drive_min_V, rig.drive_max_V))
+    above_V = high_V - float(numbers.get("high_V", high_V))
+    below_V = float(numbers.get("low_V", low_V)) - low_V
+    return 100.0 * max(above_V, below_V) / (high_V - low_V)
+
+
 # what the laboratory calls the size that a finding gives, in the finding's unit
 TRUE_SIZE: dict[str, Callable[[Numbers, Rig], float]] = {
     "creep": lambda n, _: 100.0 * float(n["creep_per_decade"]),
@@ -43,6 +53,7 @@ TRUE_SIZE: dict[str, Callable[[Numbers, Rig], float]] = {
     "resonance": lambda n, _: float(n["frequency_Hz"]),
     "slew_limit": lambda n, rig: float(n["slew_V_per_s"]) / rig.amplifier_gain_V_per_V,
     "gain_change": lambda n, _: 100.0 * float(n["relative_change"]),
+    "amplifier_saturation": cut_off_percent,
 }
 
 

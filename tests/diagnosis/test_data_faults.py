@@ -96,6 +96,18 @@ def test_a_jump_of_the_drive_is_no_spike():
     assert outliers.EFFECT.fault(view_on(recordings, axis="x", lab=Lab())) is None
 
 
+@pytest.mark.parametrize("period", [16, 20, 23])
+def test_a_recording_that_begins_and_ends_in_the_midst_of_a_ramp_has_no_spikes(period):
+    drive = np.linspace(-0.9, 0.9, 4000)
+    quiet = 1e-6 * np.random.default_rng(1).normal(size=len(drive))
+    for phase in np.linspace(0.0, 2 * np.pi, 16, endpoint=False):
+        # ramps of a hum, on which the drive hardly moves
+        hum = 0.02 * np.sin(2 * np.pi * np.arange(len(drive)) / period + phase)
+        track = replace(driven(drive), response=drive + hum + quiet)
+        assert found_in(track, drive) == []
+        assert found_in(with_added(track, [1000], 0.1), drive) == [1000]
+
+
 def coarse_reading(step_m: float):
     readings_m = {kind: clean(kind)[2] for kind in ("sweep", "walk", "waves")}
     return view_with(**{kind: step_m * np.round(y / step_m) for kind, y in readings_m.items()})

@@ -1,0 +1,122 @@
+"""What a laboratory always does before it records leaves no unknown memory; what it forgot does.
+
+The stage is a sum of plays that begins where we say, on parts of a healthy campaign's drives.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.effects import initial_state
+from piezoid.diagnosis.judgement import Judged, judged_structure
+from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
+from piezoid.diagnosis.view import View, with_free_memory
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Channel, Quantity, Recording
+
+from .bench import healthy, view_of_recordings
+
+EVERY = 4  # of the samples: a stage that does not know time needs no more
+STRETCH = {
+    "sweep": slice(6900, 12800, EVERY),
+    "staircase": slice(3000, 9000, EVERY),
+    "other_axis": slice(1500, 7000, EVERY),
+}
+GLIDE = 0.01  # of half the range for a sample, on the way to where the next recording begins
+WIDTH = np.linspace(0.05, 0.9, 12)
+WEIGHT = 0.12 * np.exp(-1.5 * WIDTH)
+HALF_STROKE_m = 1.5e-5
+NOISE = 3e-4  # of the stroke
+Before = Callable[[float], Sequence[float]]
+
+
+def at_rest(first: float) -> Array:
+    """Return ever smaller turns about the first value, finer than any that the search knows of."""
+    return first + np.geomspace(1.0, 1e-3, 60) * np.where(np.arange(60) % 2, 1.0, -1.0)
+
+
+def cycled(_: float) -> Sequence[float]:
+    return (-1.0, 1.0)
+
+
+def cycled_the_other_way(_: float) -> Sequence[float]:
+    return (1.0, -1.0)
+
+
+def forgotten(_: float) -> Sequence[float]:
+    return (-1.0, 0.6, -0.5, 0.3)
+
+
+def moved(drive: Array, memory: Array) -> tuple[Array, Array]:
+    states, memory = play_columns(drive, WIDTH, memory)
+    return 0.4 * drive + 0.02 * drive**2 + states @ WEIGHT, memory
+
+
+def recorded_as(name: str, rate_Hz: float, drive: Array, moved_m: Array) -> Recording:
+    values = {Quantity.VOLTAGE: 5.0 + 5.0 * drive, Quantity.DISPLACEMENT: moved_m}
+    channels = tuple(
+        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
+        for quantity, signal in values.items()
+    )
+    return Recording(name=name, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
+
+
+@cache
+def view_after(*before: Before | None) -> View:
+    """Record three drives after some pasts; None: each goes on from the one before it."""
+    recordings, _ = healthy()
+    chance, memory, last = np.random.default_rng(1), np.zeros(len(WIDTH)), 0.0
+    found = []
+    for (name, part), turns in zip(STRETCH.items(), before, strict=True):
+        whole = next(r for r in recordings if r.name.startswith(name))
+        drive = whole.voltage_V()[part] / 5.0 - 1.0
+        if turns is None:
+            steps = max(int(abs(drive[0] - last) / GLIDE), 2)
+            drive = np.concatenate([np.linspace(last, drive[0], steps)[:-1], drive])
+        else:
+            way = np.array([*turns(float(drive[0])), drive[0]])
+            _, memory = moved(way, np.zeros(len(WIDTH)))
+        response, memory = moved(drive, memory)
+        noise = NOISE * float(np.ptp(response)) * chance.normal(size=len(drive))
+        rate_Hz = whole.sampling_rate_Hz / EVERY
+        found.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (response + noise)))
+        last = float(drive[-1])
+    return view_of_recordings(tuple(found), Lab())
+
+
+def structure_of(view: View) -> Judged:
+    """Judge the memory of recordings as a search does in which nothing else is found."""
+    own = with_own_pasts(view)
+    final = with_free_memory(own) if own.rms < OTHER_PASTS * view.rms else view
+    judgement = judged_structure(initial_state.EFFECT, final)
+    assert judgement is not None
+    return judgement[1]
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        (cycled,) * 3,
+        (at_rest,) * 3,
+        (cycled_the_other_way,) * 3,
+        (cycled_the_other_way, None, None),
+        (at_rest, None, None),
+    ],
+    ids=["cycled", "at rest", "the other way", "one after another", "from rest on"],
+)
+def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(before) -> None:
+    view = view_after(*before)
+    assert not structure_of(view).speaks
+    if before[0] is not cycled:
+        # though the memory that is taken for granted at first is none of it
+        assert with_own_pasts(view).rms < 0.6 * view.rms
+
+
+def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded() -> None:
+    structure = structure_of(view_after(cycled, forgotten, cycled))
+    assert structure.speaks
+    assert structure.held.gain > 2.0 * initial_state.EFFECT.worth

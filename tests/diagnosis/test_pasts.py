@@ -1,0 +1,67 @@
+"""Pasts: what is left of a drive once later turns have wiped out earlier ones."""
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.pasts import HABITS, habits, past, pasts
+from piezoid.diagnosis.shape import THRESHOLD
+from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
+
+AT_REST = 0.05  # of half the range: the smallest turns that a laboratory makes on purpose
+
+
+def left_by(way: Array, memory: Array) -> Array:
+    return play_columns(way, THRESHOLD, memory)[1]
+
+
+def random_drives(seed: int) -> list[Array]:
+    """Draw drives of few turns or many, each of which goes on where the one before it ended."""
+    chance = np.random.default_rng(seed)
+    drives, last = [], float(chance.uniform(-1.0, 1.0))
+    for _ in range(3):
+        levels = chance.uniform(-1.0, 1.0, int(chance.integers(1, 60)))
+        if seed % 3 == 0:
+            levels = np.round(levels, 1)  # so that turns meet again at one value
+        drives.append(np.array([last, *np.repeat(levels, int(chance.integers(1, 4)))]))
+        last = float(levels[-1])
+    return drives
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) -> None:
+    drives = random_drives(seed)
+    after_another = habits(drives)[HABITS:]
+    assert len(after_another) == HABITS
+    for turns in after_another:
+        memory = past(drives[0], turns[0])
+        for k in (1, 2):
+            memory = left_by(drives[k - 1], memory)
+            np.testing.assert_array_equal(past(drives[k], turns[k]), memory)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
+    for turns in habits(random_drives(seed))[HABITS:]:
+        for kept in turns[1:]:
+            steps = np.diff(kept)
+            assert np.all(steps[1:] * steps[:-1] < 0.0)
+            assert np.all(np.diff(np.abs(steps)) < 0.0)
+
+
+def test_the_same_habit_before_every_drive_is_the_same_place_among_its_pasts() -> None:
+    drives = random_drives(1)
+    for place, alike in enumerate(habits(drives)[:HABITS]):
+        assert alike == tuple(pasts(drive)[place] for drive in drives)
+    cycled, other_way = habits(drives)[:2]
+    assert [turns[::-1] for turns in cycled] == list(other_way)
+
+
+@pytest.mark.parametrize("first", [-1.0, -0.37, 0.0, 0.8, 1.0])
+def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
+    drive = np.array([first, 0.2])
+    cycled, other_way, _, decaying = (
+        np.abs(past(drive, turns) - first).max() for turns in pasts(drive)[:HABITS]
+    )
+    assert decaying < AT_REST
+    assert max(cycled, other_way) > 0.4
