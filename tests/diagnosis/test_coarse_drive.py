@@ -1,0 +1,82 @@
+"""Steps of a converter are told from the lattice that a drive has because it repeats itself.
+
+Residuals are stand-ins: what is left of them beside an envelope is all of them.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.effects import quantisation
+from piezoid.diagnosis.tracks import Track
+from piezoid.numerics.arrays import Array
+
+from .play_stage import healthy
+
+STEP = 0.03  # of half the range
+ROWS = 10_000
+QUIET = 1e-4 * np.random.default_rng(1).normal(size=ROWS)
+
+
+def repeating(first: float) -> Array:
+    """Return a triangle of 20 Hz at 5 kHz: 250 samples for a period, again and again."""
+    return 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (np.arange(ROWS) % 250 + first) / 250.0))
+
+
+def smooth() -> Array:
+    """Return a triangle whose period is no number of samples."""
+    return 2 / np.pi * np.arcsin(np.sin(2 * np.pi * np.arange(ROWS) / (250.0 + np.pi / 10.0)))
+
+
+def saw(drive: Array) -> Array:
+    """Return what a converter of coarse steps is off by."""
+    return STEP * np.round(drive / STEP) - drive
+
+
+def track_of(drive: Array) -> Track:
+    response = drive + QUIET
+    place = np.arange(ROWS)
+    return replace(healthy().tracks[0], drive=drive, response=response, place=place)
+
+
+def fault_of(*seen: tuple[Array, Array]):
+    """Return the fault that drives and what is left beside them show."""
+    tracks = tuple(track_of(drive) for drive, _ in seen)
+    residual = np.concatenate([left + QUIET for _, left in seen])
+    view = SimpleNamespace(
+        tracks=tracks,
+        stroke_m=1e-5,
+        null=SimpleNamespace(residual=residual, without=lambda column: column),
+        rows=np.concatenate,
+    )
+    return quantisation.EFFECT.fault(view)
+
+
+def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one() -> None:
+    fault = fault_of((smooth(), saw(smooth())))
+    assert fault.value == pytest.approx(1e4 * STEP, rel=0.1)
+    left = fault.tracks[0].drive - STEP * np.round(smooth() / STEP)
+    assert np.mean(np.abs(left) < 0.1 * STEP) > 0.9
+
+
+@pytest.mark.parametrize(("first", "offset"), [(0.5, 2.9e-3), (0.3, 1.7e-3), (0.13, 7e-4)])
+def test_what_is_left_on_the_lattice_of_a_drive_that_repeats_is_no_converters_step(
+    first, offset
+) -> None:
+    drive = repeating(first)
+    assert len(np.unique(np.round(drive, 9))) <= 250
+    # seen at these values only, an offset has the waves of a saw
+    assert fault_of((drive, np.full(ROWS, offset))) is None
+
+
+def test_a_drive_that_repeats_itself_does_not_hide_steps_beside_a_smooth_one() -> None:
+    both = fault_of((smooth(), saw(smooth())), (repeating(0.3), saw(repeating(0.3))))
+    assert both.value == pytest.approx(1e4 * STEP, rel=0.1)
+
+
+def test_steps_that_one_part_of_a_recording_has_alone_are_no_converters() -> None:
+    left = np.zeros(ROWS)
+    left[4000:4500] = 20.0 * saw(smooth())[4000:4500]
+    assert fault_of((smooth(), left)) is None
