@@ -38,7 +38,8 @@ def constrained_least_squares(
 
     Posed to OSQP with the residual as a variable of its own, so that the conditioning is R's and
     not that of R'R: forming R'R for play regressors and solving to default tolerances gives
-    weights wrong by half.
+    weights wrong by half. Columns, target and constraints are scaled to norm 1, for its tolerances
+    know no units.
 
     R     triangle    (rows, unknowns)
     c     target      (rows,)
@@ -52,13 +53,15 @@ def constrained_least_squares(
     scale = _column_norms(triangle)
     factor, height = triangle / scale, float(np.linalg.norm(target)) or 1.0
     rows, unknowns = factor.shape
+    sides = constraint / scale * height
+    length = _column_norms(sides.T)
     solver: Any = osqp.OSQP()
     solver.setup(
         P=sparse.csc_matrix(sparse.diags(np.repeat([0.0, 1.0], [unknowns, rows]))),
         q=np.zeros(unknowns + rows),
-        A=_equations(factor, constraint / scale * height),
-        l=np.concatenate([target / height, lower]),
-        u=np.concatenate([target / height, upper]),
+        A=_equations(factor, sides / length[:, None]),
+        l=np.concatenate([target / height, lower / length]),
+        u=np.concatenate([target / height, upper / length]),
         eps_abs=_TOLERANCE,
         eps_rel=_TOLERANCE,
         max_iter=200_000,

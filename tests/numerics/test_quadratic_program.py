@@ -142,6 +142,32 @@ def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Gene
     assert np.abs(room[held]).max() < 1e-13
 
 
+@pytest.mark.parametrize("power", [-40, -12, -3, 3, 12, 40])
+@pytest.mark.parametrize("what", ["target", "columns", "rows"])
+def test_constraints_in_other_units_hold_the_same_numbers_back(
+    rng: np.random.Generator, power: int, what: str
+) -> None:
+    factor, right = reduced(rng.normal(size=(200, 8)), rng.normal(size=200))
+    constraint, lower, upper = rng.normal(size=(5, 8)), np.full(5, -0.02), np.full(5, 0.01)
+    known = constrained_least_squares(factor, right, constraint, lower, upper).x
+    unit = 10.0**power
+    each = rng.permutation([unit, 1.0, 1.0 / unit, unit, 1.0])
+    found = {
+        "target": lambda u: (
+            constrained_least_squares(factor, u * right, constraint, u * lower, u * upper).x / u
+        ),
+        "columns": lambda u: (
+            constrained_least_squares(u * factor, right, constraint, lower / u, upper / u).x * u
+        ),
+        "rows": lambda _: (
+            constrained_least_squares(
+                factor, right, each[:, None] * constraint, each * lower, each * upper
+            ).x
+        ),
+    }[what](unit)
+    np.testing.assert_allclose(found, known, atol=1e-9)
+
+
 def test_a_step_along_columns_almost_the_same_meets_the_conditions_of_an_optimum(
     rng: np.random.Generator,
 ) -> None:
