@@ -3,7 +3,7 @@
 The stage is a sum of plays that begins where we say, on parts of a healthy campaign's drives.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -13,12 +13,20 @@ from piezoid.diagnosis.effects import initial_state
 from piezoid.diagnosis.judgement import Judged, judged_structure
 from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
 from piezoid.diagnosis.view import View, with_free_memory
-from piezoid.numerics.arrays import Array
-from piezoid.operators.play import play_columns
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Channel, Quantity, Recording
 
 from .bench import healthy, view_of_recordings
+from .played import (
+    WIDTH,
+    Before,
+    HALF_STROKE_m,
+    at_rest,
+    cycled,
+    cycled_the_other_way,
+    memory_after,
+    moved,
+    recorded_as,
+)
 
 EVERY = 4  # of the samples: a stage that does not know time needs no more
 STRETCH = {
@@ -27,42 +35,11 @@ STRETCH = {
     "other_axis": slice(1500, 7000, EVERY),
 }
 GLIDE = 0.01  # of half the range for a sample, on the way to where the next recording begins
-WIDTH = np.linspace(0.05, 0.9, 12)
-WEIGHT = 0.12 * np.exp(-1.5 * WIDTH)
-HALF_STROKE_m = 1.5e-5
 NOISE = 3e-4  # of the stroke
-Before = Callable[[float], Sequence[float]]
-
-
-def at_rest(first: float) -> Array:
-    """Return ever smaller turns about the first value, finer than any that the search knows of."""
-    return first + np.geomspace(1.0, 1e-3, 60) * np.where(np.arange(60) % 2, 1.0, -1.0)
-
-
-def cycled(_: float) -> Sequence[float]:
-    return (-1.0, 1.0)
-
-
-def cycled_the_other_way(_: float) -> Sequence[float]:
-    return (1.0, -1.0)
 
 
 def forgotten(_: float) -> Sequence[float]:
     return (-1.0, 0.6, -0.5, 0.3)
-
-
-def moved(drive: Array, memory: Array) -> tuple[Array, Array]:
-    states, memory = play_columns(drive, WIDTH, memory)
-    return 0.4 * drive + 0.02 * drive**2 + states @ WEIGHT, memory
-
-
-def recorded_as(name: str, rate_Hz: float, drive: Array, moved_m: Array) -> Recording:
-    values = {Quantity.VOLTAGE: 5.0 + 5.0 * drive, Quantity.DISPLACEMENT: moved_m}
-    channels = tuple(
-        Channel(quantity=quantity, axis="x", values=signal, label=quantity.name)
-        for quantity, signal in values.items()
-    )
-    return Recording(name=name, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
 
 
 @cache
@@ -78,8 +55,7 @@ def view_after(*before: Before | None) -> View:
             steps = max(int(abs(drive[0] - last) / GLIDE), 2)
             drive = np.concatenate([np.linspace(last, drive[0], steps)[:-1], drive])
         else:
-            way = np.array([*turns(float(drive[0])), drive[0]])
-            _, memory = moved(way, np.zeros(len(WIDTH)))
+            memory = memory_after(turns, float(drive[0]))
         response, memory = moved(drive, memory)
         noise = NOISE * float(np.ptp(response)) * chance.normal(size=len(drive))
         rate_Hz = whole.sampling_rate_Hz / EVERY

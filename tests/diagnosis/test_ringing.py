@@ -1,0 +1,57 @@
+"""A sharp mode under a drive that repeats is found beside what plays would make of its ringing."""
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.effects import resonance
+from piezoid.diagnosis.judgement import judged
+from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.signals import mode
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
+from piezoid.records.lab import Lab
+
+from .bench import view_of_recordings
+from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as
+
+FREQUENCY_Hz, QUALITY = 300.0, 38.0
+FAST_Hz = 20.0  # of the triangle: its 15th harmonic lies on the mode
+NOISE = 6e-4  # of half the stroke
+
+
+def triangle(phase: Array) -> Array:
+    return 2 / np.pi * np.arcsin(np.sin(2 * np.pi * (phase - 0.25)))
+
+
+def ringing_view() -> View:
+    """Record two slow drives and the fast triangle; all of the motion passes through the mode."""
+    count = np.arange(3000)
+    drives = {
+        ("loops", 500.0): np.linspace(1.0, 0.3, 3000) * triangle(1.1 * count / 500.0),
+        ("waves", 500.0): np.linspace(0.2, 1.0, 3000) * np.sin(2 * np.pi * 0.7 * count / 500.0),
+        ("fast", 5000.0): 0.8 * triangle(FAST_Hz * count / 5000.0),
+    }
+    chance = np.random.default_rng(1)
+    found = []
+    for (name, rate_Hz), drive in drives.items():
+        response, _ = moved(drive, memory_after(cycled, float(drive[0])))
+        rung = mode(response, FREQUENCY_Hz, QUALITY, rate_Hz)
+        noise = NOISE * chance.normal(size=len(drive))
+        found.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (rung + noise)))
+    return view_of_recordings(tuple(found), Lab())
+
+
+def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_as_sharp() -> None:
+    view = ringing_view()
+    seen = screen(resonance.EFFECT, view)
+    # nearer than two of the grid are to each other
+    assert seen.trial.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.5 / QUALITY)
+    start = begun(resonance.EFFECT, seen.trial, float(seen.held.coefficient[0]))
+    one, there = refined(start, view, [])
+    cause = judged(one, there, view, seen=seen)
+    assert cause.sound
+    assert cause.speaks
+    assert one.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.005)
+    assert one.parameters["quality"] == pytest.approx(QUALITY, rel=0.3)
+    assert there.rms < 0.1 * view.rms
