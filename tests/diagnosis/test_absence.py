@@ -1,0 +1,60 @@
+"""Why what seems to be evidence by itself was not named is said; stand-ins for the search."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effects import lag, slew_limit, thermal_drift
+
+DRIFT = thermal_drift.EFFECT
+
+
+def reason(
+    *, gain: float, z: float, sound: bool = True, causes: tuple[Effect, ...] = (), held: bool = False
+) -> str:
+    """Return what is said of a drift that was seen so clearly and not named."""
+    found = SimpleNamespace(
+        effect=DRIFT,
+        held=SimpleNamespace(gain=gain, z=z),
+        twin=None,
+        share=0.001,
+        bound=0.002,
+        floor=0.0,
+        sound=sound,
+        apart=True,
+    )
+    outcome = SimpleNamespace(
+        screened={DRIFT.name: found},
+        final=SimpleNamespace(stroke_m=1e-5, rms=0.01, tracks=(SimpleNamespace(duration_s=1e3),)),
+        causes=[SimpleNamespace(effect=effect) for effect in causes],
+        held_back=(DRIFT.name,) if held else (),
+    )
+    return absent(DRIFT, outcome).reason
+
+
+def test_what_physics_does_not_allow_is_said_to_be_unsound() -> None:
+    assert "physics allows it no such size" in reason(gain=0.5, z=9.0, sound=False)
+
+
+def test_what_is_sure_and_sound_may_be_what_the_causes_leave_over() -> None:
+    alone = reason(gain=0.5, z=9.0)
+    assert "not named, because refitted with everything else it is no better" in alone
+    assert "leave over" not in alone
+    beside = reason(gain=0.5, z=9.0, causes=(slew_limit.EFFECT, lag.EFFECT))
+    assert "or may be what slew limit, lag leave over" in beside
+
+
+@pytest.mark.parametrize(
+    ("gain", "z"), [(0.99 * DRIFT.worth, 9.0), (0.5, 0.99 * DRIFT.sure), (0.0, 0.0)]
+)
+def test_what_is_no_evidence_by_itself_needs_no_excuse(gain, z) -> None:
+    for sound in (True, False):
+        assert "not named" not in reason(gain=gain, z=z, sound=sound, causes=(lag.EFFECT,))
+
+
+def test_structure_that_was_held_back_has_one_reason_and_not_two() -> None:
+    told = reason(gain=0.5, z=9.0, causes=(lag.EFFECT,), held=True)
+    assert told.count("not named") == 1
+    assert "do not tell it from what lag may leave over" in told
