@@ -12,7 +12,12 @@ DRIFT = thermal_drift.EFFECT
 
 
 def reason(
-    *, gain: float, z: float, sound: bool = True, causes: tuple[Effect, ...] = (), held: bool = False
+    *,
+    gain: float,
+    z: float,
+    sound: bool = True,
+    causes: tuple[Effect, ...] = (),
+    held: bool = False,
 ) -> str:
     """Return what is said of a drift that was seen so clearly and not named."""
     found = SimpleNamespace(
