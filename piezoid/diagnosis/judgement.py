@@ -125,14 +125,15 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
 def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | None:
     """Judge a part of the envelope's own structure, with all causes at work; None without trials.
 
-    Where a Bouc-Wen state may do what it does, it must speak beside the one that serves the class
-    without it best.
+    Where it takes off little, it must speak beside the Bouc-Wen state that serves the class best
+    without it: a ceramic of that kind has one, and is far better off with it.
     """
     found = screen(effect, final)
     if found is None:
         return None
     structure = _of_structure(found, final)
-    if not (structure.speaks and effect.knee and effect.against):
+    little = structure.held.gain < effect.knee
+    if not (structure.speaks and little and effect.against):
         return found, structure
     bent = with_knee_of(final, effect.against)
     again = screen(effect, bent)

@@ -26,8 +26,7 @@ from piezoid.operators.play import play_columns
 COVERED = 0.97  # of the whole range: then all is forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
 CLEARLY = 0.9  # of the misfit of a cycled past: what another past must leave to be believed
-AS_GOOD = 1.03  # times the squared error of pasts fitted one by one: what one habit for all may
-NEARLY = 0.025  # leave, or of what these take off: so much they take of whatever else is wrong
+NEARLY = 0.025  # of what pasts fitted one by one take off, in power: so little one habit may leave
 OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave to be taken
 POINTS = 500  # of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
@@ -62,9 +61,8 @@ def with_one_habit(view: View) -> View:
     kept = replace(view, envelope=replace(view.envelope, free=False))
     first = cycled(view)
     best = min((with_pasts(kept, turns) for turns in habits(_drives(view))), key=_error)
-    own = view.rms**2
-    least = max(AS_GOOD * own, own + NEARLY * (first.rms**2 - own))
-    return best if best.rms**2 < least else first
+    taken = first.rms**2 - view.rms**2
+    return best if best.rms**2 - view.rms**2 < NEARLY * taken else first
 
 
 def _drives(view: View) -> list[Array]:
