@@ -75,10 +75,13 @@ def _one_after_another(turns: Turns, drives: Sequence[Array]) -> tuple[Turns, ..
 
 
 def _left_by(turns: Turns, drive: Array) -> Turns:
-    """Return the turns that nothing later wiped out: seen from the end, each goes farther."""
+    """Return the turns that nothing later wiped out: seen from the end, each goes farther.
+
+    The end itself is one: the next drive may go either way from there.
+    """
     way = np.array([*turns, *drive])[::-1]
     higher = np.diff(np.maximum.accumulate(way)) > 0.0
     lower = np.diff(np.minimum.accumulate(way)) < 0.0
     places = np.flatnonzero(higher | lower)
     outermost = np.append(higher[places][1:] != higher[places][:-1], True)
-    return (*way[1:][places[outermost]][::-1].tolist(),) if len(places) else turns
+    return (*way[1:][places[outermost]][::-1].tolist(), float(way[0]))

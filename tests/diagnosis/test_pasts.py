@@ -16,15 +16,15 @@ def left_by(way: Array, memory: Array) -> Array:
 
 
 def random_drives(seed: int) -> list[Array]:
-    """Draw drives of few turns or many, each of which goes on where the one before it ended."""
+    """Draw drives of few turns or many that begin anywhere."""
     chance = np.random.default_rng(seed)
-    drives, last = [], float(chance.uniform(-1.0, 1.0))
+    drives = []
     for _ in range(3):
         levels = chance.uniform(-1.0, 1.0, int(chance.integers(1, 60)))
         if seed % 3 == 0:
             levels = np.round(levels, 1)  # so that turns meet again at one value
-        drives.append(np.array([last, *np.repeat(levels, int(chance.integers(1, 4)))]))
-        last = float(levels[-1])
+        first = float(chance.uniform(-1.0, 1.0))
+        drives.append(np.array([first, *np.repeat(levels, int(chance.integers(1, 4)))]))
     return drives
 
 
@@ -36,7 +36,7 @@ def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) 
     for turns in after_another:
         memory = past(drives[0], turns[0])
         for k in (1, 2):
-            memory = left_by(drives[k - 1], memory)
+            memory = left_by(np.append(drives[k - 1], drives[k][0]), memory)
             np.testing.assert_array_equal(past(drives[k], turns[k]), memory)
 
 
