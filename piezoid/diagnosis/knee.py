@@ -4,7 +4,7 @@ It is structure, not a cause: it is taken in only where it leaves less than any 
 else is said to be structure has to beat the class without it, where that has a knee of its own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -16,6 +16,7 @@ from piezoid.diagnosis.view import View, with_knee
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
 EXPONENTS = (1.0, 1.6)
+BENDS = (-0.2, 0.0, 0.2)  # between them lie ridges
 PARTS = (1.0, 0.5, 0.25, 0.1)
 BETA, EXPONENT = 1.4, 1.35  # factors of a full step
 RATIO, BEND = 0.25, 0.25  # steps
@@ -45,12 +46,16 @@ def with_knee_of(view: View, against: Callable[[View], Null]) -> View:
 
     against  (view) -> the smaller class
     """
-    return with_knee(view, _best(lambda law: against(with_knee(view, _knee(law))).rms))
+
+    def left(law: Law) -> float:
+        return against(with_knee(view, _knee(law))).rms
+
+    return with_knee(view, _best(left, BENDS))
 
 
-def _best(left: Left) -> Knee:
+def _best(left: Left, bends: Sequence[float] = (0.0,)) -> Knee:
     """Return the state that leaves least: the best of a grid, then one step after another."""
-    laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, (0.0,))]
+    laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
     best = min(((left(law), law) for law in laws), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
