@@ -17,6 +17,7 @@ CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left b
 SMALL = 0.5  # may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves, or leaves above the noise, and that
+AS_LITTLE = 1.005  # times the error: what leaves no more does the same
 FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 
 
@@ -125,17 +126,19 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
 def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | None:
     """Judge a part of the envelope's own structure, with all causes at work; None without trials.
 
-    Where it takes off little, it must speak beside the Bouc-Wen state that serves the class best
-    without it: a ceramic of that kind has one, and is far better off with it.
+    The class without it may have a Bouc-Wen state instead. Where that leaves as little, or where
+    little is at stake, the part has to speak beside the state that serves that class best.
     """
     found = screen(effect, final)
     if found is None:
         return None
     structure = _of_structure(found, final)
-    little = structure.held.gain < effect.knee
-    if not (structure.speaks and little and effect.against):
+    if not (structure.speaks and effect.knee and effect.against):
         return found, structure
     bent = with_knee_of(final, effect.against)
+    little = structure.held.gain < effect.knee
+    if not little and effect.against(bent).rms > AS_LITTLE * final.rms:
+        return found, structure
     again = screen(effect, bent)
     return (found, structure) if again is None else (again, _of_structure(again, bent))
 

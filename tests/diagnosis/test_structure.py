@@ -1,10 +1,13 @@
 """What ceramics do by themselves is in the envelope, and is named as no effect."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.judgement import judged_structure
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.search import search
@@ -29,12 +32,22 @@ def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_noth
     assert abs(float(screen(non_congruence.EFFECT, view).held.coefficient[0])) < 0.05
 
 
-def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named() -> None:
-    view = sound_stage("bouc_wen", 3)
+@pytest.mark.parametrize("seed", [3, 17])
+def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(seed) -> None:
+    view = sound_stage("bouc_wen", seed)
     found = screen(non_congruence.EFFECT, view)
     assert found.held.gain > non_congruence.EFFECT.worth
     assert abs(float(found.held.coefficient[0])) > non_congruence.OPENING
     assert not search(view).causes
+
+
+def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
+    view = sound_stage("bouc_wen", 20)
+    _, alone = judged_structure(replace(non_congruence.EFFECT, knee=0.0), view)
+    _, beside = judged_structure(replace(non_congruence.EFFECT, knee=1.0), view)
+    assert alone.speaks
+    assert not beside.speaks
+    assert abs(beside.held.gain) < 0.1 * alone.held.gain
 
 
 def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only() -> None:
