@@ -26,7 +26,9 @@ from piezoid.operators.play import play_columns
 COVERED = 0.97  # of the whole range: then all is forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
 CLEARLY = 0.9  # of the misfit of a cycled past: what another past must leave to be believed
-NEARLY = 0.025  # of what pasts fitted one by one take off, in power: so little one habit may leave
+NEARLY = 0.025  # of what fitted pasts take off, in power: so little may one habit leave,
+AS_GOOD = 1.03  # and of what they leave, in power, where the class follows the rest,
+POOR = 2.0  # which it does not from so many times the noise on
 OTHER_PASTS = 0.92  # of the error: what other pasts of the tracks must leave to be taken
 POINTS = 500  # of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
@@ -61,8 +63,9 @@ def with_one_habit(view: View) -> View:
     kept = replace(view, envelope=replace(view.envelope, free=False))
     first = cycled(view)
     best = min((with_pasts(kept, turns) for turns in habits(_drives(view))), key=_error)
-    taken = first.rms**2 - view.rms**2
-    return best if best.rms**2 - view.rms**2 < NEARLY * taken else first
+    own = view.rms**2
+    as_good = best.rms**2 < AS_GOOD * own or view.rms > POOR * view.noise
+    return best if as_good and best.rms**2 - own < NEARLY * (first.rms**2 - own) else first
 
 
 def _drives(view: View) -> list[Array]:
