@@ -60,8 +60,7 @@ def extended(clean: View, accepted: Sequence[Accepted]) -> View:
     if not behind:
         return view
     last = view.rms
-    rings = [one for one in behind if one.effect.rings]
-    calm = calmed(view, lambda plain: columns_of(plain, rings)) if rings else view
+    calm = calm_for(view, behind)
     for _ in range(ROUNDS):
         offset, columns = offset_of(view, behind), columns_of(view, behind, calm)
         view = replace(view, offset=offset, accepted=columns)
@@ -96,21 +95,21 @@ def offset_of(view: View, accepted: Sequence[Accepted]) -> Array:
     return np.concatenate(parts)
 
 
-def seen_by(one: Accepted, view: View) -> View:
-    """Return the view of which the columns of an accepted effect are made."""
-    return calmed(view, lambda plain: columns_of(plain, [one])) if one.effect.rings else view
+def calm_for(view: View, accepted: Sequence[Accepted]) -> View:
+    """Return the view of which the columns of those are made that ring; itself where none does."""
+    rings = [one for one in accepted if one.effect.rings]
+    return calmed(view, lambda plain: columns_of(plain, rings, plain)) if rings else view
 
 
-def columns_of(view: View, accepted: Sequence[Accepted], calm: View | None = None) -> Array:
+def columns_of(view: View, accepted: Sequence[Accepted], calm: View) -> Array:
     """Return the columns of all accepted effects that act on the response.
 
-    calm  the view of which what rings is made, None: the same
+    calm  the view of which the columns of those are made that ring
     """
     parts = [np.zeros((len(view.offset), 0))]
     for one in accepted:
         if one.adds and one.effect.columns is not None:
-            seen = calm if one.effect.rings and calm is not None else view
-            parts.append(one.effect.columns(seen, one.parameters))
+            parts.append(one.effect.columns(calm if one.effect.rings else view, one.parameters))
         if one.effect.beside is not None:
             parts.append(one.effect.beside(view))
     return np.hstack(parts)

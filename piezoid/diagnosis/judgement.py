@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import Accepted, seen_by
+from piezoid.diagnosis.extended import Accepted, calm_for
 from piezoid.diagnosis.folds import Held, compared, surely
 from piezoid.diagnosis.knee import with_knee_of
 from piezoid.diagnosis.screening import Screened, null_of, screen, screened
@@ -99,7 +99,7 @@ def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judge
 
 def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
     assert one.effect.columns is not None
-    columns = one.effect.columns(seen_by(one, view), one.parameters)
+    columns = one.effect.columns(calm_for(view, [one]), one.parameters)
     if not np.any(columns):  # refitted with it, the stage itself does what it would have added
         return Judged(
             accepted=one,

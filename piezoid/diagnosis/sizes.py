@@ -19,7 +19,7 @@ from math import hypot, sqrt
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.extended import Accepted, driven, offset_of, seen_by
+from piezoid.diagnosis.extended import Accepted, calm_for, driven, offset_of
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.view import View
@@ -59,7 +59,7 @@ def _spread(cause: Judged, value: float) -> float:
         for name in one.free
     ]
     if one.adds and effect.columns is not None:
-        columns += list(effect.columns(seen_by(one, view), one.parameters).T)
+        columns += list(effect.columns(calm_for(view, [one]), one.parameters).T)
         for k in range(len(beta)):
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
@@ -86,7 +86,7 @@ def _nudged(cause: Judged, name: str) -> Array:
         change = _of_drive(cause, there)
     else:
         assert effect.columns is not None
-        here = seen_by(one, view)
+        here = calm_for(view, [one])
         moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
         change = moved @ cause.held.coefficient
     return np.asarray(change / NUDGE)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.slips import INSTANTS, Slip, late
+from piezoid.diagnosis.slips import INSTANTS, Slip, late, longest
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -50,11 +50,12 @@ def placed(view: View, slip: Slip, *, again: Fitted | None = None, fixed: bool =
 def _best(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
     """Return the neighbour in place, and in length up to a reach, that leaves least squares."""
     n, samples = len(static), int(slip.samples)
+    shortest, farthest = max(samples - reach, -longest(n)), min(samples + reach, longest(n))
     place = np.arange(n)
     first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
     before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
     best = (np.inf, slip)
-    for length in range(samples - reach, samples + reach + 1):
+    for length in range(shortest, farthest + 1):
         if length == 0:
             continue
         missed = measured - static - late(static, place, length)

@@ -52,6 +52,11 @@ class Slip:
     gain: float
 
 
+def longest(samples: int) -> int:
+    """Return the longest slip of a track of so many samples."""
+    return int(FARTHEST * samples)
+
+
 def late(static: Array, place: Places, samples: int) -> Array:
     """Return what a delay by some samples changes at some places."""
     return np.asarray(static[np.clip(place - samples, 0, len(static) - 1)] - static[place])
@@ -98,12 +103,11 @@ def _strongest(view: View, null: Null, k: int) -> Slip | None:
         return None
     track = Searched.of(view, null, k)
     first = track.instants()
-    farthest = FARTHEST * len(track.static)
     best = None
     for samples in track.promising(first) if len(first) else ():
         gain, beta = track.score(samples, first)
         # a tangent knows the direction, a slip of one sample must be nearly whole
-        least, most = 0.6 if abs(samples) == 1 else 0.2, farthest / abs(samples)
+        least, most = 0.6 if abs(samples) == 1 else 0.2, longest(len(track.static)) / abs(samples)
         gain = np.where((beta > least) & (beta < most), gain, 0.0)
         j = int(np.argmax(gain))
         if gain[j] > (best.gain if best else 0.0):
@@ -179,8 +183,8 @@ class Searched:
 
     def promising(self, first: Places) -> list[int]:
         """Return the lengths that take most where nothing is shared, which is a lower limit."""
-        reach = max(int(FARTHEST * len(self.static)), 3)
-        lengths = np.unique(np.round(np.geomspace(1, reach, LENGTHS)).astype(int)).tolist()
+        lengths = np.geomspace(1, longest(len(self.static)), LENGTHS)
+        lengths = np.unique(np.round(lengths).astype(int)).tolist()
         taken = {}
         for samples in (*lengths, *(-length for length in lengths)):
             c = late(self.static, self.place, samples)

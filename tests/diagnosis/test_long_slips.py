@@ -9,11 +9,12 @@ import pytest
 
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.slips import FARTHEST, beside, strongest
+from piezoid.diagnosis.slip_placing import placed
+from piezoid.diagnosis.slips import Slip, beside, longest, strongest
 from piezoid.diagnosis.view import View
 from piezoid.records.lab import Lab
 
-from .play_stage import NOISE_m, STROKE_m, moved, recording
+from .play_stage import NOISE_m, STROKE_m, clean, moved, recording, slipped, view_with
 
 SAMPLES = 9000
 
@@ -35,7 +36,7 @@ def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed)
     slips = strongest(view, beside(view))
     assert slips
     for slip in slips:
-        assert abs(slip.samples) <= FARTHEST * len(view.tracks[slip.track].drive)
+        assert abs(slip.samples) <= longest(len(view.tracks[slip.track].drive))
     assert timestamp_fault.EFFECT.fault(view) is None
 
 
@@ -58,3 +59,11 @@ def test_stretches_of_equal_speed_that_tell_of_a_slip_longer_than_may_be_are_not
     assert timestamp_fault.EFFECT.fault(wandering_view(2)) is None
     assert asked
     assert all(abs(slip.samples) < 0.5 * SAMPLES for slip in asked)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_slip_is_not_made_longer_than_may_be_where_it_is_placed(sign) -> None:
+    view = view_with(walk=slipped(clean("walk")[2], 4100, sign * 960))
+    slip = Slip(track=1, instant=4100, samples=sign * 850.0, gain=0.5)
+    there = placed(view, slip)
+    assert sign * there.samples == longest(SAMPLES)

@@ -23,7 +23,7 @@ from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.slip_evidence import Judged, hidden, judged_of
 from piezoid.diagnosis.slip_placing import in_step, placed, undone, width_of
-from piezoid.diagnosis.slips import FARTHEST, Slip, beside, strongest
+from piezoid.diagnosis.slips import Slip, beside, longest, strongest
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.records.recording import Recording
 
@@ -98,7 +98,7 @@ def _next(view: View, again: bool) -> Judged | None:
         if judged is not None and abs(judged.step - judged.slip.samples) > 2.0 * judged.deviation:
             # fitted in the midst of other slips: stretches of equal speed know the length better
             length = round(judged.step) or int(np.sign(slip.samples))
-            if abs(length) > FARTHEST * len(view.tracks[slip.track].drive):
+            if abs(length) > longest(len(view.tracks[slip.track].drive)):
                 continue
             judged = judged_of(view, null, placed(view, replace(slip, samples=length), fixed=True))
         if judged is not None and judged.speaks(again=again):
