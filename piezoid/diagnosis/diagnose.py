@@ -75,7 +75,7 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
 
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
     stroke_m = outcome.first.stroke_m
-    noise = outcome.clean.noise
+    noise = outcome.final.noise
     findings = [
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),

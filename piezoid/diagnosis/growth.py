@@ -97,7 +97,7 @@ def _with_slips(far: Grown, view: View, best: Judged | None) -> tuple[Grown, flo
         return None
     slips = slips_instead(far.clean, far.accepted, view)
     cause = best.view if best else None
-    if slips is None or not stand_better(slips, view, cause, again=SLIP in far.faults):
+    if slips is None or not stand_better(slips, view, cause, far.faults.get(SLIP)):
         return None
     fault = fault_beside(slips, best.effect.name, best.view) if best else slips.fault
     return _slipped(far, slips, fault, far.accepted), slips.view.rms
@@ -111,7 +111,7 @@ def _with_slips_in_place(far: Grown, view: View) -> Grown | None:
         rest = tuple(other for other in far.accepted if other is not one)
         without = extended(far.clean, rest)
         slips = slips_instead(far.clean, rest, without)
-        if slips and stand_better(slips, without, view, again=SLIP in far.faults):
+        if slips and stand_better(slips, without, view, far.faults.get(SLIP)):
             return _slipped(far, slips, fault_beside(slips, one.effect.name, view), rest)
     return None
 

@@ -78,17 +78,21 @@ def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> I
     )
 
 
-def stand_better(instead: Instead, without: View, cause: View | None, *, again: bool) -> bool:
+def stand_better(
+    instead: Instead, without: View, cause: View | None, known: Fault | None = None
+) -> bool:
     """Tell whether slips explain more than a cause, or much where none speaks.
 
     cause  the view with the best cause at work
-    again  whether a clock has slipped elsewhere
+    known  what slipped elsewhere: where it was by as many samples, one clock is simpler than a
+           clock and a delay of just so many
     """
     if cause is None:
-        much = instead.view.rms < (ALONE_AGAIN if again else ALONE) * without.rms
+        much = instead.view.rms < (ALONE_AGAIN if known else ALONE) * without.rms
         return much and instead.fault.p_value < CHANCE
-    clear = _clear(instead, cause)
-    return instead.view.rms < cause.rms and clear > (SURE_AGAIN if again else SURE)
+    clear, least = _clear(instead, cause), SURE_AGAIN if known else SURE
+    same = known is not None and abs(known.value) == abs(instead.fault.value)
+    return instead.view.rms < cause.rms and (same or clear > least)
 
 
 def fault_beside(instead: Instead, name: str, cause: View) -> Fault:

@@ -84,10 +84,14 @@ class View:
 
     @cached_property
     def noise(self) -> float:
-        """Return the white noise of the response or of a coarse converter, rms."""
-        rows = [len(track.place) for track in self.tracks]
-        noise = [_noise(track.response) for track in self.tracks]
-        return float(np.sqrt(np.average(np.square(noise), weights=rows)))
+        """Return the white noise of the response or of a coarse converter, rms.
+
+        What repeats every other sample passes for noise; where less is left, it was none.
+        """
+        rows = np.diff(self.envelope.edges)
+        left = np.add.reduceat(self.null.residual**2, self.envelope.edges[:-1]) / rows
+        noise = np.square([_noise(track.response) for track in self.tracks])
+        return float(np.sqrt(np.average(np.minimum(noise, left), weights=rows)))
 
     def rows(self, signals: Sequence[Array]) -> Array:
         """Return one column: signals of all tracks at the rows."""

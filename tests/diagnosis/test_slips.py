@@ -132,6 +132,10 @@ def view_of_quickening(at: int, samples: int, *, late_s: float = 0.0):
     return view_on([*others, recording("waves", noisy_m, field)], axis="x", lab=Lab())
 
 
+def elsewhere(*, samples):
+    return Fault(tracks=(), value=samples, spread=0.1, p_value=1e-9)
+
+
 def with_delay(view):
     one = Accepted(
         effect=delay.EFFECT, parameters={"delay_s": 1e-3}, free={"delay_s": 1.5}, limits={}
@@ -145,14 +149,30 @@ def test_a_slip_in_front_of_all_fast_stretches_stands_better_than_the_delay_it_l
     assert late.rms < 0.7 * view.rms
     assert slips.fault.value == 3
     assert slips.view.rms < late.rms
-    assert stand_better(slips, view, late, again=True)
-    assert stand_better(slips, view, None, again=False)
+    assert stand_better(slips, view, late, elsewhere(samples=-8))
+    assert stand_better(slips, view, None)
 
 
 def test_a_delay_of_the_stage_is_not_taken_for_slips():
     view = view_of_quickening(0, 8, late_s=2e-3)
     slips = slips_instead(view, [], view)
-    assert slips is None or not stand_better(slips, view, with_delay(view), again=True)
+    assert slips is None or not stand_better(slips, view, with_delay(view), elsewhere(samples=3))
+
+
+@pytest.mark.parametrize(("samples", "stands"), [(3, True), (-3, True), (4, False)])
+def test_a_clock_that_slipped_by_as_much_before_needs_no_delay_beside_it(samples, stands):
+    quiet = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=np.full(40, 1.0))
+    loud = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=quiet.energy.copy())
+    loud.energy[::2], loud.energy[1::2] = 1.6, 0.5
+    view = SimpleNamespace(rms=2.0)
+    slips = Instead(
+        clean=view,
+        view=SimpleNamespace(rms=1.0, null=quiet),
+        fault=elsewhere(samples=3),
+    )
+    cause = SimpleNamespace(rms=1.02, null=loud)
+    assert stand_better(slips, view, cause, elsewhere(samples=samples)) is stands
+    assert not stand_better(slips, view, SimpleNamespace(rms=0.99, null=loud), slips.fault)
 
 
 @pytest.mark.parametrize(("p_value", "stands"), [(1e-6, True), (0.02, False)])
@@ -160,4 +180,4 @@ def test_slips_that_explain_much_of_one_block_only_are_no_evidence(p_value, stan
     view = SimpleNamespace(rms=1.0)
     fault = Fault(tracks=(), value=2.0, spread=0.4, p_value=p_value)
     slips = Instead(clean=view, view=SimpleNamespace(rms=0.6), fault=fault)
-    assert stand_better(slips, view, None, again=False) is stands
+    assert stand_better(slips, view, None) is stands
