@@ -70,7 +70,8 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     clock_Hz = lab.acquisition.sampling_rate_Hz
     tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
     stroke_m = abs(scales.displacement_m)
-    return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V)
+    rest = -scales.voltage_offset_V / scales.voltage_V
+    return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
 
 
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:

@@ -16,11 +16,16 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.knee import with_best_knee
-from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
+from piezoid.diagnosis.memory import (
+    OTHER_PASTS,
+    does_as_well,
+    with_best_habit,
+    with_own_pasts,
+)
 from piezoid.diagnosis.refinement import begun, refined, refined_together
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.slips_instead import Instead, fault_beside, slips_instead, stand_better
-from piezoid.diagnosis.view import View, with_free_memory, with_knee, with_pasts
+from piezoid.diagnosis.view import View, with_free_memory, with_habit, with_knee, with_pasts
 
 MOST_CAUSES = 5
 SLIP = "timestamp_fault"
@@ -77,13 +82,16 @@ def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
     tried = _refitted(far, view, progress)
     best = _best(tried, far)
     least = best.view.rms if best else np.inf
-    own = with_own_pasts(view)
+    habit = with_best_habit(view)
+    own = with_own_pasts(view, habit)
     bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
     slips = _with_slips(far, view, best)
     if slips is not None and slips[1] < min(own.rms, bent.rms):
         return slips[0]
     if bent.rms < min(KNEE * view.rms, least, own.rms):
         return replace(far, clean=with_knee(far.clean, bent.envelope.knee))
+    if habit.rms < min(OTHER_PASTS * view.rms, least) and does_as_well(habit, own, view):
+        return replace(far, clean=with_habit(far.clean, habit.envelope.turns))
     if own.rms < min(OTHER_PASTS * view.rms, least):
         return replace(far, clean=with_free_memory(with_pasts(far.clean, own.envelope.turns)))
     if best is None:

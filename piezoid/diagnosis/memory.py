@@ -10,16 +10,16 @@ Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
-from piezoid.diagnosis.pasts import HABITS, Turns, habits, past, pasts
+from piezoid.diagnosis.pasts import Turns, habits, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
-from piezoid.diagnosis.view import View, cycled, with_free_memory, with_pasts
+from piezoid.diagnosis.view import View, cycled, with_free_memory, with_habit, with_pasts
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
@@ -35,16 +35,25 @@ PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
 FARTHEST = 1.2
 
 
-def with_own_pasts(view: View) -> View:
-    """Return the view in which every track has the past that fits it best, corrections free."""
+def with_best_habit(view: View) -> View:
+    """Return the view before whose drives a laboratory did what leaves least, always alike."""
+    ways = habits(_drives(view), view.rest)
+    return min((with_habit(view, turns) for turns in ways), key=_error)
+
+
+def with_own_pasts(view: View, habit: View) -> View:
+    """Return the view in which every track has the past that fits it best, corrections free.
+
+    habit  the view with the best habit, which is one of the pasts that are tried
+    """
     view = cycled(view)
     weight = _forgetful_weight(view)
     sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
     own = tuple(_best_past(view.envelope.turns[k], [s]) for k, s in enumerate(sketches))
     shared = (_best_past(view.envelope.turns[0], sketches),) * len(sketches)
     view = with_free_memory(view)
-    alike = [with_pasts(view, turns) for turns in habits(_drives(view))[1:HABITS]]
-    view = min(view, with_pasts(view, own), with_pasts(view, shared), *alike, key=_error)
+    ways = (own, shared, habit.envelope.turns)
+    view = min(view, *(with_pasts(view, turns) for turns in ways), key=_error)
     for k, best in enumerate(own):
         here = view.envelope.turns
         view = min(view, with_pasts(view, (*here[:k], best, *here[k + 1 :])), key=_error)
@@ -55,17 +64,25 @@ def with_one_habit(view: View) -> View:
     """Return the view in which all drives came from one habit of a laboratory.
 
     A view whose memory nothing spoke against is such a one. Another habit than to cycle the drive
-    over its range must leave as little as pasts that were fitted one by one: a wide class follows
-    nearly any past nearly as well as another, but the true one it needs no help with.
+    over its range must do as well as pasts that were fitted one by one.
     """
     if not view.envelope.free:
         return view
-    kept = replace(view, envelope=replace(view.envelope, free=False))
-    first = cycled(view)
-    best = min((with_pasts(kept, turns) for turns in habits(_drives(view))), key=_error)
-    own = view.rms**2
-    as_good = best.rms**2 < AS_GOOD * own or view.rms > POOR * view.noise
-    return best if as_good and best.rms**2 - own < NEARLY * (first.rms**2 - own) else first
+    first, best = cycled(view), with_best_habit(view)
+    return best if does_as_well(best, view, first) else first
+
+
+def does_as_well(habit: View, own: View, first: View) -> bool:
+    """Tell whether one habit leaves as little as pasts that were fitted one by one.
+
+    A wide class follows nearly any past nearly as well as another, but the true one it needs no
+    help with.
+
+    first  the view with drives that were cycled
+    """
+    least, excess = own.rms**2, habit.rms**2 - own.rms**2
+    as_good = excess < (AS_GOOD - 1.0) * least or own.rms > POOR * own.noise
+    return as_good and excess < NEARLY * (first.rms**2 - least)
 
 
 def _drives(view: View) -> list[Array]:

@@ -15,7 +15,8 @@ from piezoid.operators.play import play_columns
 
 PASTS = 16
 ONCE, TWICE = 9, 5  # places of turns to try
-HABITS = 4  # of the histories are what a laboratory does on purpose
+FREE = 4  # of the histories are what a laboratory does on purpose wherever 0 V lies,
+HABITS = FREE + 2  # and so many with the two that end there
 DECAYING = 24  # turns that end at rest
 Turns = tuple[float, ...]
 
@@ -57,14 +58,21 @@ def _decaying(about: float) -> Turns:
     return (*(about + away).tolist(),)
 
 
-def habits(drives: Sequence[Array]) -> tuple[tuple[Turns, ...], ...]:
+def habits(drives: Sequence[Array], rest: float) -> tuple[tuple[Turns, ...], ...]:
     """Return what was done before drives by a laboratory that does it always alike.
 
     Before each of them, or before the first, and each goes on where the one before it ended.
+
+    rest  the drive at 0 V, where a stage lies that nobody uses
     """
-    known = [pasts(drive)[:HABITS] for drive in drives]
+    known = [_on_purpose(drive, rest) for drive in drives]
     alike = zip(*known, strict=True)
     return (*alike, *(_one_after_another(turns, drives) for turns in known[0]))
+
+
+def _on_purpose(drive: Array, rest: float) -> tuple[Turns, ...]:
+    free = pasts(drive)[:FREE]
+    return (*free, *((*cycled, rest) for cycled in free[:2]))
 
 
 def _one_after_another(turns: Turns, drives: Sequence[Array]) -> tuple[Turns, ...]:

@@ -4,10 +4,11 @@ from collections.abc import Callable
 
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
-from piezoid.diagnosis.view import View, cycled, with_tracks
+from piezoid.diagnosis.memory import OTHER_PASTS, does_as_well, with_best_habit, with_own_pasts
+from piezoid.diagnosis.view import View, with_habit, with_tracks
 
 MOST_REPAIRS = 3
+EVIDENT = 0.5  # of the error: what a habit leaves that is beyond doubt
 
 
 def repaired(
@@ -15,12 +16,17 @@ def repaired(
 ) -> tuple[View, dict[str, Fault]]:
     """Return the view without the faults that can be undone, and all of them by effect.
 
+    Its drives came from the habit that is evident, or were cycled over their range before.
+
     but  name of a fault that is not looked for
     """
     faults: dict[str, Fault] = {}
-    own = with_own_pasts(view)
+    habit = with_best_habit(view)
+    own = with_own_pasts(view, habit)
+    evident = habit.rms < EVIDENT * view.rms and does_as_well(habit, own, view)
+    believed = habit if evident else view
     # a wrong past looks like readings that are lost
-    view = own if own.rms < OTHER_PASTS * view.rms else view
+    view = own if own.rms < OTHER_PASTS * believed.rms else believed
     for effect in EFFECTS:
         if effect.fault is None or effect.name == but:
             continue
@@ -33,4 +39,4 @@ def repaired(
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    return cycled(view), faults
+    return with_habit(view, believed.envelope.turns), faults

@@ -21,7 +21,7 @@ from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
 WORTH = 0.02  # of the rms: what removing a cause must lose
-CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like
+CLEARLY = 0.5  # of the error: what structure takes off that nothing else here looks like
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 

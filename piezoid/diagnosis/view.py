@@ -31,6 +31,7 @@ class View:
     offset    (rows,)          what filters that all of the response passes change
     stroke_m  half the range of the displacement: what the number 1 means
     voltage_V half the range of the drive
+    rest      the drive at 0 V, in half ranges from its middle
     guess     static responses to take in place of the fitted ones, (samples,) for each track
     """
 
@@ -39,6 +40,7 @@ class View:
     offset: Array
     stroke_m: float
     voltage_V: float
+    rest: float
     guess: tuple[Array, ...] | None = None
 
     @property
@@ -116,16 +118,24 @@ def _noise(response: Array) -> float:
     return max(white_noise_rms(response), step / sqrt(12.0))
 
 
-def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float) -> View:
+def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest: float) -> View:
     """Fit the envelope to tracks whose drives were cycled before."""
     turns = tuple(pasts(track.drive)[0] for track in tracks)
-    return _of(Envelope(tracks=tuple(tracks), turns=turns), stroke_m, voltage_V)
+    envelope = Envelope(tracks=tuple(tracks), turns=turns)
+    rows = int(envelope.edges[-1])
+    return View(
+        envelope=envelope,
+        accepted=np.zeros((rows, 0)),
+        offset=np.zeros(rows),
+        stroke_m=stroke_m,
+        voltage_V=voltage_V,
+        rest=rest,
+    )
 
 
 def cycled(view: View) -> View:
     """Return the view as it is if every drive was cycled over its range before."""
-    turns = tuple(pasts(track.drive)[0] for track in view.tracks)
-    return replace(view, envelope=replace(view.envelope, turns=turns, free=False))
+    return with_habit(view, tuple(pasts(track.drive)[0] for track in view.tracks))
 
 
 def with_free_memory(view: View) -> View:
@@ -136,6 +146,11 @@ def with_free_memory(view: View) -> View:
 def with_pasts(view: View, turns: tuple[Turns, ...]) -> View:
     """Return the view with other pasts of its tracks."""
     return replace(view, envelope=replace(view.envelope, turns=turns))
+
+
+def with_habit(view: View, turns: tuple[Turns, ...]) -> View:
+    """Return the view with other pasts of its tracks that nobody corrects."""
+    return replace(view, envelope=replace(view.envelope, turns=turns, free=False))
 
 
 def with_knee(view: View, knee: Knee | None) -> View:
@@ -151,22 +166,17 @@ def with_commands(view: View, commands: Sequence[Array]) -> View:
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
-    envelope = replace(view.envelope, tracks=tuple(tracks))
-    return _of(envelope, view.stroke_m, view.voltage_V)
+    return with_tracks(view, tracks)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
-    """Return the view of repaired tracks."""
+    """Return the view of other tracks, and nothing accepted."""
     envelope = replace(view.envelope, tracks=tuple(tracks))
-    return _of(envelope, view.stroke_m, view.voltage_V)
-
-
-def _of(envelope: Envelope, stroke_m: float, voltage_V: float) -> View:
     rows = int(envelope.edges[-1])
-    return View(
+    return replace(
+        view,
         envelope=envelope,
         accepted=np.zeros((rows, 0)),
         offset=np.zeros(rows),
-        stroke_m=stroke_m,
-        voltage_V=voltage_V,
+        guess=None,
     )

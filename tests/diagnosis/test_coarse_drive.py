@@ -76,6 +76,13 @@ def test_a_drive_that_repeats_itself_does_not_hide_steps_beside_a_smooth_one() -
     assert both.value == pytest.approx(1e4 * STEP, rel=0.1)
 
 
+def test_a_staircase_that_rests_on_few_values_does_not_hide_steps_beside_a_smooth_drive() -> None:
+    levels = np.repeat(np.linspace(-1.0, 1.0, 100), ROWS // 100)
+    left = 2.0 * STEP * np.random.default_rng(3).uniform(-1.0, 1.0, 100).repeat(ROWS // 100)
+    both = fault_of((smooth(), saw(smooth())), (levels, left))
+    assert both.value == pytest.approx(1e4 * STEP, rel=0.1)
+
+
 def test_steps_that_one_part_of_a_recording_has_alone_are_no_converters() -> None:
     left = np.zeros(ROWS)
     left[4000:4500] = 20.0 * saw(smooth())[4000:4500]

@@ -13,7 +13,7 @@ from piezoid.diagnosis.folds import Null, surely
 from piezoid.diagnosis.friction import REACH
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.knee import with_best_knee
-from piezoid.diagnosis.memory import with_own_pasts
+from piezoid.diagnosis.memory import with_best_habit, with_own_pasts
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
@@ -74,12 +74,12 @@ def test_nothing_accepted_changes_nothing():
 def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     known, lab = recorded(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
     view = view_of_recordings(known, lab)
-    assert with_own_pasts(view).rms > 0.95 * view.rms
+    assert with_own_pasts(view, with_best_habit(view)).rms > 0.95 * view.rms
     unknown, lab = recorded(
         draw_campaign(407, truth="preisach", plans=("sweep", "check"), careless=True)
     )
     view = view_of_recordings(unknown, lab)
-    found = with_own_pasts(view)
+    found = with_own_pasts(view, with_best_habit(view))
     assert found.rms < 0.9 * view.rms
     assert cycled(found).rms == pytest.approx(view.rms)
 

@@ -11,7 +11,7 @@ import pytest
 
 from piezoid.diagnosis.effects import initial_state
 from piezoid.diagnosis.judgement import Judged, judged_structure
-from piezoid.diagnosis.memory import OTHER_PASTS, with_own_pasts
+from piezoid.diagnosis.memory import OTHER_PASTS, with_best_habit, with_own_pasts
 from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.records.lab import Lab
 
@@ -66,7 +66,7 @@ def view_after(*before: Before | None) -> View:
 
 def structure_of(view: View) -> Judged:
     """Judge the memory of recordings as a search does in which nothing else is found."""
-    own = with_own_pasts(view)
+    own = with_own_pasts(view, with_best_habit(view))
     final = with_free_memory(own) if own.rms < OTHER_PASTS * view.rms else view
     judgement = judged_structure(initial_state.EFFECT, final)
     assert judgement is not None
@@ -89,7 +89,7 @@ def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(be
     assert not structure_of(view).speaks
     if before[0] is not cycled:
         # though the memory that is taken for granted at first is none of it
-        assert with_own_pasts(view).rms < 0.6 * view.rms
+        assert with_own_pasts(view, with_best_habit(view)).rms < 0.6 * view.rms
 
 
 def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded() -> None:

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.pasts import HABITS, habits, past, pasts
+from piezoid.diagnosis.pasts import FREE, HABITS, habits, past, pasts
 from piezoid.diagnosis.shape import THRESHOLD
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
+ZERO_VOLTS = -1.3  # in half ranges from the middle of the drive
 AT_REST = 0.05  # of half the range: the smallest turns that a laboratory makes on purpose
 
 
@@ -31,7 +32,7 @@ def random_drives(seed: int) -> list[Array]:
 @pytest.mark.parametrize("seed", range(12))
 def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) -> None:
     drives = random_drives(seed)
-    after_another = habits(drives)[HABITS:]
+    after_another = habits(drives, ZERO_VOLTS)[HABITS:]
     assert len(after_another) == HABITS
     for turns in after_another:
         memory = past(drives[0], turns[0])
@@ -42,7 +43,7 @@ def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
-    for turns in habits(random_drives(seed))[HABITS:]:
+    for turns in habits(random_drives(seed), ZERO_VOLTS)[HABITS:]:
         for kept in turns[1:]:
             steps = np.diff(kept)
             assert np.all(steps[1:] * steps[:-1] < 0.0)
@@ -51,17 +52,24 @@ def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
 
 def test_the_same_habit_before_every_drive_is_the_same_place_among_its_pasts() -> None:
     drives = random_drives(1)
-    for place, alike in enumerate(habits(drives)[:HABITS]):
+    for place, alike in enumerate(habits(drives, ZERO_VOLTS)[:FREE]):
         assert alike == tuple(pasts(drive)[place] for drive in drives)
-    cycled, other_way = habits(drives)[:2]
+    cycled, other_way = habits(drives, ZERO_VOLTS)[:2]
     assert [turns[::-1] for turns in cycled] == list(other_way)
+
+
+def test_a_stage_that_rests_after_it_was_cycled_lies_at_0_V() -> None:
+    drives = random_drives(1)
+    cycled, other_way, *_ = ways = habits(drives, ZERO_VOLTS)[:HABITS]
+    for before, at_rest in zip((cycled, other_way), ways[FREE:], strict=True):
+        assert at_rest == tuple((*turns, ZERO_VOLTS) for turns in before)
 
 
 @pytest.mark.parametrize("first", [-1.0, -0.37, 0.0, 0.8, 1.0])
 def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
     drive = np.array([first, 0.2])
     cycled, other_way, _, decaying = (
-        np.abs(past(drive, turns) - first).max() for turns in pasts(drive)[:HABITS]
+        np.abs(past(drive, turns) - first).max() for turns in pasts(drive)[:FREE]
     )
     assert decaying < AT_REST
     assert max(cycled, other_way) > 0.4

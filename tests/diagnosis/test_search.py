@@ -68,8 +68,9 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
     [
         (0.2, 1.4, False, True),  # little is left: what it takes off is known
         (0.2, 1.7, False, False),  # much is left that nothing here follows
-        (0.5, 1.7, False, True),  # but it takes off what nothing else looks like
-        (0.5, 1.7, True, False),  # causes that are not quite as modelled may look like it
+        (0.45, 1.7, False, False),
+        (0.55, 1.7, False, True),  # but it takes off what nothing else looks like
+        (0.55, 1.7, True, False),  # causes that are not quite as modelled may look like it
         (0.2, 1.55, True, False),
         (0.2, 1.4, True, True),
         (0.09, 1.4, False, True),  # half the worth near the noise, but

@@ -44,6 +44,7 @@ FINER = 4  # frequencies for every one that the range can tell
 CLEAR = 30.0  # times the median power
 NEAR = 0.4  # how far from one the saw's height may be
 SURE = 3.0  # standard errors of it
+BLOCKS = 20  # of rows, for these
 DIGITS = 6  # of half the range that tell values of a drive apart
 BETWEEN = 4.0  # values of a drive within a step, or the steps may be its own
 LEAST_BETWEEN = 0.1  # of all rows
@@ -120,21 +121,20 @@ def drive_step(view: View) -> float:
 
 def _of_drive(view: View) -> Fault | None:
     drive, residual = view.rows([t.drive for t in view.tracks]), view.null.residual
-    saw = _strongest(drive, residual)
+    # a staircase rests on few values: it has no saw of its own, and dilutes that of the others
+    fine = np.concatenate([_goes_between(t, 1.0 / MOST_STEPS) for t in view.tracks]) > 0.0
+    told = fine if fine.any() else ~fine
+    saw = _strongest(drive[told], residual[told])
     if saw is None:
         return None
     between = np.concatenate([_goes_between(t, saw.step) for t in view.tracks])
     if np.mean(between) < LEAST_BETWEEN:
         return None
     wave = view.null.without(saw.of(drive) * between)
-    square = float(wave @ wave)
-    height = float(wave @ residual) / square
-    blocks = np.array_split(np.arange(len(wave)), 20)
-    heights = [wave[b] @ residual[b] / max(float(wave[b] @ wave[b]), 1e-300) for b in blocks]
+    height, spread = _height(wave, residual)
     if abs(height / saw.step - 1.0) > NEAR or height / np.sqrt(12.0) < COARSE / np.sqrt(12.0):
         return None
     tracks = tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks)
-    spread = float(np.std(heights, ddof=1) / np.sqrt(len(heights)))
     if height < SURE * spread:
         return None
     return Fault(
@@ -143,6 +143,16 @@ def _of_drive(view: View) -> Fault | None:
         spread=1e9 * view.stroke_m * max(spread, 0.01 * height),
         p_value=saw.p_value,
     )
+
+
+def _height(wave: Array, residual: Array) -> tuple[float, float]:
+    """Return how high a wave stands in a residual, and its standard error by blocks of rows."""
+    blocks = np.array_split(np.arange(len(wave)), BLOCKS)
+    pull = np.array([wave[b] @ residual[b] for b in blocks])
+    square = np.array([wave[b] @ wave[b] for b in blocks])
+    height = float(pull.sum() / square.sum())
+    off = pull - height * square
+    return height, float(np.sqrt(off @ off * BLOCKS / (BLOCKS - 1)) / square.sum())
 
 
 def _goes_between(track: Track, step: float) -> Array:
