@@ -21,12 +21,14 @@ class Accepted:
 
     free    which of them are worth refining: by which factor (above 1) or step (below) to try
     limits  ranges of these
+    struck  whether it was seen behind jumps of the drive, where it is judged then
     """
 
     effect: Effect
     parameters: Parameters
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    struck: bool = False
 
     @property
     def inside(self) -> bool:

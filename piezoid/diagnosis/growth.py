@@ -15,6 +15,7 @@ from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.jumps import struck
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import (
     OTHER_PASTS,
@@ -62,7 +63,8 @@ class Grown:
 
 def grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
     """Accept one effect after another until none is evidence."""
-    far = Grown(clean=clean, accepted=(), faults=faults, screened={})
+    progress("looking behind jumps of the drive")
+    far = Grown(clean=clean, accepted=struck(clean), faults=faults, screened={})
     for _ in range(MOST_CAUSES + 2):
         view = extended(far.clean, far.accepted)
         named = {one.effect.name for one in far.accepted}
@@ -173,7 +175,8 @@ def _together(alone: Judged, far: Grown, seen: Screened) -> Judged:
     recording to recording. Where more is free than a time, that costs too much to hope for.
     """
     free = len(alone.accepted.free)
-    alike = [one for one in far.accepted if one.free and one.effect.resembles(alone.effect)]
+    moving = [one for one in far.accepted if one.free and not one.struck]
+    alike = [one for one in moving if one.effect.resembles(alone.effect)]
     if not alike or not (free == 1 or (free and alone.sound)):
         return alone
     others = [one for one in far.accepted if one not in alike]

@@ -15,6 +15,7 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.view import View
@@ -51,14 +52,23 @@ def _each(
     for k, one in enumerate(accepted):
         progress(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
         others = [other for n, other in enumerate(accepted) if n != k]
-        cause = _cause(clean, others, one)
-        rivals = rivals_of(cause, clean, others)
+        there, beside = _where_seen(one, clean, others)
+        cause = _cause(there, beside, one)
+        rivals = rivals_of(cause, there, beside)
         if rivals and takes_the_place(rivals[0], cause):
             accepted[k] = rivals[0].accepted
-            cause, rivals = rivals[0], rivals_of(rivals[0], clean, others)
+            cause, rivals = rivals[0], rivals_of(rivals[0], there, beside)
         causes.append(cause)
         near[cause.effect.name] = tuple(rival.effect.name for rival in rivals)
     return causes, near
+
+
+def _where_seen(one: Accepted, clean: View, others: list[Accepted]) -> tuple[View, list[Accepted]]:
+    """Return where an effect is judged, and which others are yet to be put to work there."""
+    jumps = behind_jumps(extended(clean, others)) if one.struck else None
+    if jumps is None:
+        return clean, others
+    return jumps, [other for other in others if other.effect.drive is None]
 
 
 def _cause(clean: View, others: Sequence[Accepted], one: Accepted) -> Judged:

@@ -21,7 +21,8 @@ from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
 WORTH = 0.02  # of the rms: what removing a cause must lose
-CLEARLY = 0.5  # of the error: what structure takes off that nothing else here looks like
+CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
+MOST = 0.6  # and of what is no noise, in power
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 
@@ -111,12 +112,17 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
 
     beside  whether one of the causes looks alike
     """
-    if structure.held.gain > CLEARLY and not beside:
-        return True
     if not beside:
-        return final.rms < structure.effect.quiet * final.noise
+        clear = structure.held.gain > CLEARLY and _part_explained(structure, final) > MOST
+        return clear or final.rms < structure.effect.quiet * final.noise
     worth = structure.held.gain > structure.effect.worth  # and no half of it
     return worth and final.rms < min(structure.effect.quiet, QUIET) * final.noise
+
+
+def _part_explained(structure: Judged, final: View) -> float:
+    """Return which part of what is no noise structure takes off, in power."""
+    before = (final.rms / (1.0 - structure.held.gain)) ** 2
+    return (before - final.rms**2) / max(before - final.noise**2, 1e-300)
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
@@ -136,6 +142,8 @@ def _without_slips(view: View, far: Grown, progress: Progress) -> Grown:
     rest, faults = repaired(view, progress, but=SLIP)
     raw, again = with_tracks(far.clean, rest.tracks), list(far.accepted)
     for k, one in enumerate(far.accepted):
+        if one.struck:
+            continue
         others = [other for n, other in enumerate(again) if n != k]
         again[k], _ = refined(one, raw, others, finer=1)
     if extended(raw, again).rms > extended(far.clean, far.accepted).rms:
@@ -144,12 +152,16 @@ def _without_slips(view: View, far: Grown, progress: Progress) -> Grown:
 
 
 def _pruned(clean: View, accepted: Sequence[Accepted], progress: Progress) -> tuple[Accepted, ...]:
-    """Take out, one by one, what is no longer worth its place beside the others."""
+    """Take out, one by one, what is no longer worth its place beside the others.
+
+    What was struck by jumps is worth its place behind them, whatever it is elsewhere.
+    """
     accepted = tuple(accepted)
-    while len(accepted) > 1:
+    while len(accepted) > 1 and not all(one.struck for one in accepted):
         progress("taking out what is not needed")
         whole = extended(clean, accepted).rms
-        rests = [tuple(o for o in accepted if o is not one) for one in accepted]
+        spare = [one for one in accepted if not one.struck]
+        rests = [tuple(o for o in accepted if o is not one) for one in spare]
         losses = [1.0 - whole / extended(clean, rest).rms for rest in rests]
         if min(losses) >= WORTH:
             return accepted

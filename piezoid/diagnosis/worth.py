@@ -42,6 +42,7 @@ def worth_of(
             effect=cause.effect.name,
             parameters=cause.accepted.parameters,
             coefficient=cause.held.coefficient,
+            struck=cause.accepted.struck,
         )
         for cause in outcome.causes
     ]

@@ -68,9 +68,11 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
     [
         (0.2, 1.4, False, True),  # little is left: what it takes off is known
         (0.2, 1.7, False, False),  # much is left that nothing here follows
-        (0.45, 1.7, False, False),
-        (0.55, 1.7, False, True),  # but it takes off what nothing else looks like
-        (0.55, 1.7, True, False),  # causes that are not quite as modelled may look like it
+        (0.5, 1.7, False, True),  # but it takes off what nothing else looks like
+        (0.3, 2.6, False, False),  # half of what is no noise: something else is there as well
+        (0.5, 2.6, False, True),
+        (0.19, 1.1, False, True),
+        (0.5, 1.7, True, False),  # causes that are not quite as modelled may look like it
         (0.2, 1.55, True, False),
         (0.2, 1.4, True, True),
         (0.09, 1.4, False, True),  # half the worth near the noise, but
@@ -95,7 +97,7 @@ def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float
         effect=creep.EFFECT,
         share=0.01,
         held=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
-        accepted=SimpleNamespace(parameters={}),
+        accepted=SimpleNamespace(parameters={}, struck=False),
     )
     outcome = SimpleNamespace(
         first=SimpleNamespace(stroke_m=1e-5),
@@ -145,7 +147,8 @@ def test_slips_go_where_the_causes_leave_less_without_them(
     monkeypatch, with_slips, without, kept
 ) -> None:
     fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
-    far = Grown(clean="slipped", accepted=("slew",), faults={SLIP: fault}, screened={})
+    slew = SimpleNamespace(struck=False)
+    far = Grown(clean="slipped", accepted=(slew,), faults={SLIP: fault}, screened={})
     spikes = {"outliers": replace(fault, value=3.0)}
     monkeypatch.setattr(
         search, "repaired", lambda *_, but: (SimpleNamespace(tracks=()), spikes if but else {})

@@ -21,7 +21,7 @@ from piezoid.diagnosis.ringing import without_memory
 from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.linear_mode import LinearMode
+from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -114,13 +114,18 @@ def inject(recording: Recording, share: float) -> Recording:
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
-    return (
-        LinearMode(
-            frequency_Hz=found.parameters["frequency_Hz"],
-            quality=max(found.parameters["quality"], 0.5),
-            participation=float(np.clip(found.share, 0.0, 2.0)),
-        ),
+    # behind a jump it has two columns, a sample apart: of one mode the sum
+    kind, share = (
+        (StruckMode, float(np.sum(found.coefficient)))
+        if found.struck
+        else (LinearMode, found.share)
     )
+    mode = kind(
+        frequency_Hz=found.parameters["frequency_Hz"],
+        quality=max(found.parameters["quality"], 0.5),
+        participation=float(np.clip(share, 0.0, 2.0)),
+    )
+    return (mode,)
 
 
 EFFECT = Effect(

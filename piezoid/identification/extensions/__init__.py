@@ -42,7 +42,8 @@ EXTENSIONS: tuple[type[Extension], ...] = (
 
 def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     """Return extensions in the order in which a model applies them."""
-    return tuple(sorted(extensions, key=lambda extension: EXTENSIONS.index(type(extension))))
+    place = {known.kind: number for number, known in enumerate(EXTENSIONS)}
+    return tuple(sorted(extensions, key=lambda extension: place[extension.kind]))
 
 
 def extension_from_json(entries: Mapping[str, Any]) -> Extension:

@@ -57,3 +57,16 @@ class LinearMode(Extension):
         """Return another mode."""
         f, quality, part = value.tolist()
         return type(self)(frequency_Hz=f, quality=quality, participation=part)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StruckMode(LinearMode):
+    """A mode that free decays have told: a fit leaves it as it is.
+
+    Where few of all samples ring, or none, a fit would rather have a blunt mode for a lag.
+    """
+
+    def free(self) -> Free:
+        """Return the numbers where they are."""
+        value = np.array([self.frequency_Hz, self.quality, self.participation])
+        return free(value, value, value, value * 1e-4 + 1e-9)
