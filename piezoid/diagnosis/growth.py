@@ -92,6 +92,8 @@ def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
         return slips[0]
     if bent.rms < min(KNEE * view.rms, least, own.rms):
         return replace(far, clean=with_knee(far.clean, bent.envelope.knee))
+    # what is evident, and too small to be named, is no reason to believe in other pasts
+    least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
     if habit.rms < min(OTHER_PASTS * view.rms, least) and does_as_well(habit, own, view):
         return replace(far, clean=with_habit(far.clean, habit.envelope.turns))
     if own.rms < min(OTHER_PASTS * view.rms, least):

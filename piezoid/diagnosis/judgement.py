@@ -49,12 +49,16 @@ class Judged:
 
     @property
     def speaks(self) -> bool:
-        """Tell whether this is evidence: sure, worth it, physical, and better than its twins."""
+        """Tell whether this is evidence, and enough of it to be named."""
+        return self.is_evidence and self.share > self.effect.least
+
+    @property
+    def is_evidence(self) -> bool:
+        """Tell whether this is sure, worth it, physical, and better than its twins."""
         return (
             self.sound
             and self.held.z > self.effect.sure
             and self.held.gain > self.effect.worth * self._asked
-            and self.share > self.effect.least
             and self._beats_its_twin
         )
 
@@ -126,8 +130,8 @@ def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Jud
 def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | None:
     """Judge a part of the envelope's own structure, with all causes at work; None without trials.
 
-    The class without it may have a Bouc-Wen state instead. Where that leaves as little, or where
-    little is at stake, the part has to speak beside the state that serves that class best.
+    The class without it may have a Bouc-Wen state instead. Where that leaves as little, the part
+    has to speak beside the state that serves that class best.
     """
     found = screen(effect, final)
     if found is None:
@@ -136,8 +140,7 @@ def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | N
     if not (structure.speaks and effect.knee and effect.against):
         return found, structure
     bent = with_knee_of(final, effect.against)
-    little = structure.held.gain < effect.knee
-    if not little and effect.against(bent).rms > AS_LITTLE * final.rms:
+    if effect.against(bent).rms > AS_LITTLE * final.rms:
         return found, structure
     again = screen(effect, bent)
     return (found, structure) if again is None else (again, _of_structure(again, bent))

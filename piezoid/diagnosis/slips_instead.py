@@ -33,7 +33,8 @@ ROUNDED = 12.0**-0.5  # samples: the spread of what is a whole number
 ALONE = 0.75  # of the error: what slips must leave where nothing else speaks
 ALONE_AGAIN = 0.97  # the same where a clock has slipped elsewhere
 SURE = 3.0  # standard errors by which slips must be better than a cause
-SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere; then below SEPARABLE it is said
+SURE_AGAIN = 1.2  # the same where a clock has slipped elsewhere, or where slips leave so much
+LESS = 0.9  # less than the cause, of the error; then below SEPARABLE it is said
 CHANCE = 5e-4  # of one block alone, a transient at its beginning say, much may come by chance
 SEPARABLE = 1.96  # standard errors between two that are told apart
 
@@ -90,7 +91,8 @@ def stand_better(
     if cause is None:
         much = instead.view.rms < (ALONE_AGAIN if known else ALONE) * without.rms
         return much and instead.fault.p_value < CHANCE
-    clear, least = _clear(instead, cause), SURE_AGAIN if known else SURE
+    clear = _clear(instead, cause)
+    least = SURE_AGAIN if known or instead.view.rms < LESS * cause.rms else SURE
     same = known is not None and abs(known.value) == abs(instead.fault.value)
     return instead.view.rms < cause.rms and (same or clear > least)
 

@@ -13,11 +13,18 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
 from piezoid.diagnosis.slips import beside, strongest
-from piezoid.diagnosis.slips_instead import Instead, slips_instead, stand_better
+from piezoid.diagnosis.slips_instead import (
+    SURE,
+    SURE_AGAIN,
+    Instead,
+    slips_instead,
+    stand_better,
+)
 from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
@@ -172,7 +179,20 @@ def test_a_clock_that_slipped_by_as_much_before_needs_no_delay_beside_it(samples
     )
     cause = SimpleNamespace(rms=1.02, null=loud)
     assert stand_better(slips, view, cause, elsewhere(samples=samples)) is stands
+    assert not stand_better(slips, view, cause)
     assert not stand_better(slips, view, SimpleNamespace(rms=0.99, null=loud), slips.fault)
+
+
+@pytest.mark.parametrize(("left", "stands"), [(0.95, False), (0.85, True)])
+def test_slips_that_leave_much_less_than_a_delay_need_not_be_as_sure_of_it(left, stands):
+    quiet = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=np.full(40, 1.0))
+    loud = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=quiet.energy.copy())
+    loud.energy[:] = np.tile([9.0, 0.1, 0.1, 0.1], 10)
+    assert SURE_AGAIN < surely(loud.energy, quiet.energy) < SURE
+    slips = Instead(
+        clean=None, view=SimpleNamespace(rms=left, null=quiet), fault=elsewhere(samples=3)
+    )
+    assert stand_better(slips, None, SimpleNamespace(rms=1.0, null=loud)) is stands
 
 
 @pytest.mark.parametrize(("p_value", "stands"), [(1e-6, True), (0.02, False)])
