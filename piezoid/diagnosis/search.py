@@ -22,7 +22,7 @@ from piezoid.diagnosis.view import View, with_tracks
 
 WORTH = 0.02  # of the rms: what removing a cause must lose
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
-MOST = 0.6  # and of what is no noise, in power
+MOST = 0.65  # and of what is no noise, in power
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 

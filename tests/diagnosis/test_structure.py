@@ -43,8 +43,8 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
 
 def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
     view = sound_stage("bouc_wen", 20)
-    _, alone = judged_structure(replace(non_congruence.EFFECT, knee=False), view)
-    _, beside = judged_structure(replace(non_congruence.EFFECT, knee=True), view)
+    _, alone = judged_structure(replace(non_congruence.EFFECT, knee=0.0), view)
+    _, beside = judged_structure(replace(non_congruence.EFFECT, knee=1.0), view)
     assert alone.speaks
     assert not beside.speaks
     assert abs(beside.held.gain) < 0.1 * alone.held.gain
