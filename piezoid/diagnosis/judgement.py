@@ -146,8 +146,9 @@ def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | N
     again = screen(effect, bent)
     if again is None or not (as_well or structure.held.gain < effect.knee):
         return found, structure
-    there_still = again.sound and again.held.z > STILL
-    return (again, _of_structure(again, bent)) if as_well or not there_still else (found, structure)
+    if not as_well and again.sound and again.held.z > STILL:
+        return found, structure
+    return again, _of_structure(again, bent)
 
 
 def _of_structure(found: Screened, final: View) -> Judged:
