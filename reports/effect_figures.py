@@ -17,6 +17,7 @@ from piezoid_reports.traces import rms
 CLASSES = 48
 LEAST_ROWS = 12  # of a class
 BANDS = 160  # of a spectrum, evenly over the decades
+SHOWS = 1e-3  # of the residual: what a picture needs to show anything
 HEIGHT = 280
 ROLES, NAMES = ("rising", "falling"), ("without it", "with it")
 ALIKE = (
@@ -31,7 +32,8 @@ def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None
     if not pictures:
         return None
     if where.kind == "spectrum":
-        return _spectrum(finding, where, _clearest(pictures))
+        one = _clearest(pictures)
+        return _spectrum(finding, where, one) if _shows(one) else None
     if where.kind == "time":
         return _over_time(finding, where, _clearest(pictures))
     drawn = _in_classes(finding, where, pictures)
@@ -41,6 +43,12 @@ def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None
 def _clearest(pictures: tuple[Compared, ...]) -> Compared:
     """Return the recording in which the effect is largest."""
     return max(pictures, key=lambda one: rms(one.before_m) - rms(one.after_m))
+
+
+def _shows(one: Compared) -> bool:
+    """Tell whether two curves differ: what rang may lie where the fit leaves samples out."""
+    before, after = rms(one.before_m), rms(one.after_m)
+    return abs(before - after) > SHOWS * before
 
 
 def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:

@@ -12,6 +12,10 @@ NO_PICTURES = (
     "Pictures of the causes need a model fitted to these recordings: piezoid fit draws them."
 )
 
+NO_PICTURE = (
+    "No picture: in the samples that the model is fitted to, its residual is the same without it."
+)
+
 
 def render(page: Page) -> Section | None:
     """Return a figure for each finding of every axis, and tables of all that was tested."""
@@ -113,6 +117,8 @@ def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> lis
     figure = figure_of(finding, pictures)
     if figure is not None:
         parts.append(figure)
+    elif pictures:
+        parts.append(Prose(text=NO_PICTURE))
     parts.append(Prose(text=f"For control: {CONTROL[finding.effect]}"))
     return parts
 

@@ -79,10 +79,22 @@ def test_a_mode_that_one_jump_struck_is_named_with_its_frequency() -> None:
     assert cause.accepted.parameters["quality"] == pytest.approx(15.0, rel=0.3)
 
 
+def humming(followed: Array) -> Array:
+    """Return a motion with hum that was there before the jump."""
+    return followed + 10.0 * NOISE_m / STROKE_m * np.sin(0.4 * np.arange(len(followed)))
+
+
 @pytest.mark.parametrize(
-    "made", [static, lambda: lagging(static(), 2.0), lambda: creeping(static())]
+    "made",
+    [
+        static,
+        lambda: lagging(static(), 2.0),
+        lambda: creeping(static()),
+        lambda: humming(static()),
+    ],
+    ids=["at once", "late", "creeping", "humming"],
 )
-def test_what_only_follows_a_jump_late_or_not_at_once_does_not_ring(made) -> None:
+def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made) -> None:
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     reading_m = STROKE_m * made() + noise_m
     recordings = [recording("sweep"), recording("walk", reading_m, jumping())]
@@ -107,6 +119,13 @@ def test_what_follows_a_jump_is_looked_at_from_where_it_has_settled() -> None:
 
 def test_drives_that_only_move_fast_have_no_jumps() -> None:
     recordings = [recording("sweep"), recording("walk"), recording("waves")]
+    assert behind_jumps(view_on(recordings, axis="x", lab=Lab())) is None
+
+
+def test_a_jump_behind_which_the_drive_goes_on_as_fast_tells_nothing() -> None:
+    place = np.arange(9000 - JUMP_AT)
+    fast = np.concatenate([np.full(JUMP_AT, 0.6), -0.3 + 0.5 * np.sin(2 * np.pi * place / 180)])
+    recordings = [recording("sweep"), recording("walk", STROKE_m * moved(fast), fast)]
     assert behind_jumps(view_on(recordings, axis="x", lab=Lab())) is None
 
 

@@ -1,10 +1,12 @@
 """What ceramics do by themselves is in the envelope, and is named as no effect."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from piezoid.diagnosis import judgement
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.judgement import judged_structure
@@ -65,3 +67,30 @@ def test_products_that_are_known_of_the_first_columns_change_nothing() -> None:
     known = Null(columns=more, response=view.response, block=view.block, known=view.envelope.gram)
     np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
     assert known.rms == pytest.approx(made.rms, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("gain", "left", "sound", "z", "alone"),
+    [
+        (0.09, 1.02, False, 0.0, True),  # the state does not do as well, and much is at stake
+        (0.07, 1.02, True, 3.0, True),  # little: but it is there beside the state
+        (0.07, 1.02, True, 2.0, False),
+        (0.07, 1.02, False, 3.0, False),
+        (0.09, 1.00, True, 3.0, False),  # the state does as well
+    ],
+)
+def test_what_is_small_must_be_there_still_beside_a_bouc_wen_state(
+    monkeypatch, gain, left, sound, z, alone
+) -> None:
+    final, bent = SimpleNamespace(rms=1.0), SimpleNamespace()
+    beside = SimpleNamespace(sound=sound, held=SimpleNamespace(z=z))
+    structures = {
+        id(final): SimpleNamespace(speaks=True, held=SimpleNamespace(gain=gain)),
+        id(bent): SimpleNamespace(speaks=False),
+    }
+    monkeypatch.setattr(judgement, "screen", lambda _, view: beside if view is bent else "seen")
+    monkeypatch.setattr(judgement, "_of_structure", lambda _, view: structures[id(view)])
+    monkeypatch.setattr(judgement, "with_knee_of", lambda *_: bent)
+    effect = SimpleNamespace(knee=0.08, against=lambda _: SimpleNamespace(rms=left))
+    _, judged = judgement.judged_structure(effect, final)
+    assert judged is structures[id(final if alone else bent)]

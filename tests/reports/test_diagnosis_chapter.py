@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
@@ -13,6 +14,7 @@ from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of
 from piezoid_reports.effect_words import CONTROL, words
 from piezoid_reports.not_found import FAULTS, last_sentences
 from piezoid_reports.render import render, render_diagnosis
+from piezoid_reports.sections.diagnosis import NO_PICTURE
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
@@ -64,6 +66,15 @@ def test_the_picture_of_hum_shows_it_without_and_not_with_the_effect() -> None:
     (one,) = compared(axis, traces_of(axis, [hummed]), found)["mains_interference"]
     assert rms(one.before_m) > 3e-8
     assert rms(one.after_m) < 0.3 * rms(one.before_m)
+
+
+def test_a_mode_that_the_fitted_samples_do_not_show_has_a_sentence_for_a_picture() -> None:
+    mode = LinearMode(frequency_Hz=1e6, quality=10.0, participation=0.5)
+    fast = replace(axis_model(), extensions=(mode,))
+    found = diagnosed(finding("resonance"))
+    page = Anatomy(render_diagnosis(stage_model(fast), [recording()], found))
+    assert NO_PICTURE in [e.text for e in page.all("p", "prose")]
+    assert not any("residual against frequency" in e.text for e in page.all("figcaption"))
 
 
 def test_a_lag_the_model_carries_is_taken_out_to_be_seen() -> None:

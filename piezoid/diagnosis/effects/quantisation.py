@@ -132,13 +132,10 @@ def _of_drive(view: View) -> Fault | None:
         return None
     wave = view.null.without(saw.of(drive) * between)
     height, spread = _height(wave, residual)
-    if abs(height / saw.step - 1.0) > NEAR or height / np.sqrt(12.0) < COARSE / np.sqrt(12.0):
-        return None
-    tracks = tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks)
-    if height < SURE * spread:
+    if abs(height / saw.step - 1.0) > NEAR or height < max(COARSE, SURE * spread):
         return None
     return Fault(
-        tracks=tracks,
+        tracks=tuple(replace(t, drive=t.drive + saw.step * saw.of(t.drive)) for t in view.tracks),
         value=1e9 * view.stroke_m * height,
         spread=1e9 * view.stroke_m * max(spread, 0.01 * height),
         p_value=saw.p_value,

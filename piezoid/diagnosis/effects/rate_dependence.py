@@ -27,9 +27,9 @@ from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording
 
 LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
-SHARES = (0.03, 30.0)  # of the walls' lag: what a search may say where it splits them otherwise
+SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
 APART = 0.03
-ALLOWED = (0.03, 30.0)  # thirty times a lag is a longer one, as far as motion is slow for both
+ALLOWED = (0.03, 5.0)
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 WIDEST = 1.0  # strain from which the lag is as good as linear
 STRAINS = (1e-3, 1e9)  # a lag that is as good as linear has no strain

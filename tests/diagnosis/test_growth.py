@@ -1,0 +1,103 @@
+"""What a round of the search takes in, and which view faults are looked for in; with stand-ins."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from piezoid.diagnosis import growth, repair
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.memory import AS_GOOD, NEARLY, POOR, does_as_well
+
+CYCLED, HABIT, OWN = "cycled", "habit", "own"
+
+
+def of_memory(turns: str, rms: float, noise: float = 0.1) -> SimpleNamespace:
+    return SimpleNamespace(rms=rms, noise=noise, envelope=SimpleNamespace(turns=turns), tracks=())
+
+
+def taken(monkeypatch, *, habit: float, own: float, tried=(), noise: float = 0.4) -> str | None:
+    """Return what a round takes in that begins with an error of 1."""
+    view = of_memory(CYCLED, 1.0, noise)
+    stand_ins = {
+        "_refitted": lambda *_: list(tried),
+        "_with_slips": lambda *_: None,
+        "_with_slips_in_place": lambda *_: None,
+        "with_best_habit": lambda _: of_memory(HABIT, habit, noise),
+        "with_own_pasts": lambda *_: of_memory(OWN, own, noise),
+        "with_best_knee": lambda _: view,
+        "with_habit": lambda _, turns: turns,
+        "with_pasts": lambda _, turns: turns,
+        "with_free_memory": lambda turns: turns,
+    }
+    for name, what in stand_ins.items():
+        monkeypatch.setattr(growth, name, what)
+    far = growth.Grown(clean=CYCLED, accepted=(), faults={}, screened={})
+    farther = growth._farther(far, view, lambda _: None)
+    return None if farther is None else farther.clean
+
+
+@pytest.mark.parametrize(
+    ("habit", "own", "took"),
+    [
+        (0.500, 0.495, HABIT),  # as good as pasts fitted one by one
+        (0.500, 0.470, OWN),  # these know more than any habit
+        (0.500, 0.500, HABIT),
+        (0.990, 0.500, OWN),
+        (0.950, 0.940, None),  # hardly anything is wrong with the memory
+    ],
+)
+def test_a_habit_is_taken_where_pasts_fitted_one_by_one_do_no_better(
+    monkeypatch, habit, own, took
+) -> None:
+    assert taken(monkeypatch, habit=habit, own=own) == took
+
+
+@pytest.mark.parametrize(("left", "evident", "took"), [(0.4, True, None), (0.4, False, HABIT)])
+def test_what_is_evident_and_too_small_to_be_named_speaks_against_other_pasts(
+    monkeypatch, left, evident, took
+) -> None:
+    small = SimpleNamespace(view=SimpleNamespace(rms=left), speaks=False, is_evidence=evident)
+    assert taken(monkeypatch, habit=0.5, own=0.5, tried=[small]) == took
+
+
+def test_what_is_evident_and_leaves_more_than_other_pasts_does_not(monkeypatch) -> None:
+    small = SimpleNamespace(view=SimpleNamespace(rms=0.6), speaks=False, is_evidence=True)
+    assert taken(monkeypatch, habit=0.5, own=0.5, tried=[small]) == HABIT
+
+
+def test_a_habit_does_as_well_where_it_leaves_little_more_or_the_class_follows_nothing() -> None:
+    first, own = of_memory(CYCLED, 1.0), of_memory(OWN, 0.3, noise=0.2)
+    close, far = (0.3 * (1.0 + s * (AS_GOOD - 1.0)) ** 0.5 for s in (0.9, 1.1))
+    assert does_as_well(of_memory(HABIT, close), own, first)
+    assert not does_as_well(of_memory(HABIT, far), own, first)
+    poor = of_memory(OWN, 0.3, noise=0.3 / (1.1 * POOR))
+    assert not does_as_well(of_memory(HABIT, far), own, first)
+    assert does_as_well(of_memory(HABIT, far), poor, first)
+    much = (0.3**2 + 1.1 * NEARLY * (1.0 - 0.3**2)) ** 0.5
+    assert not does_as_well(of_memory(HABIT, much), poor, first)
+
+
+@pytest.mark.parametrize(
+    ("habit", "own", "looked_at", "left_with"),
+    [
+        (0.40, 0.40, HABIT, HABIT),  # evident
+        (0.40, 0.30, OWN, CYCLED),  # pasts fitted one by one do far better
+        (0.60, 0.60, OWN, CYCLED),  # no habit is beyond doubt; faults are looked for beside pasts
+        (0.98, 0.95, CYCLED, CYCLED),
+    ],
+)
+def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
+    monkeypatch, habit, own, looked_at, left_with
+) -> None:
+    seen = []
+
+    def fault(view) -> Fault | None:
+        seen.append(view.envelope.turns)
+
+    effect = SimpleNamespace(name="timestamp_fault", fault=fault)
+    monkeypatch.setattr(repair, "EFFECTS", (effect,))
+    monkeypatch.setattr(repair, "with_best_habit", lambda _: of_memory(HABIT, habit))
+    monkeypatch.setattr(repair, "with_own_pasts", lambda *_: of_memory(OWN, own))
+    monkeypatch.setattr(repair, "with_habit", lambda _, turns: turns)
+    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), lambda _: None)
+    assert (seen, clean, faults) == ([looked_at], left_with, {})
