@@ -2,19 +2,19 @@
 
 Every round all effects are screened, the telling ones are refitted with the whole model, and the
 one that leaves least is taken, unless slips of a clock, other pasts or one more state of
-hysteresis leave less.
+hysteresis leave less. Where nothing is evidence alone, two that look alike may be together.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.candidates import Beside, Progress, best_of, refitted
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.jumps import struck
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.memory import (
@@ -23,26 +23,16 @@ from piezoid.diagnosis.memory import (
     with_best_habit,
     with_own_pasts,
 )
-from piezoid.diagnosis.refinement import begun, refined, refined_together
+from piezoid.diagnosis.pairs import pair_in_place, pair_of
+from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.slips_instead import Instead, fault_beside, slips_instead, stand_better
 from piezoid.diagnosis.view import View, with_free_memory, with_habit, with_knee, with_pasts
 
 MOST_CAUSES = 5
 SLIP = "timestamp_fault"
-TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted
-LEAST_GAIN = 0.012
-NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
 NOISY = 1.1  # times the sensor's noise: an error below it leaves nothing for structure
 KNEE = 0.97  # of the error: what one more state of hysteresis must leave
-LEFT_OVER = 0.3  # of a rival's share
-CLEAR = 1.25  # times the noise: an error that is there
-REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
-MOST = 0.4  # of the error, so much taken off, and
-OVER_TWIN = 3.0  # times what its twin takes: a wrong shape for somebody's rest does no such thing
-NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
-FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,8 +71,9 @@ def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
 
     view  with everything accepted, on which effects were screened
     """
-    tried = _refitted(far, view, progress)
-    best = _best(tried, far)
+    beside = Beside(clean=far.clean, accepted=far.accepted, view=view)
+    tried = refitted(far.screened.values(), beside, progress)
+    best = best_of(tried, beside)
     least = best.view.rms if best else np.inf
     habit = with_best_habit(view)
     own = with_own_pasts(view, habit)
@@ -99,8 +90,15 @@ def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
     if own.rms < min(OTHER_PASTS * view.rms, least):
         return replace(far, clean=with_free_memory(with_pasts(far.clean, own.envelope.turns)))
     if best is None:
-        return _with_slips_in_place(far, view)
+        return _with_slips_in_place(far, view) or _with_pair(far, beside, tried)
     return replace(far, accepted=_settled(far.clean, [*far.accepted, best.accepted]))
+
+
+def _with_pair(far: Grown, beside: Beside, tried: Sequence[Judged]) -> Grown | None:
+    """Take in two effects at once that one of them, or both, stood for alone."""
+    pair = pair_of(tried, beside)
+    accepted = (*beside.accepted, *pair) if pair else pair_in_place(beside)
+    return replace(far, accepted=accepted) if accepted else None
 
 
 def _with_slips(far: Grown, view: View, best: Judged | None) -> tuple[Grown, float] | None:
@@ -143,81 +141,6 @@ def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, 
         if screening is not None:
             found[effect.name] = screening
     return found
-
-
-def _refitted(far: Grown, without: View, progress: Progress) -> list[Judged]:
-    """Return the telling effects with everything refitted, those that leave least at first.
-
-    without  the view with everything accepted, on which they were screened
-    """
-    screenings = far.screened.values()
-    best = max((found.total for found in screenings if found.sound), default=0.0)
-    least = max(TELLING * best, LEAST_GAIN)
-    telling = [f for f in screenings if f.total > least and f.sound and _above_twin(f)]
-    first = []
-    for found in telling:
-        one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
-        first.append((extended(far.clean, [*far.accepted, one]).rms, one, found))
-    closest = min((rms for rms, _, _ in first), default=0.0)
-    finer = []
-    for rms, one, found in first:
-        if rms > NEAR * closest and found.total < FOREMOST * best:
-            continue
-        progress(f"refitting with {found.effect.name.replace('_', ' ')}")
-        better, view = refined(one, far.clean, far.accepted)
-        alone = judged(better, view, without, seen=found)
-        finer.append(_together(alone, far, found))
-    return finer
-
-
-def _together(alone: Judged, far: Grown, seen: Screened) -> Judged:
-    """Refine what was accepted alone for both, where these look alike, and the effect again.
-
-    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
-    recording to recording. Where more is free than a time, that costs too much to hope for.
-    """
-    free = len(alone.accepted.free)
-    moving = [one for one in far.accepted if one.free and not one.struck]
-    alike = [one for one in moving if one.effect.resembles(alone.effect)]
-    if not alike or not (free == 1 or (free and alone.sound)):
-        return alone
-    others = [one for one in far.accepted if one not in alike]
-    better, view = refined_together([*alike, alone.accepted], far.clean, others)
-    return judged(better[-1], view, alone.without, seen=seen)
-
-
-def _best(tried: Sequence[Judged], far: Grown) -> Judged | None:
-    """Return the effect that leaves least among those that are evidence."""
-    own = [j for j in tried if j.speaks and not _left_over(j, far.clean, far.accepted)]
-    return min(own, key=lambda j: j.held.rms, default=None)
-
-
-def _above_twin(found: Screened) -> bool:
-    """Tell whether a refit may help: tangents of what is looked for on a grid err by factors."""
-    if found.twin is None or found.trial.free:
-        return True
-    return found.held.gain > NEAR_TWIN * found.twin.gain
-
-
-def _left_over(found: Judged, clean: View, accepted: Sequence[Accepted]) -> bool:
-    """Tell whether this may be what an accepted rival, not quite as modelled, leaves over.
-
-    What takes a clear error down to the noise is no wrong shape for somebody's rest, nor is what
-    takes most of it and far more than its unphysical twin.
-    """
-    noise, before = found.view.noise, found.without.rms
-    if found.held.gain > MOST and found.twin and found.held.gain > OVER_TWIN * found.twin.gain:
-        return False
-    if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
-        return False
-    for one in accepted:
-        if found.effect.name not in one.effect.rivals:
-            continue
-        rest = extended(clean, [other for other in accepted if other is not one])
-        taken = sqrt(max(rest.rms**2 - found.without.rms**2, 0.0)) / 2.0
-        if found.share < LEFT_OVER * taken:
-            return True
-    return False
 
 
 def _settled(clean: View, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:

@@ -68,8 +68,7 @@ class Judged:
         """Return which part of the worth is asked for."""
         if self.effect.common:
             return 1.0
-        excess = max(1.0 - (self.without.noise / self.without.rms) ** 2, 0.0)
-        return SMALL if self.held.z > CERTAIN else max(SMALL, sqrt(excess))
+        return SMALL if self.held.z > CERTAIN else asked(self.without)
 
     @property
     def _beats_its_twin(self) -> bool:
@@ -80,6 +79,12 @@ class Judged:
             return clear > FAR_SURER
         own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.held, self.twin))
         return own < BEYOND_TWIN**2 * others and clear > SURER
+
+
+def asked(without: View) -> float:
+    """Return which part of a worth is asked for where little is left but noise."""
+    excess = max(1.0 - (without.noise / without.rms) ** 2, 0.0)
+    return max(SMALL, sqrt(excess))
 
 
 def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judged:

@@ -9,18 +9,19 @@ worth its place with all others there, and a rival that does better in its place
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from piezoid.diagnosis.candidates import Progress
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.growth import SLIP, Grown, Progress, grown
-from piezoid.diagnosis.judgement import Judged, judged_structure
+from piezoid.diagnosis.growth import SLIP, Grown, grown
+from piezoid.diagnosis.judgement import Judged, asked, judged_structure
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.rivals import Rivals, told_apart
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
-WORTH = 0.02  # of the rms: what removing a cause must lose
+WORTH = 0.02  # of the rms: what removing a cause must lose, and less where noise is left
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
 MOST = 0.65  # and of what is no noise, in power
 QUIET = 1.5  # times the sensor's noise: so little they may leave
@@ -162,7 +163,8 @@ def _pruned(clean: View, accepted: Sequence[Accepted], progress: Progress) -> tu
         whole = extended(clean, accepted).rms
         spare = [one for one in accepted if not one.struck]
         rests = [tuple(o for o in accepted if o is not one) for one in spare]
-        losses = [1.0 - whole / extended(clean, rest).rms for rest in rests]
+        views = [extended(clean, rest) for rest in rests]
+        losses = [(1.0 - whole / view.rms) / asked(view) for view in views]
         if min(losses) >= WORTH:
             return accepted
         accepted = rests[losses.index(min(losses))]

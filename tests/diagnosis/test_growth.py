@@ -19,7 +19,8 @@ def taken(monkeypatch, *, habit: float, own: float, tried=(), noise: float = 0.4
     """Return what a round takes in that begins with an error of 1."""
     view = of_memory(CYCLED, 1.0, noise)
     stand_ins = {
-        "_refitted": lambda *_: list(tried),
+        "refitted": lambda *_: list(tried),
+        "_with_pair": lambda *_: None,
         "_with_slips": lambda *_: None,
         "_with_slips_in_place": lambda *_: None,
         "with_best_habit": lambda _: of_memory(HABIT, habit, noise),

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-import piezoid.diagnosis.growth as growth
+import piezoid.diagnosis.candidates as candidates
 from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.refinement import begun, refined, refined_together
@@ -46,8 +46,9 @@ def is_rest(monkeypatch, before: float, after: float, gain: float, twin: float |
         without=SimpleNamespace(rms=before),
         view=SimpleNamespace(rms=after, noise=NOISE),
     )
-    monkeypatch.setattr(growth, "extended", lambda *_: SimpleNamespace(rms=100.0))
-    return growth._left_over(drift, None, [rival])
+    monkeypatch.setattr(candidates, "extended", lambda *_: SimpleNamespace(rms=100.0))
+    beside = candidates.Beside(clean=None, accepted=(rival,), view=None)
+    return candidates._left_over(drift, beside)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,121 @@
+"""Candidates: the effects of one round that are refitted, and the one that leaves least.
+
+Tangents tell which to refit: those that bring a good part of the best, and where none of them is
+evidence all others that bring anything.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.judgement import Judged, judged
+from piezoid.diagnosis.refinement import begun, refined, refined_together
+from piezoid.diagnosis.screening import Screened
+from piezoid.diagnosis.view import View
+
+TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
+LEAST_GAIN = 0.012
+NEAR_TWIN = 0.9  # times its twin's gain, below which a refit will not help it
+LEFT_OVER = 0.3  # of a rival's share
+CLEAR = 1.25  # times the noise: an error that is there
+REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
+MOST = 0.4  # of the error, so much taken off, and
+OVER_TWIN = 3.0  # times what its twin takes: a wrong shape for somebody's rest does no such thing
+NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
+FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beside:
+    """What candidates are refitted beside.
+
+    clean     the view without any effect
+    accepted  effects that are at work already
+    view      the view with them
+    """
+
+    clean: View
+    accepted: tuple[Accepted, ...]
+    view: View
+
+
+def refitted(found: Iterable[Screened], beside: Beside, progress: Progress) -> list[Judged]:
+    """Return the telling effects with everything refitted, and if none is evidence the others."""
+    hopeful = [f for f in found if f.sound and f.total > LEAST_GAIN]
+    telling = TELLING * max((f.total for f in hopeful), default=0.0)
+    hopeful = [f for f in hopeful if _above_twin(f)]
+    tried = _refined([f for f in hopeful if f.total > telling], beside, progress)
+    if best_of(tried, beside) is None:
+        tried += _refined([f for f in hopeful if f.total <= telling], beside, progress)
+    return tried
+
+
+def best_of(tried: Sequence[Judged], beside: Beside) -> Judged | None:
+    """Return the effect that leaves least among those that are evidence."""
+    own = [j for j in tried if j.speaks and not _left_over(j, beside)]
+    return min(own, key=lambda j: j.held.rms, default=None)
+
+
+def _refined(telling: Sequence[Screened], beside: Beside, progress: Progress) -> list[Judged]:
+    """Return effects with everything refitted, but those that begin far behind the best."""
+    best = max((found.total for found in telling), default=0.0)
+    first = []
+    for found in telling:
+        one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
+        first.append((extended(beside.clean, [*beside.accepted, one]).rms, one, found))
+    closest = min((rms for rms, _, _ in first), default=0.0)
+    finer = []
+    for rms, one, found in first:
+        if rms > NEAR * closest and found.total < FOREMOST * best:
+            continue
+        progress(f"refitting with {found.effect.name.replace('_', ' ')}")
+        better, view = refined(one, beside.clean, beside.accepted)
+        finer.append(_together(judged(better, view, beside.view, seen=found), beside, found))
+    return finer
+
+
+def _together(alone: Judged, beside: Beside, seen: Screened) -> Judged:
+    """Refine what was accepted alone for both, where these look alike, and the effect again.
+
+    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
+    recording to recording. Where more is free than a time, that costs too much to hope for.
+    """
+    free = len(alone.accepted.free)
+    moving = [one for one in beside.accepted if one.free and not one.struck]
+    alike = [one for one in moving if one.effect.resembles(alone.effect)]
+    if not alike or not (free == 1 or (free and alone.sound)):
+        return alone
+    others = [one for one in beside.accepted if one not in alike]
+    better, view = refined_together([*alike, alone.accepted], beside.clean, others)
+    return judged(better[-1], view, alone.without, seen=seen)
+
+
+def _above_twin(found: Screened) -> bool:
+    """Tell whether a refit may help: tangents of what is looked for on a grid err by factors."""
+    if found.twin is None or found.trial.free:
+        return True
+    return found.held.gain > NEAR_TWIN * found.twin.gain
+
+
+def _left_over(found: Judged, beside: Beside) -> bool:
+    """Tell whether this may be what an accepted rival, not quite as modelled, leaves over.
+
+    What takes a clear error down to the noise is no wrong shape for somebody's rest, nor is what
+    takes most of it and far more than its unphysical twin.
+    """
+    noise, before = found.view.noise, found.without.rms
+    if found.held.gain > MOST and found.twin and found.held.gain > OVER_TWIN * found.twin.gain:
+        return False
+    if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
+        return False
+    for one in beside.accepted:
+        if found.effect.name not in one.effect.rivals:
+            continue
+        rest = extended(beside.clean, [other for other in beside.accepted if other is not one])
+        taken = sqrt(max(rest.rms**2 - found.without.rms**2, 0.0)) / 2.0
+        if found.share < LEFT_OVER * taken:
+            return True
+    return False

@@ -1,0 +1,67 @@
+"""Which effects of a round are refitted; stand-ins for the fits."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from piezoid.diagnosis import candidates
+
+
+def found(name: str, total: float, sound: bool = True) -> SimpleNamespace:
+    trial = SimpleNamespace(free={})
+    held = SimpleNamespace(gain=total, coefficient=[1.0])
+    effect = SimpleNamespace(name=name)
+    return SimpleNamespace(
+        effect=effect, trial=trial, held=held, twin=None, total=total, sound=sound
+    )
+
+
+def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) -> list[str]:
+    """Return what is refitted where one effect is evidence once it is.
+
+    left  (name) -> error before its refinement
+    """
+
+    def judged(one, *_, **__) -> SimpleNamespace:
+        held = SimpleNamespace(rms=0.5)
+        return SimpleNamespace(name=one, speaks=one == evidence, held=held, accepted=one)
+
+    stand_ins = {
+        "begun": lambda effect, *_: effect.name,
+        "extended": lambda _, accepted: SimpleNamespace(rms=left(accepted[-1])),
+        "refined": lambda one, *_: (one, None),
+        "judged": judged,
+        "_together": lambda alone, *_: alone,
+        "_left_over": lambda *_: False,
+    }
+    for name, what in stand_ins.items():
+        monkeypatch.setattr(candidates, name, what)
+    beside = candidates.Beside(clean=None, accepted=(), view=None)
+    return [one.name for one in candidates.refitted(screenings, beside, lambda _: None)]
+
+
+SCREENED = [
+    found("large", 0.4),
+    found("small", 0.03),
+    found("tiny", 0.01),
+    found("mad", 0.3, False),
+]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "tried"),
+    [("large", ["large"]), ("", ["large", "small"]), ("small", ["large", "small"])],
+)
+def test_small_ones_are_refitted_where_no_large_one_is_evidence(
+    monkeypatch, evidence, tried
+) -> None:
+    assert refitted(monkeypatch, SCREENED, evidence) == tried
+
+
+@pytest.mark.parametrize(("total", "tried"), [(0.2, ["large"]), (0.35, ["large", "limit"])])
+def test_a_first_refit_far_behind_is_refined_only_where_its_tangent_is_among_the_best(
+    monkeypatch, total, tried
+) -> None:
+    screenings = [found("large", 0.4), found("limit", total)]
+    left = {"large": 1.0, "limit": 4.0}
+    assert refitted(monkeypatch, screenings, "large", left.get) == tried
