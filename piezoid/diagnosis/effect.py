@@ -108,8 +108,8 @@ class Effect:
                  judged at the end, when everything else is in
     known_to     part of the size that the law itself may be wrong by: a spectrum that is not even,
                  a hold between samples; blocks of rows know nothing of it
-    knee         part of the error that it must take off, or it must be there beside a Bouc-Wen
-                 state in the class without it; 0: that is not asked
+    knee         part of the error that it must take off of a material that no class follows, or
+                 it must be there beside a Bouc-Wen state in the class without it; 0: not asked
     rings        whether hysteresis may have been fitted to it, so that it must begin without
     inject       (recording, share) -> the recording with the effect, share of the stroke
     extend       (found, setting) -> what the model takes in, to be refitted from there

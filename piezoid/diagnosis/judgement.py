@@ -18,6 +18,7 @@ SMALL = 0.5  # may be that part of the gain which is asked for
 OVER_TWIN = 1.6  # times the twin's gain, or
 BEYOND_TWIN = 0.9  # times what the twin leaves, or leaves above the noise, and that
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
+STRANGE = 1.25  # times the noise: what a class leaves of a material that it does not follow
 STILL = 2.5  # standard errors of what is there beside it
 FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 
@@ -137,8 +138,8 @@ def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | N
     """Judge a part of the envelope's own structure, with all causes at work; None without trials.
 
     The class without it may have a Bouc-Wen state instead. Where that leaves as little, the part
-    has to speak beside the state that serves that class best; where little is at stake, it has to
-    be there beside it still.
+    has to speak beside the state that serves that class best; where little is at stake, in a
+    material that no class here follows, it has to be there beside it still.
     """
     found = screen(effect, final)
     if found is None:
@@ -149,7 +150,8 @@ def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | N
     bent = with_knee_of(final, effect.against)
     as_well = effect.against(bent).rms < AS_LITTLE * final.rms
     again = screen(effect, bent)
-    if again is None or not (as_well or structure.held.gain < effect.knee):
+    small = structure.held.gain < effect.knee and final.rms > STRANGE * final.noise
+    if again is None or not (as_well or small):
         return found, structure
     if not as_well and again.sound and again.held.z > STILL:
         return found, structure

@@ -70,19 +70,20 @@ def test_products_that_are_known_of_the_first_columns_change_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gain", "left", "sound", "z", "alone"),
+    ("gain", "left", "noise", "sound", "z", "alone"),
     [
-        (0.09, 1.02, False, 0.0, True),  # the state does not do as well, and much is at stake
-        (0.07, 1.02, True, 3.0, True),  # little: but it is there beside the state
-        (0.07, 1.02, True, 2.0, False),
-        (0.07, 1.02, False, 3.0, False),
-        (0.09, 1.00, True, 3.0, False),  # the state does as well
+        (0.09, 1.02, 0.5, False, 0.0, True),  # the state does not do as well; much is at stake
+        (0.07, 1.02, 0.5, True, 3.0, True),  # little: but it is there beside the state
+        (0.07, 1.02, 0.5, True, 2.0, False),
+        (0.07, 1.02, 0.5, False, 3.0, False),
+        (0.07, 1.02, 0.9, False, 0.0, True),  # little, of a material that the class follows
+        (0.09, 1.00, 0.9, True, 3.0, False),  # the state does as well
     ],
 )
-def test_what_is_small_must_be_there_still_beside_a_bouc_wen_state(
-    monkeypatch, gain, left, sound, z, alone
+def test_what_is_small_in_a_strange_material_must_be_there_still_beside_a_bouc_wen_state(
+    monkeypatch, gain, left, noise, sound, z, alone
 ) -> None:
-    final, bent = SimpleNamespace(rms=1.0), SimpleNamespace()
+    final, bent = SimpleNamespace(rms=1.0, noise=noise), SimpleNamespace()
     beside = SimpleNamespace(sound=sound, held=SimpleNamespace(z=z))
     structures = {
         id(final): SimpleNamespace(speaks=True, held=SimpleNamespace(gain=gain)),

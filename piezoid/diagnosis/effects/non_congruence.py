@@ -25,11 +25,11 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
 OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
-ALONE = 0.3  # of what all products with the drive explain, in power: a ceramic of another kind
+ALONE = 0.5  # of what all products with the drive explain, in power: a ceramic of another kind
 # misses many of them
-KNEE = 0.08  # of the error: a Bouc-Wen ceramic whose state was not found leaves as much
-LEAST = 8e-5  # of the stroke, of what no other class follows: it is a small part of the opening,
-WORTH = 0.035  # but more of the error than one class of ceramics leaves for want of another
+KNEE = 0.08  # of the error: a ceramic of another law leaves as much
+LEAST = 7e-5  # of the stroke, of what no other class follows: it is a small part of the opening,
+WORTH = 0.025  # but more of the error than one class of ceramics leaves for want of another
 PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
 POINTS = 401
 
