@@ -38,7 +38,8 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
 
 
 def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
-    across_m = 2.0 * outcome.final.stroke_m
+    # what hysteresis takes up is there all the same
+    across_m = found.veiled * 2.0 * outcome.final.stroke_m
     doubt = found.bound - found.share
     needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
     bound_m = across_m * found.bound

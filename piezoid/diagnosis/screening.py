@@ -16,6 +16,7 @@ from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05
 AS_MUCH = 0.8  # of the best gain
+TINY = 1e-12  # of a column: nothing is left of it
 Row = tuple[Trial, Held, Array]
 
 
@@ -29,6 +30,7 @@ class Screened:
     share  rms of what it adds, of the whole stroke
     bound  the largest such share the data allow, one-sided 95 %
     floor  the share below which the trial counts its first coefficient as none
+    veiled  how many times more it adds than that: the rest the null takes up
     sound  whether physics allows it
     apart  whether the null leaves enough of it to tell it from hysteresis
     total  1 - rms / rms without, all that comes with it included
@@ -41,6 +43,7 @@ class Screened:
     share: float
     bound: float
     floor: float
+    veiled: float
     sound: bool
     apart: bool
     total: float
@@ -87,6 +90,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
         share=share,
         bound=bound,
         floor=trial.least * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
+        veiled=_veiled(trial, columns),
         sound=bool(allowed),
         apart=any(_apart(trial, across) for trial, _, across in real),
         total=held.gain,
@@ -118,6 +122,12 @@ def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
 def _apart(trial: Trial, across: Array) -> bool:
     whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
     return bool(np.linalg.norm(across[:, 0]) >= trial.apart * np.linalg.norm(whole))
+
+
+def _veiled(trial: Trial, across: Array) -> float:
+    """Return how many times longer a trial's columns are than what the null leaves of them."""
+    whole = trial.columns - trial.columns.mean(axis=0)
+    return max(float(np.linalg.norm(whole) / (np.linalg.norm(across) + TINY)), 1.0)
 
 
 def _shares(held: Held, across: Array) -> tuple[float, float]:

@@ -2,13 +2,21 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import lag, slew_limit, thermal_drift
+from piezoid.diagnosis.signals import with_displacement
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import recorded
 
 DRIFT = thermal_drift.EFFECT
+DRIFT_m = 1e-8  # at the end, of 46 um
 
 
 def reason(
@@ -20,6 +28,18 @@ def reason(
     held: bool = False,
 ) -> str:
     """Return what is said of a drift that was seen so clearly and not named."""
+    return drift(gain=gain, z=z, sound=sound, causes=causes, held=held).reason
+
+
+def drift(
+    *,
+    gain: float = 0.0,
+    z: float = 0.0,
+    sound: bool = True,
+    causes: tuple[Effect, ...] = (),
+    held: bool = False,
+    veiled: float = 1.0,
+) -> NotDetected:
     found = SimpleNamespace(
         effect=DRIFT,
         held=SimpleNamespace(gain=gain, z=z),
@@ -27,6 +47,7 @@ def reason(
         share=0.001,
         bound=0.002,
         floor=0.0,
+        veiled=veiled,
         sound=sound,
         apart=True,
     )
@@ -36,7 +57,7 @@ def reason(
         causes=[SimpleNamespace(effect=effect) for effect in causes],
         held_back=(DRIFT.name,) if held else (),
     )
-    return absent(DRIFT, outcome).reason
+    return absent(DRIFT, outcome)
 
 
 def test_what_physics_does_not_allow_is_said_to_be_unsound() -> None:
@@ -63,3 +84,20 @@ def test_structure_that_was_held_back_has_one_reason_and_not_two() -> None:
     told = reason(gain=0.5, z=9.0, causes=(lag.EFFECT,), held=True)
     assert told.count("not named") == 1
     assert "do not tell it from what lag may leave over" in told
+
+
+def test_what_hysteresis_takes_up_of_an_effect_may_be_there_all_the_same() -> None:
+    shown, veiled = drift(), drift(veiled=3.0)
+    assert shown.upper_bound_m == pytest.approx(0.002 * 2e-5)
+    assert veiled.upper_bound_m == pytest.approx(3.0 * shown.upper_bound_m)
+    assert veiled.detection_limit_m == pytest.approx(3.0 * shown.detection_limit_m)
+
+
+def test_a_drift_beside_a_single_sweep_is_bounded_as_it_is_and_not_as_it_shows() -> None:
+    (recording,), lab = recorded(draw_campaign(21, truth="preisach", plans=("sweep",)))
+    slow_m = DRIFT_m * np.linspace(-1.0, 1.0, recording.samples)
+    drifting = with_displacement(recording, recording.displacement_m() + slow_m)
+    found = diagnose([drifting], lab=lab)
+    assert found.names == ()
+    bound_m = next(n.upper_bound_m for n in found.not_detected if n.effect == DRIFT.name)
+    assert float(np.std(slow_m)) < bound_m < 3.0 * float(np.std(slow_m))
