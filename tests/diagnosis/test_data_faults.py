@@ -14,6 +14,7 @@ from piezoid.diagnosis.effects import (
     sensor_periodic_error,
     timestamp_fault,
 )
+from piezoid.diagnosis.lattice import lattice_step
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
@@ -119,6 +120,32 @@ def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_erro
     assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)
     ripple = screen(sensor_periodic_error.EFFECT, view)
     assert ripple is None or ripple.held.gain < 0.05
+
+
+@pytest.mark.parametrize("repaired", [False, True])
+def test_spikes_off_the_lattice_do_not_hide_a_coarse_reading(repaired):
+    step_m = 4e-3 * STROKE_m
+    kinds = ("sweep", "walk", "waves")
+    readings_m = {kind: step_m * np.round(clean(kind)[2] / step_m) for kind in kinds}
+    for k, reading_m in enumerate(readings_m.values()):
+        where = np.random.default_rng(k).choice(len(reading_m) - 2, 9, replace=False) + 1
+        between_m = 0.5 * (reading_m[where - 1] + reading_m[where + 1]) + 0.25 * step_m
+        reading_m[where] = between_m if repaired else reading_m[where] + 17.3 * step_m
+    fault = quantisation.EFFECT.fault(view_with(**readings_m))
+    assert within(fault, 1e9 * step_m)
+    assert fault.spread < 0.05 * fault.value
+
+
+@pytest.mark.parametrize(
+    "reading",
+    [
+        np.repeat(np.random.default_rng(3).uniform(-1.0, 1.0, 500), 2),
+        np.repeat([*np.linspace(-1.0, -1.0 + 1e-6, 400), *np.linspace(1.0 - 1e-6, 1.0, 400)], 2),
+        np.zeros(100),
+    ],
+)
+def test_what_repeats_and_has_no_step_rests_on_no_coarse_lattice(reading):
+    assert lattice_step(reading) < 1e-6
 
 
 def test_a_converter_of_sixteen_bits_is_not_coarse():

@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.lattice import lattice_step
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
 COARSE = 1.2e-3  # of half the stroke: rms of a twelfth of its square is 0.02 % of the stroke
@@ -79,14 +79,8 @@ def _of_reading(view: View) -> Fault | None:
 
 def _step(response: Array) -> float:
     """Return the step of a reading's lattice, 0 where it is too fine to be seen."""
-    step = _lattice(response)
+    step = lattice_step(response)
     return step if step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
-
-
-def _lattice(response: Array) -> float:
-    """Return the step of a reading's lattice, 0 where it never rests on one."""
-    step = step_size(np.round(response, 9))
-    return step if np.any(np.diff(response) == 0) else 0.0
 
 
 def _evidence(response: Array, step: float) -> float:
@@ -198,7 +192,7 @@ def _bound(view: View) -> float:
     A reading without a lattice has more values than rows it could repeat in; a saw along the drive
     lower than the clearest wave may be there.
     """
-    reading = [_lattice(y) or 2.0 * float(np.ptp(y)) / len(y) for y in _measured(view)]
+    reading = [lattice_step(y) or 2.0 * float(np.ptp(y)) / len(y) for y in _measured(view)]
     _, wave = _waves(view.rows([t.drive for t in view.tracks]), view.null.residual)
     typical = float(np.median(np.abs(wave) ** 2))
     saw = np.pi * 2.0 * np.sqrt(CLEAR * typical) / len(view.null.residual)
