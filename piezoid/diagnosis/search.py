@@ -15,6 +15,7 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.growth import SLIP, Grown, grown
 from piezoid.diagnosis.judgement import Judged, asked, judged_structure
+from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.rivals import Rivals, told_apart
@@ -24,6 +25,8 @@ from piezoid.diagnosis.view import View, with_tracks
 WORTH = 0.02  # of the rms: what removing a cause must lose, and less where noise is left
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
 MOST = 0.65  # and of what is no noise, in power
+UNEXPLAINED = 1.3  # times the sensor's noise: what no search should leave
+FAR_LESS = 0.85  # of the error: what another beginning must leave to be believed
 QUIET = 1.5  # times the sensor's noise: so little they may leave
 
 
@@ -54,8 +57,7 @@ class Outcome:
 def search(view: View, progress: Progress = lambda _: None) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
     clean, faults = repaired(view, progress)
-    far = grown(clean, faults, progress)
-    far = replace(far, accepted=_pruned(far.clean, far.accepted, progress))
+    far = _best_grown(clean, faults, progress)
     if SLIP in far.faults and far.accepted:
         far = _without_slips(view, far, progress)
     causes, rivals = told_apart(far.clean, far.accepted, progress)
@@ -71,6 +73,26 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         screened={**_dropped(final, {*named, *far.screened}), **far.screened},
     )
     return _with_structure(found, progress)
+
+
+def _best_grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
+    """Grow from a sum of plays, and where much is left over again from a Bouc-Wen state.
+
+    One effect after another, the least that is left first, may end where no way leads on: what the
+    class itself cannot follow is taken for pasts, and these hide the cause.
+    """
+    far = _grown(clean, faults, progress)
+    left = extended(far.clean, far.accepted)
+    if left.rms < UNEXPLAINED * left.noise:
+        return far
+    progress("beginning again with one more state of hysteresis")
+    other = _grown(with_best_knee(clean), faults, progress)
+    return other if extended(other.clean, other.accepted).rms < FAR_LESS * left.rms else far
+
+
+def _grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
+    far = grown(clean, faults, progress)
+    return replace(far, accepted=_pruned(far.clean, far.accepted, progress))
 
 
 def _dropped(final: View, known: Collection[str]) -> dict[str, Screened]:

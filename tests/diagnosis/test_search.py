@@ -185,3 +185,28 @@ def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
     both = second.after(first)
     assert (both.value, both.spread, both.p_value) == (-2.0, 0.3, 1e-9)
     assert both.alike == ("lag", "delay")
+
+
+@pytest.mark.parametrize(
+    ("left", "from_the_state", "begun"),
+    [
+        (1.2, 0.5, "plays"),  # hardly more than noise: nothing is begun again
+        (2.0, 1.6, "state"),
+        (2.0, 1.9, "plays"),  # no great difference
+    ],
+)
+def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_is_believed(
+    monkeypatch, left, from_the_state, begun
+) -> None:
+    asked = []
+
+    def grow(clean, faults, _) -> Grown:
+        asked.append(clean)
+        return Grown(clean=clean, accepted=(), faults=faults, screened={})
+
+    monkeypatch.setattr(search, "grown", grow)
+    monkeypatch.setattr(search, "with_best_knee", lambda _: "state")
+    errors = {"plays": left, "state": from_the_state}
+    monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
+    assert search._best_grown("plays", {}, lambda _: None).clean == begun
+    assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
