@@ -54,7 +54,8 @@ def pair_in_place(beside: Beside) -> tuple[Accepted, ...]:
             continue
         rest = tuple(other for other in beside.accepted if other is not one)
         alike = [e for e in EFFECTS if e.name not in named and _alike(e, one.effect)]
-        others = [_alone(effect, beside.clean, rest) for effect in alike]
+        without = extended(beside.clean, rest)
+        others = [_alone(effect, without, beside.clean, rest) for effect in alike]
         here = (one, beside.view)
         best = _best(_pair(here, other, beside.clean, rest) for other in others if other)
         if best:
@@ -67,9 +68,11 @@ def _alike(effect: Effect, other: Effect) -> bool:
     return effect.against is None and not effect.rings and effect.resembles(other)
 
 
-def _alone(effect: Effect, clean: View, rest: Sequence[Accepted]) -> Refined | None:
-    """Return an effect refined in the place of another, None where it cannot be or is narrow."""
-    without = extended(clean, rest)
+def _alone(effect: Effect, without: View, clean: View, rest: Sequence[Accepted]) -> Refined | None:
+    """Return an effect refined in the place of another, None where it cannot be or is narrow.
+
+    without  the view with the rest at work
+    """
     if effect.untestable(without):
         return None
     seen = screen(effect, without)

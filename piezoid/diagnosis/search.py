@@ -22,7 +22,7 @@ from piezoid.diagnosis.rivals import Rivals, told_apart
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
 
-WORTH = 0.02  # of the rms: what removing a cause must lose, and less where noise is left
+WORTH = 0.02  # of the rms: what removing a cause must lose, or half of it near the noise
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
 MOST = 0.65  # and of what is no noise, in power
 UNEXPLAINED = 1.3  # times the sensor's noise: what no search should leave

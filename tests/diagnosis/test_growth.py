@@ -102,3 +102,18 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
     monkeypatch.setattr(repair, "with_habit", lambda _, turns: turns)
     clean, faults = repair.repaired(of_memory(CYCLED, 1.0), lambda _: None)
     assert (seen, clean, faults) == ([looked_at], left_with, {})
+
+
+@pytest.mark.parametrize(
+    ("pair", "replaced", "accepted"),
+    [(("a", "b"), (), ("old", "a", "b")), ((), ("old", "c"), ("old", "c")), ((), (), None)],
+)
+def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
+    monkeypatch, pair, replaced, accepted
+) -> None:
+    monkeypatch.setattr(growth, "pair_of", lambda *_: pair)
+    monkeypatch.setattr(growth, "pair_in_place", lambda _: replaced)
+    far = growth.Grown(clean=CYCLED, accepted=("old",), faults={}, screened={})
+    beside = growth.Beside(clean=CYCLED, accepted=("old",), view=None)
+    farther = growth._with_pair(far, beside, [])
+    assert (None if farther is None else farther.accepted) == accepted

@@ -75,6 +75,41 @@ def test_what_looks_like_something_else_or_rings_or_is_structure_is_no_partner(
     assert taken(monkeypatch, tried(other, left=0.4), RATE) == ()
 
 
+def in_place(monkeypatch, *accepted, left: float = 1.2, wide: str = "rate_dependence"):
+    """Return what is accepted after one of them may be two; only one effect is wide."""
+
+    def alone(effect, *_) -> tuple[str, SimpleNamespace] | None:
+        return (effect.name, SimpleNamespace(rms=1.5)) if effect.name == wide else None
+
+    def pair(one, other, *_) -> tuple[tuple[object, str], SimpleNamespace]:
+        return (one[0], other[0]), SimpleNamespace(rms=0.9)
+
+    monkeypatch.setattr(pairs, "extended", lambda *_: None)
+    monkeypatch.setattr(pairs, "_alone", alone)
+    monkeypatch.setattr(pairs, "_pair", pair)
+    view = SimpleNamespace(rms=left, noise=1.0)
+    return pairs.pair_in_place(Beside(clean=None, accepted=accepted, view=view))
+
+
+def at_work(effect, *, struck: bool = False) -> SimpleNamespace:
+    return SimpleNamespace(effect=effect, free={"time_s": 1.8}, struck=struck)
+
+
+def test_one_that_was_accepted_for_both_keeps_its_place_beside_the_other(monkeypatch) -> None:
+    late, slow = at_work(lag.EFFECT), at_work(creep.EFFECT)
+    assert in_place(monkeypatch, late, slow) == (slow, late, "rate_dependence")
+
+
+def test_nothing_is_put_beside_what_leaves_the_noise_was_struck_or_has_its_other_half_already(
+    monkeypatch,
+) -> None:
+    late, rate = at_work(lag.EFFECT), at_work(rate_dependence.EFFECT)
+    assert in_place(monkeypatch, late, left=1.05) == ()
+    assert in_place(monkeypatch, at_work(lag.EFFECT, struck=True)) == ()
+    assert in_place(monkeypatch, late, rate) == ()
+    assert in_place(monkeypatch, late, wide="resonance") == ()
+
+
 @pytest.mark.parametrize(
     ("speaks", "z", "gain", "needed"),
     [

@@ -210,3 +210,18 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
     assert search._best_grown("plays", {}, lambda _: None).clean == begun
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
+
+
+@pytest.mark.parametrize(("noise", "kept"), [(0.1, False), (0.99, True)])
+def test_a_cause_that_takes_little_is_kept_where_little_but_noise_is_left(
+    monkeypatch, noise, kept
+) -> None:
+    causes = tuple(SimpleNamespace(effect=name, struck=False) for name in ("hum", "clip"))
+    left = {("hum", "clip"): 1.0 - 0.015, ("hum",): 1.0, ("clip",): 2.0}
+
+    def extended(_, rest) -> SimpleNamespace:
+        return SimpleNamespace(rms=left[tuple(one.effect for one in rest)], noise=noise)
+
+    monkeypatch.setattr(search, "extended", extended)
+    pruned = search._pruned(None, causes, lambda _: None)
+    assert [one.effect for one in pruned] == (["hum", "clip"] if kept else ["hum"])
