@@ -1,6 +1,6 @@
 """Linear filters of a track's static response, and what a changed drive would make of it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from piezoid.diagnosis.view import View
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array
+from piezoid.operators.ladder import ladder
 from piezoid.records.recording import Quantity, Recording
 
 
@@ -16,6 +17,11 @@ def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
     column = np.asarray(signal)[:, None]
     state = np.repeat(column[:1], 2, axis=0)
     return filter_columns(column, first_order(time_s, rate_Hz), state)[:, 0]
+
+
+def laddered(signal: Array, times_s: Sequence[float], rate_Hz: float) -> Array:
+    """Return the sum of a signal behind first-order lags side by side, all steady before."""
+    return ladder(signal, [first_order(time_s, rate_Hz) for time_s in times_s])
 
 
 def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:

@@ -33,14 +33,16 @@ def friction_states(
     powers = np.ones(len(reach)) if power is None else contiguous(power)
     if not np.isin(powers, POWERS).all():
         raise ValueError(f"powers are {np.unique(powers)}, known are {POWERS}")
-    given, state = contiguous(drive), np.array(start, dtype=np.float64)
+    order = np.argsort(reach, kind="stable")  # those of one reach share an exponential
+    given, state = contiguous(drive), np.array(start, dtype=np.float64)[order]
     states = np.empty((len(given), len(state)), order="F")
     KERNELS.pk_friction(
         len(given),
         address(given),
         len(state),
-        address(contiguous(reach)),
-        address(powers),
+        address(contiguous(reach)[order]),
+        address(powers[order]),
+        address(order.astype(np.float64)),
         address(state),
         len(given),
         address(states),

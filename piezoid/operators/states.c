@@ -2,6 +2,15 @@
 
 #include <math.h>
 
+/* Four lanes where the machine has them: nothing is fused, so the numbers stay the same. */
+#if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#define WIDER __attribute__((target_clones("default", "avx2")))
+#else
+#define WIDER
+#endif
+
+enum { RUN = 1024 };
+
 void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
                     double b0, double b1, double *previous_input, double *previous_output) {
     for (size_t i = 0; i < columns; ++i) {
@@ -16,6 +25,23 @@ void pk_first_order(size_t samples, size_t columns, size_t stride, double *value
         }
         previous_input[i] = x;
         previous_output[i] = y;
+    }
+}
+
+void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
+               const double *b0, const double *b1, double *state, double *output) {
+    double before = samples > 0 ? input[0] : 0.0;
+    for (size_t k = 0; k < samples; ++k) {
+        const double now = input[k];
+        for (size_t i = 0; i < rungs; ++i) {
+            state[i] = pole[i] * state[i] + b0[i] * now + b1[i] * before;
+        }
+        double total = 0.0;
+        for (size_t i = 0; i < rungs; ++i) {
+            total += state[i];
+        }
+        output[k] = total;
+        before = now;
     }
 }
 
@@ -42,18 +68,21 @@ void pk_creep(size_t samples, const double *input, double part, double threshold
 }
 
 void pk_activated(size_t samples, const double *input, double step, double wide, double *output) {
-    double lag = 0.0;
+    double worn = 0.0; /* tanh(lag / wide): by the law of sums no sample waits for a function */
     for (size_t k = 0; k < samples; ++k) {
         const double rise = k > 0 ? input[k] - input[k - 1] : 0.0;
-        lag = wide * atanh(step * tanh((lag + rise) / wide));
-        output[k] = input[k] - lag;
+        const double left = exp(-2.0 * fabs(rise) / wide);
+        const double way = copysign((1.0 - left) / (1.0 + left), rise);
+        worn = step * (worn + way) / (1.0 + worn * way);
+        output[k] = input[k] - 0.5 * wide * log((1.0 + worn) / (1.0 - worn));
     }
 }
 
 static inline double bouc_wen_slope(double z, double way, double beta, double gamma,
                                     double exponent) {
     const double grip = gamma + (z * way > 0.0 ? beta : -beta);
-    return 1.0 - grip * pow(fabs(z), exponent);
+    const double size = fabs(z); /* pow() of the sharpest knee costs what all the rest does */
+    return 1.0 - grip * (exponent > 1.0 || exponent < 1.0 ? pow(size, exponent) : size);
 }
 
 void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma, double exponent,
@@ -84,36 +113,66 @@ static double followed(int power, double u, double r, double sign) {
     }
 }
 
-void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 const double *power, double *state, size_t stride, double *column) {
-    for (size_t j = 0; j < states; ++j) {
-        const double r = reach[j];
-        const int n = (int)power[j];
-        double x = state[j];
-        double *own = column + j * stride;
-        for (size_t k = 0; k < samples; ++k) {
-            const double before = k > 0 ? input[k - 1] : input[k], way = input[k] - before;
-            if (way > 0.0 || way < 0.0) {
-                const double sign = way > 0.0 ? 1.0 : -1.0;
-                const double start = followed(n, before, r, sign);
-                x = followed(n, input[k], r, sign) + (x - start) * exp(-fabs(way) / r);
-            }
-            own[k] = x;
-        }
-        state[j] = x;
+/* What friction states of one reach forget on the way to each of some samples. */
+static void forgetting(size_t samples, const double *input, double before, double r,
+                       double *forget) {
+    for (size_t k = 0; k < samples; ++k) {
+        forget[k] = exp(-fabs(input[k] - before) / r);
+        before = input[k];
     }
 }
 
+/* One friction state along some samples; the way to each is known to be forgotten by so much. */
+static double rubbed(size_t samples, const double *input, double before, double r, int n, double x,
+                     const double *forget, double *own) {
+    for (size_t k = 0; k < samples; ++k) {
+        const double way = input[k] - before;
+        if (way > 0.0 || way < 0.0) {
+            const double sign = way > 0.0 ? 1.0 : -1.0;
+            const double start = followed(n, before, r, sign);
+            x = followed(n, input[k], r, sign) + (x - start) * forget[k];
+        }
+        own[k] = x;
+        before = input[k];
+    }
+    return x;
+}
+
+void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
+                 const double *power, const double *place, double *state, size_t stride,
+                 double *column) {
+    double forget[RUN];
+    for (size_t first = 0; first < samples; first += RUN) {
+        const size_t count = samples - first < RUN ? samples - first : RUN;
+        const double *given = input + first, before = first > 0 ? input[first - 1] : input[0];
+        for (size_t j = 0; j < states; ++j) {
+            const double r = reach[j];
+            if (j == 0 || r > reach[j - 1] || r < reach[j - 1]) {
+                forgetting(count, given, before, r, forget);
+            }
+            double *own = column + (size_t)place[j] * stride + first;
+            state[j] = rubbed(count, given, before, r, (int)power[j], state[j], forget, own);
+        }
+    }
+}
+
+WIDER
 void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
                     const double *column, const double *scale, const double *power,
                     const double *bias, double *output) {
-    for (size_t i = 0; i < columns; ++i) {
-        const double *z = column + i * stride;
-        const double c1 = power[i], c2 = power[columns + i], c3 = power[2 * columns + i];
-        const double c4 = power[3 * columns + i], a = bias[i], b = bias[columns + i];
-        for (size_t k = 0; k < samples; ++k) {
-            const double x = z[k] * scale[i], u = input[k];
-            output[k] += x * (c1 + u * (a + u * b) + x * (c2 + x * (c3 + x * c4)));
+    for (size_t first = 0; first < samples; first += RUN) {
+        const size_t count = samples - first < RUN ? samples - first : RUN;
+        const double *given = input + first;
+        double *sum = output + first;
+        for (size_t i = 0; i < columns; ++i) {
+            const double *z = column + i * stride + first;
+            const double c1 = power[i], c2 = power[columns + i], c3 = power[2 * columns + i];
+            const double c4 = power[3 * columns + i], a = bias[i], b = bias[columns + i];
+            const double size = scale[i];
+            for (size_t k = 0; k < count; ++k) {
+                const double x = z[k] * size, u = given[k];
+                sum[k] += x * (c1 + u * (a + u * b) + x * (c2 + x * (c3 + x * c4)));
+            }
         }
     }
 }

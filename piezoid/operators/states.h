@@ -18,6 +18,13 @@
 void pk_first_order(size_t samples, size_t columns, size_t stride, double *values, double pole,
                     double b0, double b1, double *previous_input, double *previous_output);
 
+/* The sum of first-order filters of one signal, each with its own coefficients.
+ *   output[k] = sum_i y_i[k],   y_i[k] = pole_i y_i[k-1] + b0_i x[k] + b1_i x[k-1]
+ *   state (rungs,)  y before the first sample, in/out; before it the signal was as it is there
+ */
+void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
+               const double *b0, const double *b1, double *state, double *output);
+
 /* A signal that goes at most `step` from sample to sample; output must not alias input. */
 void pk_slew(size_t samples, const double *input, double step, double *output);
 
@@ -38,11 +45,14 @@ void pk_bouc_wen(size_t samples, const double *input, double beta, double gamma,
  *   dx = d(u^n) - |du| x / r;    over a straight part, s = sgn(du),
  *   x[k] = q(u[k]) + (x[k-1] - q(u[k-1])) exp(-|du| / r),
  *   q = s r,   2 s r u - 2 r^2,   3 s r u^2 - 6 r^2 u + 6 s r^3
- *   state  (states,)         in/out: at the first sample, then at the last one
+ *   reach, power, state (states,)  those of one reach behind each other, to share the exponential
+ *   place  (states,)         which column each becomes
+ *   state                    in/out: at the first sample, then at the last one
  *   column (states, stride)  out
  */
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
-                 const double *power, double *state, size_t stride, double *column);
+                 const double *power, const double *place, double *state, size_t stride,
+                 double *column);
 
 /* Add a polynomial of every column, whose first coefficient goes with the input u:
  *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i

@@ -19,7 +19,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.signals import relaxed, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import laddered, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
@@ -53,7 +53,7 @@ def _ladder(view: View, first_s: float, last_s: float, *, backwards: bool = Fals
 
     def crept(signal: Array, rate_Hz: float) -> Array:
         way = signal[::-1] if backwards else signal
-        total = sum((relaxed(way, t, rate_Hz) for t in times_s), np.zeros(len(way)))
+        total = laddered(way, times_s, rate_Hz)
         return (total[::-1] if backwards else total) / PER_DECADE
 
     return view.of(lambda k, track: crept(view.static[k], track.rate_Hz))[:, None]
@@ -99,7 +99,7 @@ def inject(recording: Recording, share: float) -> Recording:
     """Let a recording creep."""
     moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
     times_s = np.geomspace(0.03, 3.0 * float(seconds_of(recording)[-1]) + 0.1, 9)
-    crept_m = np.sum([relaxed(moved_m, t, rate_Hz) for t in times_s], axis=0)
+    crept_m = laddered(moved_m, times_s.tolist(), rate_Hz)
     return with_displacement(
         recording, moved_m + scaled_to(crept_m - crept_m.mean(), share, recording)
     )
