@@ -51,6 +51,7 @@ def diagnose(
     from piezoid_cli.diagnosis_page import diagnosis_page
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
+    from piezoid_cli.side_by_side import usable_cores
 
     check_free(out, force=force, inputs=files)
     with shown(quiet=quiet or json) as told:
@@ -65,7 +66,12 @@ def diagnose(
         recordings = collect(rest, declared).recordings
         known = None if model is None else _known(model, axis)
         found = find(
-            recordings, axis=axis or _first(model), lab=declared, model=known, progress=told
+            recordings,
+            axis=axis or _first(model),
+            lab=declared,
+            model=known,
+            progress=told,
+            threads=usable_cores(),
         )
         change = None if model is None else _changed(model, recordings, found.axis, told)
         since = None if change is None else change.to_json()

@@ -25,6 +25,7 @@ class AxisJob:
     stage       without any axis
     recordings  that hold the axis, and no others
     elsewhere   trials of the fit that somebody else makes
+    threads     so many diagnose it; what they find does not depend on it
     """
 
     stage: "ActuatorModel"
@@ -32,6 +33,7 @@ class AxisJob:
     recordings: "Sequence[Recording]"
     lab: "Lab | None"
     elsewhere: "Elsewhere | None" = None
+    threads: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,9 +90,11 @@ class TipFound:
 
 
 def jobs_of(
-    held: "Collection", lab: "Lab | None"
+    held: "Collection", lab: "Lab | None", processes: int = 1
 ) -> "tuple[ActuatorModel, list[AxisJob | TipJob]]":
     """Return the stage before any fit, and what is to be done of it: the tip first.
+
+    processes  of those that do the jobs; where there are fewer axes, each has threads instead
 
     Raises what ``fit`` raises where there is nothing to fit.
     """
@@ -108,7 +112,13 @@ def jobs_of(
         lab=lab,
     )
     ways = [
-        AxisJob(stage=stage, axis=axis, recordings=recorded_of(held.recordings, axis), lab=lab)
+        AxisJob(
+            stage=stage,
+            axis=axis,
+            recordings=recorded_of(held.recordings, axis),
+            lab=lab,
+            threads=max(processes // len(axes), 1),
+        )
         for axis in axes
     ]
     return stage, [*([tip] if tip.recordings or tip.sweeps else []), *ways]
@@ -169,7 +179,14 @@ def _diagnosed(
 
     refused = f"axis {job.axis} is not diagnosed"
     try:
-        found = diagnose(job.recordings, axis=job.axis, lab=job.lab, model=model, progress=told)
+        found = diagnose(
+            job.recordings,
+            axis=job.axis,
+            lab=job.lab,
+            model=model,
+            progress=told,
+            threads=job.threads,
+        )
     except PiezoidError as refusal:
         return None, f"{refused}: {refusal}", False
     except Exception as error:  # a fault of ours must not cost the lab its model

@@ -51,7 +51,7 @@ def draw_campaign(
     *,
     effects: Mapping[str, float | None] | Sequence[str] = (),
     truth: str | None = None,
-    plans: Sequence[str] | None = None,
+    plans: Sequence[str | Plan] | None = None,
     careless: bool = False,
 ) -> Campaign:
     """Draw a stage and record it; the same arguments give the same bytes.
@@ -59,7 +59,8 @@ def draw_campaign(
     effects   names of effects to hide; a mapping gives sizes in percent of the stroke, None or a
               bare name draws one between 1 and 4 times what is visible; size 0 leaves it out
     truth     kind of ceramic; drawn if None
-    plans     names of recordings; drawn if None, such that every effect can be seen in one
+    plans     recordings or names of known ones; drawn if None, such that every effect can be
+              seen in one
     careless  leave the memory before each record to chance instead of cycling the drive
 
     Chance is drawn part by part, so the stage of a seed is the same whatever is hidden in it.
@@ -71,7 +72,8 @@ def draw_campaign(
     kind = named(TRUTHS, truth or str(_chance(seed, "truth").choice([t.name for t in TRUTHS])))
     rig = draw_rig(_chance(seed, "rig"), name=f"virtual stage {seed}")
     stage = Stage(rig=rig, ceramic=kind.draw(_chance(seed, "ceramic")), seed=seed)
-    chosen = [named(PLANS, name) for name in plans or _plans_for(hidden, _chance(seed, "plans"))]
+    asked_for = plans or _plans_for(hidden, _chance(seed, "plans"))
+    chosen = [named(PLANS, plan) if isinstance(plan, str) else plan for plan in asked_for]
     runs = _runs(chosen, rig, seed, careless=careless)
     bench = healthy(stage, runs)
     faults = {

@@ -4,11 +4,12 @@ Tangents tell which to refit: those that bring a good part of the best, and wher
 evidence all others that bring anything.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
 from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.refinement import begun, refined, refined_together
 from piezoid.diagnosis.screening import Screened
@@ -25,8 +26,6 @@ OVER_TWIN = 3.0  # times what its twin takes: a wrong shape for somebody's rest 
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
 FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
 
-Progress = Callable[[str], None]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beside:
@@ -42,14 +41,14 @@ class Beside:
     view: View
 
 
-def refitted(found: Iterable[Screened], beside: Beside, progress: Progress) -> list[Judged]:
+def refitted(found: Iterable[Screened], beside: Beside, hands: Hands) -> list[Judged]:
     """Return the telling effects with everything refitted, and if none is evidence the others."""
     hopeful = [f for f in found if f.sound and f.total > LEAST_GAIN]
     telling = TELLING * max((f.total for f in hopeful), default=0.0)
     hopeful = [f for f in hopeful if _above_twin(f)]
-    tried = _refined([f for f in hopeful if f.total > telling], beside, progress)
+    tried = _refined([f for f in hopeful if f.total > telling], beside, hands)
     if best_of(tried, beside) is None:
-        tried += _refined([f for f in hopeful if f.total <= telling], beside, progress)
+        tried += _refined([f for f in hopeful if f.total <= telling], beside, hands)
     return tried
 
 
@@ -59,22 +58,25 @@ def best_of(tried: Sequence[Judged], beside: Beside) -> Judged | None:
     return min(own, key=lambda j: j.held.rms, default=None)
 
 
-def _refined(telling: Sequence[Screened], beside: Beside, progress: Progress) -> list[Judged]:
+def _refined(telling: Sequence[Screened], beside: Beside, hands: Hands) -> list[Judged]:
     """Return effects with everything refitted, but those that begin far behind the best."""
     best = max((found.total for found in telling), default=0.0)
-    first = []
-    for found in telling:
-        one = begun(found.effect, found.trial, float(found.held.coefficient[0]))
-        first.append((extended(beside.clean, [*beside.accepted, one]).rms, one, found))
-    closest = min((rms for rms, _, _ in first), default=0.0)
-    finer = []
-    for rms, one, found in first:
-        if rms > NEAR * closest and found.total < FOREMOST * best:
-            continue
-        progress(f"refitting with {found.effect.name.replace('_', ' ')}")
+    first = [begun(f.effect, f.trial, float(f.held.coefficient[0])) for f in telling]
+    left = hands.each(lambda one: extended(beside.clean, [*beside.accepted, one]).rms, first)
+    least = min(left, default=0.0)
+
+    def refit(begin: tuple[Accepted, Screened]) -> Judged:
+        one, found = begin
+        hands.told(f"refitting with {one.effect.name.replace('_', ' ')}")
         better, view = refined(one, beside.clean, beside.accepted)
-        finer.append(_together(judged(better, view, beside.view, seen=found), beside, found))
-    return finer
+        return _together(judged(better, view, beside.view, seen=found), beside, found)
+
+    near = [
+        (one, found)
+        for one, found, rms in zip(first, telling, left, strict=True)
+        if rms <= NEAR * least or found.total >= FOREMOST * best
+    ]
+    return hands.each(refit, near)
 
 
 def _together(alone: Judged, beside: Beside, seen: Screened) -> Judged:

@@ -9,6 +9,7 @@ from piezoid.diagnosis.absence import absent
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
@@ -33,6 +34,7 @@ def diagnose(
     lab: Lab | None = None,
     model: AxisModel | None = None,
     progress: Progress = lambda _: None,
+    threads: int = 1,
 ) -> Diagnosis:
     """Explain the difference between simulation and recordings of one axis.
 
@@ -41,7 +43,8 @@ def diagnose(
     lab         what the laboratory declares; declared poles are part of the simulation
     model       the axis as ``fit`` made it: errors are then of this model refitted with what is
                 found, and the diagnosis carries it; None: of a quick linear stand-in
-    progress    told what is being done
+    progress    told what is being done, by whichever thread does it
+    threads     so many work at once; what is found does not depend on it
 
     Raises ``ExcitationError`` where drive or displacement does not move. What goes wrong: a cause
     that no effect stands for is not named, but it may be given to the one that resembles it most;
@@ -50,7 +53,9 @@ def diagnose(
     wanted = axes_of(recordings)[0] if axis is None else axis
     declared = lab or Lab()
     progress("fitting the envelope")
-    found = search(view_on(recordings, axis=wanted, lab=declared), progress)
+    found = search(
+        view_on(recordings, axis=wanted, lab=declared), Hands(told=progress, count=threads)
+    )
     chosen = moving(recordings, wanted)
     progress("refitting the simulation")
     if model is None:

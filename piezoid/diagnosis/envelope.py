@@ -20,18 +20,15 @@ Box (1980).
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
-from piezoid.diagnosis.friction import rubbed, rubbing
-from piezoid.diagnosis.pasts import Turns, past
+from piezoid.diagnosis.history import History, states_at, static_of, way_to
+from piezoid.diagnosis.pasts import Turns
 from piezoid.diagnosis.shape import (
     KNEE_COLUMNS,
-    PLAYS,
     SHARED,
-    THRESHOLD,
     bias_places,
     knee_columns,
     shape,
@@ -39,38 +36,41 @@ from piezoid.diagnosis.shape import (
 )
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import first_carry, play_columns, play_tangents
+from piezoid.numerics.once import Once
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
-CHUNK = 65536
-
-
-def _rows(columns: Array, place: Places) -> Array:
-    """Return some rows of column-major columns, column-major again."""
-    return np.asarray(np.take(columns.T, place, axis=1).T)
+KEPT = 1 << 20  # samples of which all states are kept: some 300 MB
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Envelope:
     """The class on some tracks, each with a past.
 
-    tracks  what is followed
-    turns   (tracks,)  values at which the drive turned before each track
-    knee    a Bouc-Wen state beside the others, or none
-    free    whether the first states of every track may be corrected
+    histories  tracks with their pasts
+    knee       a Bouc-Wen state beside the others, or none
+    free       whether the first states of every track may be corrected
     """
 
-    tracks: tuple[Track, ...]
-    turns: tuple[Turns, ...]
+    histories: tuple[History, ...]
     knee: Knee | None = None
     free: bool = False
 
-    @cached_property
+    @Once
+    def tracks(self) -> tuple[Track, ...]:
+        """Return what is followed."""
+        return tuple(history.track for history in self.histories)
+
+    @Once
+    def turns(self) -> tuple[Turns, ...]:
+        """Return the values at which the drive turned before each track."""
+        return tuple(history.turns for history in self.histories)
+
+    @Once
     def edges(self) -> Places:
         """Return the first row of each track, and the number of rows."""
         return np.concatenate([[0], np.cumsum([len(track.place) for track in self.tracks])])
 
-    @cached_property
+    @Once
     def shared(self) -> int:
         """Return how many columns all tracks share."""
         return SHARED + (KNEE_COLUMNS if self.knee else 0)
@@ -93,39 +93,23 @@ class Envelope:
         """Return the columns that are products of a state with the drive."""
         return (*bias_places(), *range(SHARED, self.shared)[-2:])
 
-    @cached_property
+    @Once
     def columns(self) -> Array:
         """Return the columns at all rows: shared ones, then each track's own."""
         total = self.shared + self.own * len(self.tracks)
         columns = np.zeros((self.edges[-1], total), order="F")
         for k, track in enumerate(self.tracks):
             rows = slice(self.edges[k], self.edges[k + 1])
-            states, friction = self._states(k, track.drive)
-            write_shape(columns[rows, :SHARED], states, friction, track.drive[track.place])
+            write_shape(columns[rows, :SHARED], *self.histories[k].rows, track.drive[track.place])
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
             if self.free:
-                columns[rows, first + 1 : first + self.own] = self._kept(k)
+                columns[rows, first + 1 : first + self.own] = self.histories[k].kept(FORGETTING)
         if self.knee:
             columns[:, SHARED : self.shared] = self.bent_rows
         return columns
 
-    def _states(self, k: int, drive: Array) -> tuple[Array, Array]:
-        """Return states of plays and friction along another drive, at a track's rows."""
-        turns, place = self.turns[k], self.tracks[k].place
-        states, _ = play_columns(drive, THRESHOLD, past(drive, turns))
-        friction = rubbing(drive, rubbed(drive, turns))
-        return _rows(states, place), _rows(friction, place)
-
-    def _kept(self, k: int) -> Array:
-        """Return which part of its first states each group of plays keeps at a track's rows."""
-        track = self.tracks[k]
-        first = first_carry(past(track.drive, self.turns[k]))
-        kept = _rows(play_tangents(track.drive, THRESHOLD, first).memory, track.place)
-        groups = np.array_split(np.arange(PLAYS // 3, PLAYS), FORGETTING)
-        return np.column_stack([kept[:, group].mean(axis=1) for group in groups])
-
-    @cached_property
+    @Once
     def gram(self) -> Array:
         """Return the products of all columns with each other."""
         return np.asarray(self.columns.T @ self.columns)
@@ -133,44 +117,55 @@ class Envelope:
     @property
     def bent_rows(self) -> Array:
         """Return the columns of the Bouc-Wen state at all rows."""
-        parts = []
-        for track, turns in zip(self.tracks, self.turns, strict=True):
-            state = self.bent(turns, track.drive)[track.place]
-            parts.append(knee_columns(state, track.drive[track.place]))
+        parts = [
+            knee_columns(
+                self.bent_at(h.turns, h.track.drive, h.track.place), h.track.drive[h.track.place]
+            )
+            for h in self.histories
+        ]
         return np.concatenate(parts)
+
+    @Once
+    def _keeps(self) -> bool:
+        """Whether all states of all samples are kept, to be weighted again and again."""
+        return sum(len(track.drive) for track in self.tracks) <= KEPT
+
+    @Once
+    def _bends(self) -> tuple[Array, ...]:
+        return tuple(self.bent(h.turns, h.track.drive) for h in self.histories)
 
     def static(self, k: int, weight: Array) -> Array:
         """Return what the shared columns make of a track's drive, (samples,)."""
-        return self.along(self.tracks[k].drive, self.turns[k], weight)
+        drive = self.tracks[k].drive
+        if not self._keeps:
+            return self.along(drive, self.turns[k], weight)
+        total = self.histories[k].static(weight)
+        return total + bent_part(self._bends[k], drive, weight) if self.knee else total
 
     def along(self, drive: Array, turns: Turns, weight: Array) -> Array:
         """Return what the shared columns make of any drive that turned before, (samples,)."""
-        memory = past(drive, turns)
-        friction = rubbing(drive, rubbed(drive, turns))
-        parts = []
-        for first in range(0, len(drive), CHUNK):
-            part = np.asarray(drive[first : first + CHUNK])
-            states, memory = play_columns(part, THRESHOLD, memory)
-            parts.append(shape(states, friction[first : first + CHUNK], part, weight[:SHARED]))
-        total = np.concatenate(parts)
-        if self.knee:
-            total += knee_columns(self.bent(turns, drive), drive) @ weight[SHARED:]
-        return np.asarray(total)
+        total = static_of(drive, turns, weight)
+        return total + bent_part(self.bent(turns, drive), drive, weight) if self.knee else total
 
     def bent(self, turns: Turns, drive: Array) -> Array:
         """Return the Bouc-Wen state along a drive that turned before, (samples,)."""
         assert self.knee is not None
         return bent_states(self.knee, turns, drive)
 
+    def bent_at(self, turns: Turns, drive: Array, place: Places) -> Array:
+        """Return the Bouc-Wen state at some samples of a drive that turned before, (rows,)."""
+        way, rows = way_to(drive, place)
+        return self.bent(turns, drive[way])[rows]
+
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""
-        place = self.tracks[k].place
-        states, friction = self._states(k, drive)
-        rows = shape(states, friction, drive[place], weight[:SHARED])
-        if self.knee:
-            rows = (
-                rows
-                + knee_columns(self.bent(self.turns[k], drive)[place], drive[place])
-                @ weight[SHARED:]
-            )
-        return np.asarray(rows)
+        place, turns = self.tracks[k].place, self.turns[k]
+        rows = shape(*states_at(drive, turns, place), drive[place], weight[:SHARED])
+        if not self.knee:
+            return rows
+        return rows + bent_part(self.bent_at(turns, drive, place), drive[place], weight)
+
+
+def bent_part(state: Array, drive: Array, weight: Array) -> Array:
+    """Return what the columns of a Bouc-Wen state make, weighted by the last shared ones."""
+    return np.asarray(knee_columns(state, drive) @ weight[SHARED:])

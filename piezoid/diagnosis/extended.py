@@ -51,21 +51,25 @@ class Accepted:
         return self.adds or effect.passes is not None or effect.drive is not None
 
 
-def extended(clean: View, accepted: Sequence[Accepted]) -> View:
+def extended(clean: View, accepted: Sequence[Accepted], near: View | None = None) -> View:
     """Return the view in which these effects are at work.
 
     What acts on the drive changes the drive, for good. Filters and columns are made of a static
     response that itself is fitted beside them, round after round until the error settles.
+
+    near  a view with nearly the same at work: its static response is where the rounds begin
     """
     view = driven(clean, accepted)
     behind = [one for one in accepted if one.effect.drive is None]
     if not behind:
         return view
-    last = view.rms
     calm = calm_for(view, behind)
+    here, last = view, view.rms
+    if near is not None:
+        here, last = replace(view, guess=near.static), near.rms
     for _ in range(ROUNDS):
-        offset, columns = offset_of(view, behind), columns_of(view, behind, calm)
-        view = replace(view, offset=offset, accepted=columns)
+        offset, columns = offset_of(here, behind), columns_of(here, behind, calm)
+        here = view = replace(view, offset=offset, accepted=columns)
         if abs(view.rms / last - 1.0) < SETTLED:
             break
         last = view.rms
@@ -73,13 +77,26 @@ def extended(clean: View, accepted: Sequence[Accepted]) -> View:
 
 
 def driven(clean: View, accepted: Sequence[Accepted]) -> View:
-    """Return the view with the commands that these effects let through."""
+    """Return the view with the commands that these effects let through.
+
+    The last one is kept: what is refined behind a limit asks for the same again and again.
+    """
+    limits = [one for one in accepted if one.effect.drive is not None]
+    asked = tuple((one.effect.name, *sorted(one.parameters.items())) for one in limits)
+    if limits and asked not in clean.driven:
+        found = _behind_limits(clean, limits)
+        clean.driven.clear()
+        clean.driven[asked] = found
+    return clean.driven[asked] if limits else clean
+
+
+def _behind_limits(clean: View, limits: Sequence[Accepted]) -> View:
     commands = []
     for track in clean.tracks:
         command = track.command
-        for one in accepted:
-            if one.effect.drive is not None:
-                command = one.effect.drive(command, track.rate_Hz, one.parameters)
+        for one in limits:
+            assert one.effect.drive is not None
+            command = one.effect.drive(command, track.rate_Hz, one.parameters)
         commands.append(command)
     same = all(a is b.command for a, b in zip(commands, clean.tracks, strict=True))
     return clean if same else with_commands(clean, commands)

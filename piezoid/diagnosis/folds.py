@@ -7,13 +7,13 @@ Source: Arlot & Celisse, Statistics Surveys 4 (2010) on blocks for dependent dat
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from math import erfc, log, sqrt
 
 import numpy as np
 
 from piezoid.diagnosis.tracks import BLOCKS, Places
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.once import Once
 
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio
@@ -57,30 +57,37 @@ class Null:
     columns   (rows, columns)
     response  (rows,)
     block     (rows,)  global block of each row
-    known     products of the first columns with each other, where somebody has them
+    more      (rows, columns)  a few behind the others, which a copy of all would cost more
+    known     products of ``columns`` with each other, where somebody has them
     """
 
     columns: Array
     response: Array
     block: Places
+    more: Array | None = None
     known: Array | None = None
 
-    @cached_property
+    @property
+    def every(self) -> Array:
+        """Return all columns, (rows, columns)."""
+        return self.columns if self.more is None else np.hstack([self.columns, self.more])
+
+    @Once
     def gram(self) -> Array:
         """Return the products of all columns with each other."""
-        if self.known is None:
-            return np.asarray(self.columns.T @ self.columns)
-        first = len(self.known)
-        right = self.columns.T @ self.columns[:, first:]
-        return np.block([[self.known, right[:first]], [right[:first].T, right[first:]]])
+        known = self.columns.T @ self.columns if self.known is None else self.known
+        if self.more is None:
+            return np.asarray(known)
+        right = self.columns.T @ self.more
+        return np.block([[known, right], [right.T, self.more.T @ self.more]])
 
-    @cached_property
+    @Once
     def scale(self) -> Array:
         """Return the length of every column, 1 where it is zero."""
         length = np.sqrt(np.diag(self.gram))
         return np.where(length > 0, length, 1.0)
 
-    @cached_property
+    @Once
     def factor(self) -> Array:
         """Return the lower Cholesky factor of the scaled normal matrix."""
         gram = self.gram / np.outer(self.scale, self.scale)
@@ -91,40 +98,54 @@ class Null:
         from scipy.linalg import cho_solve
 
         scale = self.scale if values.ndim == 1 else self.scale[:, None]
-        return np.asarray(
-            cho_solve((self.factor, True), (self.columns.T @ values) / scale) / scale
-        )
+        right = self.columns.T @ values
+        if self.more is not None:
+            right = np.concatenate([right, self.more.T @ values])
+        return np.asarray(cho_solve((self.factor, True), right / scale) / scale)
+
+    @Once
+    def coefficients(self) -> Array:
+        """Return the coefficients that follow the response, (columns,)."""
+        return self.fit(self.response)
 
     def without(self, values: Array) -> Array:
         """Return what the columns cannot follow of values."""
-        return np.asarray(values - self.columns @ self.fit(values))
+        return np.asarray(values - self._made(self.fit(values)))
 
-    @cached_property
+    def _made(self, coefficients: Array) -> Array:
+        """Return what columns make with these coefficients."""
+        count = self.columns.shape[1]
+        made = self.columns @ coefficients[:count]
+        if self.more is not None:
+            made += self.more @ coefficients[count:]
+        return np.asarray(made)
+
+    @Once
     def residual(self) -> Array:
         """Return what is left of the response."""
-        return self.without(self.response)
+        return np.asarray(self.response - self._made(self.coefficients))
 
-    @cached_property
+    @Once
     def edges(self) -> Places:
         """Return the first row of every block."""
         return np.concatenate([[0], np.flatnonzero(np.diff(self.block)) + 1])
 
-    @cached_property
+    @Once
     def fold(self) -> Places:
         """Return the fold of every block."""
         block = self.block[self.edges]
         return (block + block // BLOCKS) % FOLDS
 
-    @cached_property
+    @Once
     def parts(self) -> tuple[slice, ...]:
         """Return the rows of every block."""
         ends = [*self.edges[1:], len(self.block)]
         return tuple(slice(int(a), int(b)) for a, b in zip(self.edges, ends, strict=True))
 
-    @cached_property
+    @Once
     def held_out_rms(self) -> float:
         """Return the rms of all columns on rows they were not fitted to."""
-        columns = self.columns / self.scale
+        columns = self.every / self.scale
         fold = np.arange(len(self.response)) // SHORT % FOLDS
         whole, target = columns.T @ columns, columns.T @ self.response
         loss, ridge = 0.0, HELD_RIDGE * np.eye(len(whole))
@@ -188,7 +209,7 @@ class Null:
         """Return the rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
-    @cached_property
+    @Once
     def energy(self) -> Array:
         """Return the sum of squares of every block's residual."""
         return np.asarray(np.add.reduceat(self.residual**2, self.edges))

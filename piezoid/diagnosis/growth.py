@@ -10,10 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.diagnosis.candidates import Beside, Progress, best_of, refitted
-from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.candidates import Beside, best_of, refitted
+from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.jumps import struck
 from piezoid.diagnosis.knee import with_best_knee
@@ -51,34 +52,34 @@ class Grown:
     screened: Mapping[str, Screened]
 
 
-def grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
+def grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown:
     """Accept one effect after another until none is evidence."""
-    progress("looking behind jumps of the drive")
+    hands.told("looking behind jumps of the drive")
     far = Grown(clean=clean, accepted=struck(clean), faults=faults, screened={})
     for _ in range(MOST_CAUSES + 2):
         view = extended(far.clean, far.accepted)
         named = {one.effect.name for one in far.accepted}
-        far = replace(far, screened=_screened_all(view, named, progress))
-        farther = _farther(far, view, progress)
+        far = replace(far, screened=_screened_all(view, named, hands))
+        farther = _farther(far, view, hands)
         if farther is None:
             break
         far = farther
     return far
 
 
-def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
+def _farther(far: Grown, view: View, hands: Hands) -> Grown | None:
     """Take in what leaves least: slips, a knee, other pasts, an effect; None where nothing does.
 
     view  with everything accepted, on which effects were screened
     """
     beside = Beside(clean=far.clean, accepted=far.accepted, view=view)
-    tried = refitted(far.screened.values(), beside, progress)
+    tried = refitted(far.screened.values(), beside, hands)
     best = best_of(tried, beside)
     least = best.view.rms if best else np.inf
-    habit = with_best_habit(view)
-    own = with_own_pasts(view, habit)
-    bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
-    slips = _with_slips(far, view, best)
+    habit = with_best_habit(view, hands)
+    own, (bent, slips) = hands.both(
+        lambda: with_own_pasts(view, habit), lambda: _bent_and_slipped(far, view, best)
+    )
     if slips is not None and slips[1] < min(own.rms, bent.rms):
         return slips[0]
     if bent.rms < min(KNEE * view.rms, least, own.rms):
@@ -90,14 +91,23 @@ def _farther(far: Grown, view: View, progress: Progress) -> Grown | None:
     if own.rms < min(OTHER_PASTS * view.rms, least):
         return replace(far, clean=with_free_memory(with_pasts(far.clean, own.envelope.turns)))
     if best is None:
-        return _with_slips_in_place(far, view) or _with_pair(far, beside, tried)
+        return _with_slips_in_place(far, view) or _with_pair(far, beside, tried, hands)
     return replace(far, accepted=_settled(far.clean, [*far.accepted, best.accepted]))
 
 
-def _with_pair(far: Grown, beside: Beside, tried: Sequence[Judged]) -> Grown | None:
+def _bent_and_slipped(
+    far: Grown, view: View, best: Judged | None
+) -> tuple[View, tuple[Grown, float] | None]:
+    """Return the view with one more state of hysteresis, and what slips come to."""
+    bent = with_best_knee(view) if view.rms > NOISY * view.noise else view
+    return bent, _with_slips(far, view, best)
+
+
+def _with_pair(far: Grown, beside: Beside, tried: Sequence[Judged], hands: Hands) -> Grown | None:
     """Take in two effects at once that one of them, or both, stood for alone."""
-    pair = pair_of(tried, beside)
-    accepted = (*beside.accepted, *pair) if pair else pair_in_place(beside)
+    hands.told("looking for two that are taken for one")
+    pair = pair_of(tried, beside, hands)
+    accepted = (*beside.accepted, *pair) if pair else pair_in_place(beside, hands)
     return replace(far, accepted=accepted) if accepted else None
 
 
@@ -131,16 +141,14 @@ def _slipped(far: Grown, slips: Instead, fault: Fault, accepted: tuple[Accepted,
     return replace(far, clean=slips.clean, accepted=accepted, faults=faults)
 
 
-def _screened_all(view: View, named: set[str], progress: Progress) -> dict[str, Screened]:
-    found = {}
-    for effect in EFFECTS:
-        if effect.against is not None or effect.name in named or effect.untestable(view):
-            continue
-        progress(f"testing {effect.name.replace('_', ' ')}")
-        screening = screen(effect, view)
-        if screening is not None:
-            found[effect.name] = screening
-    return found
+def _screened_all(view: View, named: set[str], hands: Hands) -> dict[str, Screened]:
+    def screened(effect: Effect) -> Screened | None:
+        hands.told(f"testing {effect.name.replace('_', ' ')}")
+        return screen(effect, view)
+
+    others = [e for e in EFFECTS if e.against is None and e.name not in named]
+    found = hands.each(screened, [effect for effect in others if not effect.untestable(view)])
+    return {one.effect.name: one for one in found if one is not None}
 
 
 def _settled(clean: View, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:

@@ -9,7 +9,6 @@ Source: Ewins, Modal Testing, 2nd ed. (2000), on free decays.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -18,12 +17,14 @@ from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.envelope import Envelope
 from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.history import History
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.tracks import BLOCKS, Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.once import Once
 
 STRETCH = 300  # samples behind a jump
 FEWEST = 100  # of them
@@ -42,12 +43,12 @@ class Trend(Envelope):
     sum_n p_n P_n(2 sqrt(t / T) - 1),  P_n Legendre's polynomials: creep begins steeply
     """
 
-    @cached_property
+    @Once
     def shared(self) -> int:
         """Return how many columns all tracks share: none."""
         return 0
 
-    @cached_property
+    @Once
     def columns(self) -> Array:
         """Return trends of their own for all stretches, at all rows."""
         place = np.concatenate([track.place for track in self.tracks])
@@ -103,7 +104,9 @@ def behind_jumps(view: View) -> View | None:
     if not kept:
         return None
     tracks = [_only(view.tracks[k], there[k]) for k in kept]
-    trend = Trend(tracks=tuple(tracks), turns=tuple(view.envelope.turns[k] for k in kept))
+    pasts = [view.envelope.turns[k] for k in kept]
+    histories = [History(track=t, turns=p) for t, p in zip(tracks, pasts, strict=True)]
+    trend = Trend(histories=tuple(histories))
     known = tuple(view.static[k] for k in kept)
     return replace(with_tracks(replace(view, envelope=trend), tracks), guess=known)
 

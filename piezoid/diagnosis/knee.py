@@ -11,6 +11,7 @@ import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.view import View, with_knee
 
 BETAS = (0.8, 1.6, 3.2)
@@ -28,7 +29,7 @@ Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 Left = Callable[[Law], float]
 
 
-def with_best_knee(view: View) -> View:
+def with_best_knee(view: View, hands: Hands = ALONE) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
     bare = with_knee(view, None)
 
@@ -38,7 +39,7 @@ def with_best_knee(view: View) -> View:
         found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
         return float(np.sum((bare.null.residual - across @ found) ** 2))
 
-    return with_knee(view, _best(left))
+    return with_knee(view, _best(left, hands=hands))
 
 
 def with_knee_of(view: View, against: Callable[[View], Null]) -> View:
@@ -53,10 +54,10 @@ def with_knee_of(view: View, against: Callable[[View], Null]) -> View:
     return with_knee(view, _best(left, BENDS))
 
 
-def _best(left: Left, bends: Sequence[float] = (0.0,)) -> Knee:
+def _best(left: Left, bends: Sequence[float] = (0.0,), hands: Hands = ALONE) -> Knee:
     """Return the state that leaves least: the best of a grid, then one step after another."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
-    best = min(((left(law), law) for law in laws), key=lambda pair: pair[0])
+    best = min(zip(hands.each(left, laws), laws, strict=True), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
             best = _better(left, best, place, part)

@@ -17,6 +17,7 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
+from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.pasts import Turns, habits, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_habit, with_pasts
@@ -35,10 +36,11 @@ PARTS = (0.15, 0.05, 0.015)  # of half the range, by which turns are moved
 FARTHEST = 1.2
 
 
-def with_best_habit(view: View) -> View:
+def with_best_habit(view: View, hands: Hands = ALONE) -> View:
     """Return the view before whose drives a laboratory did what leaves least, always alike."""
-    ways = habits(_drives(view), view.rest)
-    return min((with_habit(view, turns) for turns in ways), key=_error)
+    ways = [with_habit(view, turns) for turns in habits(_drives(view), view.rest)]
+    left = hands.each(_error, ways)
+    return ways[left.index(min(left))]
 
 
 def with_own_pasts(view: View, habit: View) -> View:

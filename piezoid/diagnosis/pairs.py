@@ -7,12 +7,14 @@ came alone.
 """
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 
 from piezoid.diagnosis.candidates import Beside
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import compared
+from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import CERTAIN, Judged, asked, judged
 from piezoid.diagnosis.refinement import Refined, begun, refined, refined_together
 from piezoid.diagnosis.screening import screen
@@ -27,7 +29,7 @@ WIDE = 2  # parameters: what has fewer is refined beside what was accepted whene
 Pair = tuple[Sequence[Accepted], View]
 
 
-def pair_of(tried: Sequence[Judged], beside: Beside) -> tuple[Accepted, ...]:
+def pair_of(tried: Sequence[Judged], beside: Beside, hands: Hands = ALONE) -> tuple[Accepted, ...]:
     """Return two effects of which neither was possible alone, none where they are no evidence.
 
     tried  effects refitted alone beside what was accepted
@@ -38,10 +40,12 @@ def pair_of(tried: Sequence[Judged], beside: Beside) -> tuple[Accepted, ...]:
     alike = [j for j in tried if j is not one and _alike(j.effect, one.effect)]
     alone = (one.accepted, one.view)
     others = [(j.accepted, j.view) for j in alike]
-    return _best(_pair(alone, other, beside.clean, beside.accepted) for other in others)
+    return _best(
+        hands.each(lambda other: _pair(alone, other, beside.clean, beside.accepted), others)
+    )
 
 
-def pair_in_place(beside: Beside) -> tuple[Accepted, ...]:
+def pair_in_place(beside: Beside, hands: Hands = ALONE) -> tuple[Accepted, ...]:
     """Return what was accepted with two effects in the place of one, none where that is no better.
 
     Looked for is one of more parameters than the time of what was accepted.
@@ -55,9 +59,8 @@ def pair_in_place(beside: Beside) -> tuple[Accepted, ...]:
         rest = tuple(other for other in beside.accepted if other is not one)
         alike = [e for e in EFFECTS if e.name not in named and _alike(e, one.effect)]
         without = extended(beside.clean, rest)
-        others = [_alone(effect, without, beside.clean, rest) for effect in alike]
         here = (one, beside.view)
-        best = _best(_pair(here, other, beside.clean, rest) for other in others if other)
+        best = _best(hands.each(partial(_beside, here, without, beside.clean, rest), alike))
         if best:
             return (*rest, *best)
     return ()
@@ -66,6 +69,13 @@ def pair_in_place(beside: Beside) -> tuple[Accepted, ...]:
 def _alike(effect: Effect, other: Effect) -> bool:
     """Tell whether one may be taken for both; what rings is nowhere taken for a lag."""
     return effect.against is None and not effect.rings and effect.resembles(other)
+
+
+def _beside(
+    here: Refined, without: View, clean: View, rest: Sequence[Accepted], effect: Effect
+) -> Pair | None:
+    other = _alone(effect, without, clean, rest)
+    return _pair(here, other, clean, rest) if other else None
 
 
 def _alone(effect: Effect, without: View, clean: View, rest: Sequence[Accepted]) -> Refined | None:

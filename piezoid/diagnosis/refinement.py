@@ -36,17 +36,28 @@ def begun(effect: Effect, trial: Trial, coefficient: float) -> Accepted:
 
 
 def refined(
-    one: Accepted, clean: View, others: Sequence[Accepted], *, finer: int = 0
+    one: Accepted,
+    clean: View,
+    others: Sequence[Accepted],
+    *,
+    finer: int = 0,
+    near: View | None = None,
 ) -> tuple[Accepted, View]:
     """Return an effect with better parameters beside others, and the view with all at work.
 
     finer  how many of the coarse steps to leave out, for parameters that are nearly right
+    near   a view with nearly the same at work
     """
-    best = (one, extended(clean, [*others, one]))
+    best = (one, _settled(clean, [*others, one], near))
     for part in PARTS[finer:]:
         for name in one.free:
             best = _walked(best, clean, others, name, part)
     return best
+
+
+def _settled(clean: View, accepted: Sequence[Accepted], near: View | None) -> View:
+    """Return the view a round beyond where rounds from afar end: steps begin from here."""
+    return extended(clean, accepted, near or extended(clean, accepted))
 
 
 def refined_together(
@@ -59,15 +70,15 @@ def refined_together(
 
     Source: Hooke & Jeeves, J. ACM 8 (1961), the pattern move.
     """
-    there, start = list(several), extended(clean, [*others, *several])
+    there, start = list(several), _settled(clean, [*others, *several], None)
     view = start
     for k, one in enumerate(several):
         rest = [*others, *there[:k], *there[k + 1 :]]
-        there[k], view = refined(one, clean, rest, finer=1)
+        there[k], view = refined(one, clean, rest, finer=1, near=view)
 
     def onward(length: float) -> tuple[list[Accepted], View]:
         far = [_beyond(a, b, length) for a, b in zip(several, there, strict=True)]
-        return far, extended(clean, [*others, *far])
+        return far, extended(clean, [*others, *far], view)
 
     twice = onward(1.0)
     length = _lowest(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
@@ -99,7 +110,7 @@ def _walked(
 
     def tried(step: float) -> Refined:
         there = stepped(best[0], name, step)
-        return there, extended(clean, [*others, there])
+        return there, extended(clean, [*others, there], best[1])
 
     sides = []
     for sign in (1.0, -1.0):
@@ -118,7 +129,7 @@ def _onward(
 ) -> Refined:
     for _ in range(STEPS):
         there = stepped(best[0], name, step)
-        view = extended(clean, [*others, there])
+        view = extended(clean, [*others, there], best[1])
         if not view.rms < best[1].rms * (1.0 - BETTER):
             break
         best = there, view

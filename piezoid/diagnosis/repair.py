@@ -1,9 +1,8 @@
 """Repair: faults of the data are found and undone before anything is explained by physics."""
 
-from collections.abc import Callable
-
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.memory import OTHER_PASTS, does_as_well, with_best_habit, with_own_pasts
 from piezoid.diagnosis.view import View, with_habit, with_tracks
 
@@ -11,9 +10,7 @@ MOST_REPAIRS = 3
 EVIDENT = 0.5  # of the error: what a habit leaves that is beyond doubt
 
 
-def repaired(
-    view: View, progress: Callable[[str], None], *, but: str = ""
-) -> tuple[View, dict[str, Fault]]:
+def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str, Fault]]:
     """Return the view without the faults that can be undone, and all of them by effect.
 
     Its drives came from the habit that is evident, or were cycled over their range before.
@@ -21,7 +18,7 @@ def repaired(
     but  name of a fault that is not looked for
     """
     faults: dict[str, Fault] = {}
-    habit = with_best_habit(view)
+    habit = with_best_habit(view, hands)
     own = with_own_pasts(view, habit)
     evident = habit.rms < EVIDENT * view.rms and does_as_well(habit, own, view)
     believed = habit if evident else view
@@ -31,7 +28,7 @@ def repaired(
         if effect.fault is None or effect.name == but:
             continue
         for _ in range(MOST_REPAIRS):
-            progress(f"looking for {effect.name.replace('_', ' ')}")
+            hands.told(f"looking for {effect.name.replace('_', ' ')}")
             fault = effect.fault(view)
             if fault is None:
                 break

@@ -8,12 +8,13 @@ drive that turned between two samples: so little of what a cause explains separa
 Source: Vuong, Econometrica 57 (1989).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import surely
+from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import begun, refined
@@ -29,7 +30,7 @@ Rivals = dict[str, tuple[str, ...]]
 
 
 def told_apart(
-    clean: View, accepted: Sequence[Accepted], progress: Callable[[str], None]
+    clean: View, accepted: Sequence[Accepted], hands: Hands
 ) -> tuple[list[Judged], Rivals]:
     """Judge every accepted effect, or the rival that takes its place, and name who is as good.
 
@@ -37,7 +38,7 @@ def told_apart(
     """
     accepted = list(accepted)
     while True:
-        causes, rivals = _each(clean, accepted, progress)
+        causes, rivals = _each(clean, accepted, hands)
         mute = [cause for cause in causes if not cause.speaks]
         if not mute:
             return causes, rivals
@@ -45,19 +46,17 @@ def told_apart(
         accepted = [cause.accepted for cause in causes if cause is not least]
 
 
-def _each(
-    clean: View, accepted: list[Accepted], progress: Callable[[str], None]
-) -> tuple[list[Judged], Rivals]:
+def _each(clean: View, accepted: list[Accepted], hands: Hands) -> tuple[list[Judged], Rivals]:
     accepted, causes, near = list(accepted), [], {}
     for k, one in enumerate(accepted):
-        progress(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        hands.told(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
         others = [other for n, other in enumerate(accepted) if n != k]
         there, beside = _where_seen(one, clean, others)
         cause = _cause(there, beside, one)
-        rivals = rivals_of(cause, there, beside)
+        rivals = rivals_of(cause, there, beside, hands)
         if rivals and takes_the_place(rivals[0], cause):
             accepted[k] = rivals[0].accepted
-            cause, rivals = rivals[0], rivals_of(rivals[0], there, beside)
+            cause, rivals = rivals[0], rivals_of(rivals[0], there, beside, hands)
         causes.append(cause)
         near[cause.effect.name] = tuple(rival.effect.name for rival in rivals)
     return causes, near
@@ -80,14 +79,13 @@ def _cause(clean: View, others: Sequence[Accepted], one: Accepted) -> Judged:
     return judged(better, view, without, seen=seen)
 
 
-def rivals_of(cause: Judged, clean: View, others: Sequence[Accepted]) -> tuple[Judged, ...]:
+def rivals_of(
+    cause: Judged, clean: View, others: Sequence[Accepted], hands: Hands = ALONE
+) -> tuple[Judged, ...]:
     """Return the rivals that these recordings do not tell from a cause, the best one first."""
     taken = {one.effect.name for one in others}
-    tried = [
-        _in_place(effect, cause, clean, others)
-        for effect in EFFECTS
-        if effect.name in cause.effect.rivals and effect.name not in taken
-    ]
+    asked = [e for e in EFFECTS if e.name in cause.effect.rivals and e.name not in taken]
+    tried = hands.each(lambda effect: _in_place(effect, cause, clean, others), asked)
     near = [rival for rival in tried if rival is not None and is_close(rival, cause)]
     return tuple(sorted(near, key=lambda rival: rival.held.rms))
 

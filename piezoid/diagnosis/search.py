@@ -9,11 +9,11 @@ worth its place with all others there, and a rival that does better in its place
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from piezoid.diagnosis.candidates import Progress
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.growth import SLIP, Grown, grown
+from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import Judged, asked, judged_structure
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.refinement import refined
@@ -54,13 +54,13 @@ class Outcome:
     held_back: tuple[str, ...] = ()
 
 
-def search(view: View, progress: Progress = lambda _: None) -> Outcome:
+def search(view: View, hands: Hands = ALONE) -> Outcome:
     """Find the causes of what the envelope cannot follow."""
-    clean, faults = repaired(view, progress)
-    far = _best_grown(clean, faults, progress)
+    clean, faults = repaired(view, hands)
+    far = _best_grown(clean, faults, hands)
     if SLIP in far.faults and far.accepted:
-        far = _without_slips(view, far, progress)
-    causes, rivals = told_apart(far.clean, far.accepted, progress)
+        far = _without_slips(view, far, hands)
+    causes, rivals = told_apart(far.clean, far.accepted, hands)
     final = extended(far.clean, [cause.accepted for cause in causes])
     named = {cause.effect.name for cause in causes}
     found = Outcome(
@@ -72,27 +72,27 @@ def search(view: View, progress: Progress = lambda _: None) -> Outcome:
         rivals=rivals,
         screened={**_dropped(final, {*named, *far.screened}), **far.screened},
     )
-    return _with_structure(found, progress)
+    return _with_structure(found, hands)
 
 
-def _best_grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
+def _best_grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown:
     """Grow from a sum of plays, and where much is left over again from a Bouc-Wen state.
 
     One effect after another, the least that is left first, may end where no way leads on: what the
     class itself cannot follow is taken for pasts, and these hide the cause.
     """
-    far = _grown(clean, faults, progress)
+    far = _grown(clean, faults, hands)
     left = extended(far.clean, far.accepted)
     if left.rms < UNEXPLAINED * left.noise:
         return far
-    progress("beginning again with one more state of hysteresis")
-    other = _grown(with_best_knee(clean), faults, progress)
+    hands.told("beginning again with one more state of hysteresis")
+    other = _grown(with_best_knee(clean, hands), faults, hands)
     return other if extended(other.clean, other.accepted).rms < FAR_LESS * left.rms else far
 
 
-def _grown(clean: View, faults: Mapping[str, Fault], progress: Progress) -> Grown:
-    far = grown(clean, faults, progress)
-    return replace(far, accepted=_pruned(far.clean, far.accepted, progress))
+def _grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown:
+    far = grown(clean, faults, hands)
+    return replace(far, accepted=_pruned(far.clean, far.accepted, hands))
 
 
 def _dropped(final: View, known: Collection[str]) -> dict[str, Screened]:
@@ -105,14 +105,14 @@ def _dropped(final: View, known: Collection[str]) -> dict[str, Screened]:
     return {found.effect.name: found for found in screenings if found is not None}
 
 
-def _with_structure(outcome: Outcome, progress: Progress) -> Outcome:
+def _with_structure(outcome: Outcome, hands: Hands) -> Outcome:
     """Judge the envelope's own structure, with all causes at work."""
     final = outcome.final
     for effect in EFFECTS:
         if effect.against is None or effect.untestable(final):
             continue
         beside = any(cause.effect.resembles(effect) for cause in outcome.causes)
-        progress(f"testing {effect.name.replace('_', ' ')}")
+        hands.told(f"testing {effect.name.replace('_', ' ')}")
         judgement = judged_structure(effect, final)
         if judgement is None:
             continue
@@ -156,13 +156,13 @@ def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:
     }
 
 
-def _without_slips(view: View, far: Grown, progress: Progress) -> Grown:
+def _without_slips(view: View, far: Grown, hands: Hands) -> Grown:
     """Take slips back, and out of the faults, where the causes leave less without them.
 
     A limit of the amplifier that a chirp meets from one instant on looks like one.
     """
-    progress("asking whether a clock slipped at all")
-    rest, faults = repaired(view, progress, but=SLIP)
+    hands.told("asking whether a clock slipped at all")
+    rest, faults = repaired(view, hands, but=SLIP)
     raw, again = with_tracks(far.clean, rest.tracks), list(far.accepted)
     for k, one in enumerate(far.accepted):
         if one.struck:
@@ -174,18 +174,18 @@ def _without_slips(view: View, far: Grown, progress: Progress) -> Grown:
     return replace(far, clean=raw, accepted=tuple(again), faults=faults)
 
 
-def _pruned(clean: View, accepted: Sequence[Accepted], progress: Progress) -> tuple[Accepted, ...]:
+def _pruned(clean: View, accepted: Sequence[Accepted], hands: Hands) -> tuple[Accepted, ...]:
     """Take out, one by one, what is no longer worth its place beside the others.
 
     What was struck by jumps is worth its place behind them, whatever it is elsewhere.
     """
     accepted = tuple(accepted)
     while len(accepted) > 1 and not all(one.struck for one in accepted):
-        progress("taking out what is not needed")
+        hands.told("taking out what is not needed")
         whole = extended(clean, accepted).rms
         spare = [one for one in accepted if not one.struck]
         rests = [tuple(o for o in accepted if o is not one) for one in spare]
-        views = [extended(clean, rest) for rest in rests]
+        views = hands.each(lambda rest: extended(clean, rest), rests)
         losses = [(1.0 - whole / view.rms) / asked(view) for view in views]
         if min(losses) >= WORTH:
             return accepted

@@ -66,7 +66,9 @@ def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
     bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
     rub = weight[plays * POWERS + 2 * PLAYS : SHARED - CURVED].reshape(5, RUBS)
     u = drive
-    base = u * (power[0, 0] + u * (power[1, 0] + u * (power[2, 0] + u * power[3, 0])))
+    of_drive = sum_of_polynomials(
+        u[:, None], u, scale=np.ones(1), power=power[:, :1], bias=np.zeros((2, 1))
+    )
     of_plays = sum_of_polynomials(
         states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
     )
@@ -74,7 +76,7 @@ def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
         friction[:, :RUBS], u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
     )
     curved = friction[:, RUBS:] @ weight[SHARED - CURVED : SHARED]
-    return np.asarray(base + of_plays + of_friction + curved)
+    return np.asarray(of_drive + of_plays + of_friction + curved)
 
 
 def bias_places() -> tuple[int, ...]:
@@ -86,4 +88,6 @@ def bias_places() -> tuple[int, ...]:
 
 def knee_columns(state: Array, drive: Array) -> Array:
     """Return the columns of a Bouc-Wen state: its powers and its products with the drive."""
-    return np.column_stack([state, state**2, state**3, drive * state, drive**2 * state])
+    square, biased = state * state, drive * state
+    columns = (state, square, square * state, biased, drive * biased)
+    return np.array(columns).T

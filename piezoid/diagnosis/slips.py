@@ -75,7 +75,7 @@ def beside(view: View) -> Null:
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
     columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
     return Null(
-        columns=np.column_stack([view.null.columns, *(c for c in columns if np.any(c))]),
+        columns=np.column_stack([view.null.every, *(c for c in columns if np.any(c))]),
         response=view.response,
         block=view.block,
     )
@@ -177,7 +177,7 @@ class Searched:
         from scipy.linalg import solve_triangular
 
         square = _behind(c * c, first)
-        shared = _behind(self.null.columns[self.rows] * c[:, None], first) / self.null.scale
+        shared = _behind(self.null.every[self.rows] * c[:, None], first) / self.null.scale
         half = solve_triangular(self.null.factor, shared.T, lower=True)
         return square, np.asarray(square - np.sum(half * half, axis=0))
 

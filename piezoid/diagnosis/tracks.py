@@ -15,10 +15,14 @@ from piezoid.identification.hysteresis.pieces import (
     pieces_of,
 )
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.once import Once
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
+TURN = 0.03  # of half the drive's range: how far a branch is still reversible,
+LONGEST = 4000  # samples that may take it
+MOST_TURNS = 60  # or twice as many, of one track
 
 Places = NDArray[np.int_]
 
@@ -66,6 +70,20 @@ class Track:
     def measured(self) -> Array:
         """Return the response without what was bridged."""
         return np.delete(self.response, self.bridged) if len(self.bridged) else self.response
+
+    @Once
+    def branches(self) -> tuple[Places, Places]:
+        """Return where the drive turns, and where it has come ``TURN`` away from there."""
+        step = np.sign(np.diff(self.drive))
+        turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
+        found = []
+        for turn in turns[:: max(len(turns) // MOST_TURNS, 1)].tolist():
+            after = self.drive[turn : turn + LONGEST]
+            far = np.flatnonzero(np.abs(after - after[0]) > TURN)
+            if len(far):
+                found.append((turn, turn + int(far[0])))
+        turn, there = np.array(found, dtype=int).reshape(-1, 2).T
+        return turn, there
 
     @property
     def time_s(self) -> Array:

@@ -6,7 +6,6 @@ response at every sample; its residual at the rows.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from math import sqrt
 
 import numpy as np
@@ -14,10 +13,12 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen import Knee
 from piezoid.diagnosis.envelope import Envelope
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.history import History
 from piezoid.diagnosis.pasts import Turns, pasts
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.numerics.once import Once
 from piezoid.records.faults import step_size
 
 DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded
@@ -48,31 +49,38 @@ class View:
         """Return the tracks."""
         return self.envelope.tracks
 
-    @cached_property
+    @Once
+    def driven(self) -> dict[object, "View"]:
+        """Return room for this view with other commands, by what changed them."""
+        return {}
+
+    @Once
     def response(self) -> Array:
         """Return the measured response at the rows, as it was in front of such filters."""
         return np.concatenate([t.response[t.place] for t in self.tracks]) - self.offset
 
-    @cached_property
+    @Once
     def block(self) -> Places:
         """Return the global block of every row."""
         return np.concatenate([t.block + BLOCKS * k for k, t in enumerate(self.tracks)])
 
-    @cached_property
+    @Once
     def null(self) -> Null:
         """Return the envelope with everything accepted."""
-        columns = self.envelope.columns
-        if self.accepted.shape[1]:
-            columns = np.hstack([columns, self.accepted])
-        known = self.envelope.gram
-        return Null(columns=columns, response=self.response, block=self.block, known=known)
+        return Null(
+            columns=self.envelope.columns,
+            response=self.response,
+            block=self.block,
+            more=self.accepted if self.accepted.shape[1] else None,
+            known=self.envelope.gram,
+        )
 
-    @cached_property
+    @Once
     def weight(self) -> Array:
         """Return the coefficients of the shared columns."""
-        return self.null.fit(self.response)[: self.envelope.shared]
+        return self.null.coefficients[: self.envelope.shared]
 
-    @cached_property
+    @Once
     def static(self) -> tuple[Array, ...]:
         """Return the static response of every track at every sample."""
         if self.guess is not None:
@@ -84,7 +92,7 @@ class View:
         """Return the rms of the residual."""
         return self.null.rms
 
-    @cached_property
+    @Once
     def noise(self) -> float:
         """Return the white noise of the response or of a coarse converter, rms.
 
@@ -120,8 +128,8 @@ def _noise(response: Array) -> float:
 
 def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest: float) -> View:
     """Fit the envelope to tracks whose drives were cycled before."""
-    turns = tuple(pasts(track.drive)[0] for track in tracks)
-    envelope = Envelope(tracks=tuple(tracks), turns=turns)
+    histories = tuple(History(track=track, turns=pasts(track.drive)[0]) for track in tracks)
+    envelope = Envelope(histories=histories)
     rows = int(envelope.edges[-1])
     return View(
         envelope=envelope,
@@ -145,12 +153,17 @@ def with_free_memory(view: View) -> View:
 
 def with_pasts(view: View, turns: tuple[Turns, ...]) -> View:
     """Return the view with other pasts of its tracks."""
-    return replace(view, envelope=replace(view.envelope, turns=turns))
+    return replace(view, envelope=replace(view.envelope, histories=_after(view, turns)))
 
 
 def with_habit(view: View, turns: tuple[Turns, ...]) -> View:
     """Return the view with other pasts of its tracks that nobody corrects."""
-    return replace(view, envelope=replace(view.envelope, turns=turns, free=False))
+    histories = _after(view, turns)
+    return replace(view, envelope=replace(view.envelope, histories=histories, free=False))
+
+
+def _after(view: View, turns: tuple[Turns, ...]) -> tuple[History, ...]:
+    return tuple(h.after(t) for h, t in zip(view.envelope.histories, turns, strict=True))
 
 
 def with_knee(view: View, knee: Knee | None) -> View:
@@ -162,7 +175,7 @@ def with_commands(view: View, commands: Sequence[Array]) -> View:
     """Return the view with other commands on the same tracks, and nothing accepted."""
     tracks = tuple(
         track
-        if command is track.command
+        if np.array_equal(command, track.command)
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
@@ -171,7 +184,10 @@ def with_commands(view: View, commands: Sequence[Array]) -> View:
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
     """Return the view of other tracks, and nothing accepted."""
-    envelope = replace(view.envelope, tracks=tuple(tracks))
+    histories = tuple(
+        h.on(track) for h, track in zip(view.envelope.histories, tracks, strict=True)
+    )
+    envelope = replace(view.envelope, histories=histories)
     rows = int(envelope.edges[-1])
     return replace(
         view,

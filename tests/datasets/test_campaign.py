@@ -1,5 +1,7 @@
 """A campaign is its seed: the same bytes again, the same stage whatever is hidden in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -92,3 +94,11 @@ def test_an_unknown_name_is_refused_with_the_known_ones(wrong: dict[str, object]
 def test_a_negative_size_is_refused() -> None:
     with pytest.raises(ValueError, match="must not be negative"):
         draw_campaign(1, effects={"creep": -0.1})
+
+
+def test_a_plan_of_ones_own_is_recorded_like_a_known_one() -> None:
+    known = next(plan for plan in PLANS if plan.name == "sweep")
+    mine = replace(known, name="mine", shape=lambda *_: (500.0, np.linspace(-1.0, 1.0, 700), {}))
+    campaign = draw_campaign(5, plans=("check", mine))
+    assert [rows.run.name for rows in campaign.recordings] == ["check", "mine"]
+    assert len(campaign.recordings[1].voltage_V) == 700

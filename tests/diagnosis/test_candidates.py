@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from piezoid.diagnosis import candidates
+from piezoid.diagnosis.hands import ALONE
 
 
 def found(name: str, total: float, sound: bool = True) -> SimpleNamespace:
@@ -24,11 +25,12 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
 
     def judged(one, *_, **__) -> SimpleNamespace:
         held = SimpleNamespace(rms=0.5)
-        return SimpleNamespace(name=one, speaks=one == evidence, held=held, accepted=one)
+        name = one.effect.name
+        return SimpleNamespace(name=name, speaks=name == evidence, held=held, accepted=one)
 
     stand_ins = {
-        "begun": lambda effect, *_: effect.name,
-        "extended": lambda _, accepted: SimpleNamespace(rms=left(accepted[-1])),
+        "begun": lambda effect, *_: SimpleNamespace(effect=effect),
+        "extended": lambda _, accepted: SimpleNamespace(rms=left(accepted[-1].effect.name)),
         "refined": lambda one, *_: (one, None),
         "judged": judged,
         "_together": lambda alone, *_: alone,
@@ -37,7 +39,7 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
     for name, what in stand_ins.items():
         monkeypatch.setattr(candidates, name, what)
     beside = candidates.Beside(clean=None, accepted=(), view=None)
-    return [one.name for one in candidates.refitted(screenings, beside, lambda _: None)]
+    return [one.name for one in candidates.refitted(screenings, beside, ALONE)]
 
 
 SCREENED = [

@@ -6,6 +6,7 @@ import pytest
 
 from piezoid.diagnosis import growth, repair
 from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.hands import ALONE
 from piezoid.diagnosis.memory import AS_GOOD, NEARLY, POOR, does_as_well
 
 CYCLED, HABIT, OWN = "cycled", "habit", "own"
@@ -23,9 +24,9 @@ def taken(monkeypatch, *, habit: float, own: float, tried=(), noise: float = 0.4
         "_with_pair": lambda *_: None,
         "_with_slips": lambda *_: None,
         "_with_slips_in_place": lambda *_: None,
-        "with_best_habit": lambda _: of_memory(HABIT, habit, noise),
+        "with_best_habit": lambda *_: of_memory(HABIT, habit, noise),
         "with_own_pasts": lambda *_: of_memory(OWN, own, noise),
-        "with_best_knee": lambda _: view,
+        "with_best_knee": lambda *_: view,
         "with_habit": lambda _, turns: turns,
         "with_pasts": lambda _, turns: turns,
         "with_free_memory": lambda turns: turns,
@@ -33,7 +34,7 @@ def taken(monkeypatch, *, habit: float, own: float, tried=(), noise: float = 0.4
     for name, what in stand_ins.items():
         monkeypatch.setattr(growth, name, what)
     far = growth.Grown(clean=CYCLED, accepted=(), faults={}, screened={})
-    farther = growth._farther(far, view, lambda _: None)
+    farther = growth._farther(far, view, ALONE)
     return None if farther is None else farther.clean
 
 
@@ -97,10 +98,10 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
 
     effect = SimpleNamespace(name="timestamp_fault", fault=fault)
     monkeypatch.setattr(repair, "EFFECTS", (effect,))
-    monkeypatch.setattr(repair, "with_best_habit", lambda _: of_memory(HABIT, habit))
+    monkeypatch.setattr(repair, "with_best_habit", lambda *_: of_memory(HABIT, habit))
     monkeypatch.setattr(repair, "with_own_pasts", lambda *_: of_memory(OWN, own))
     monkeypatch.setattr(repair, "with_habit", lambda _, turns: turns)
-    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), lambda _: None)
+    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), ALONE)
     assert (seen, clean, faults) == ([looked_at], left_with, {})
 
 
@@ -112,8 +113,8 @@ def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
     monkeypatch, pair, replaced, accepted
 ) -> None:
     monkeypatch.setattr(growth, "pair_of", lambda *_: pair)
-    monkeypatch.setattr(growth, "pair_in_place", lambda _: replaced)
+    monkeypatch.setattr(growth, "pair_in_place", lambda *_: replaced)
     far = growth.Grown(clean=CYCLED, accepted=("old",), faults={}, screened={})
     beside = growth.Beside(clean=CYCLED, accepted=("old",), view=None)
-    farther = growth._with_pair(far, beside, [])
+    farther = growth._with_pair(far, beside, [], ALONE)
     assert (None if farther is None else farther.accepted) == accepted

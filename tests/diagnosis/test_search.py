@@ -14,6 +14,7 @@ from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.growth import SLIP, Grown
+from piezoid.diagnosis.hands import ALONE
 from piezoid.diagnosis.slips_instead import Instead, fault_beside
 
 from .bench import healthy_view
@@ -58,7 +59,7 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
         ], {}
 
     monkeypatch.setattr(rivals, "_each", each)
-    causes, _ = rivals.told_apart(None, ["creep", "lag", "delay"], lambda _: None)
+    causes, _ = rivals.told_apart(None, ["creep", "lag", "delay"], ALONE)
     assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
     assert [cause.name for cause in causes] == ["creep", "delay"]
 
@@ -157,7 +158,7 @@ def test_slips_go_where_the_causes_leave_less_without_them(
     monkeypatch.setattr(search, "refined", lambda one, *_, **__: (one, None))
     left = {"slipped": with_slips, "raw": without}
     monkeypatch.setattr(search, "extended", lambda view, _: SimpleNamespace(rms=left[view]))
-    found = search._without_slips("view", far, lambda _: None)
+    found = search._without_slips("view", far, ALONE)
     assert (SLIP in found.faults) is kept
     # spikes stay repaired whatever becomes of the slips
     assert found.clean == ("slipped" if kept else "raw")
@@ -205,10 +206,10 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
         return Grown(clean=clean, accepted=(), faults=faults, screened={})
 
     monkeypatch.setattr(search, "grown", grow)
-    monkeypatch.setattr(search, "with_best_knee", lambda _: "state")
+    monkeypatch.setattr(search, "with_best_knee", lambda *_: "state")
     errors = {"plays": left, "state": from_the_state}
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
-    assert search._best_grown("plays", {}, lambda _: None).clean == begun
+    assert search._best_grown("plays", {}, ALONE).clean == begun
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
 
 
@@ -223,5 +224,5 @@ def test_a_cause_that_takes_little_is_kept_where_little_but_noise_is_left(
         return SimpleNamespace(rms=left[tuple(one.effect for one in rest)], noise=noise)
 
     monkeypatch.setattr(search, "extended", extended)
-    pruned = search._pruned(None, causes, lambda _: None)
+    pruned = search._pruned(None, causes, ALONE)
     assert [one.effect for one in pruned] == (["hum", "clip"] if kept else ["hum"])

@@ -28,7 +28,7 @@ def sound_stage(truth: str, seed: int) -> View:
 @pytest.mark.parametrize("seed", [1, 3])
 def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing(seed) -> None:
     view = sound_stage("wall_pinning", seed)
-    straight = np.delete(view.null.columns, range(SHARED - CURVED, SHARED), axis=1)
+    straight = np.delete(view.null.every, range(SHARED - CURVED, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
     assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
     assert abs(float(screen(non_congruence.EFFECT, view).held.coefficient[0])) < 0.05
@@ -60,13 +60,16 @@ def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only
     assert with_knee(bent, (*law, 0.0)).rms > 1.2 * bent.noise
 
 
-def test_products_that_are_known_of_the_first_columns_change_nothing() -> None:
+def test_columns_behind_the_others_and_products_that_are_known_change_nothing() -> None:
     view = healthy_view()
-    more = np.column_stack([view.envelope.columns, np.linspace(-1.0, 1.0, len(view.response))])
-    made = Null(columns=more, response=view.response, block=view.block)
-    known = Null(columns=more, response=view.response, block=view.block, known=view.envelope.gram)
+    columns, more = view.envelope.columns, np.linspace(-1.0, 1.0, len(view.response))[:, None]
+    rest = {"response": view.response, "block": view.block}
+    made = Null(columns=np.hstack([columns, more]), **rest)
+    known = Null(columns=columns, more=more, known=view.envelope.gram, **rest)
     np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
+    np.testing.assert_allclose(known.residual, made.residual, atol=1e-9)
     assert known.rms == pytest.approx(made.rms, rel=1e-9)
+    assert known.held_out_rms == pytest.approx(made.held_out_rms, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ POINTS = 401
 
 def _against(view: View) -> Null:
     """Return the envelope without products with the drive."""
-    columns = np.delete(view.null.columns, list(view.envelope.bias_columns), axis=1)
+    columns = np.delete(view.null.every, list(view.envelope.bias_columns), axis=1)
     return Null(columns=columns, response=view.response, block=view.block)
 
 
@@ -59,7 +59,7 @@ def _is_alone(view: View, column: Array) -> bool:
 def _irreversible(view: View) -> Array:
     """Return what congruent loops are away from the middle line of the largest, at the rows."""
     null, envelope = _against(view), view.envelope
-    kept = np.setdiff1d(np.arange(view.null.columns.shape[1]), envelope.bias_columns)
+    kept = np.setdiff1d(np.arange(view.null.every.shape[1]), envelope.bias_columns)
     weight = np.zeros(envelope.shared)
     shared = kept[kept < envelope.shared]
     weight[shared] = null.fit(view.response)[: len(shared)]

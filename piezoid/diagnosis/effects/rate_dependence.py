@@ -37,7 +37,6 @@ LONGEST = (2e-6, 0.3)
 TOO_LITTLE = 1e-5  # of half the stroke: a lag nobody sees
 FEWEST = 8  # reversals
 SPEED = 50.0  # strokes per second at which the injected lag is the share that is asked for
-TURN = 0.03  # of the drive's range: how far a branch is still reversible
 
 
 def reversible(view: View) -> Array:
@@ -45,23 +44,15 @@ def reversible(view: View) -> Array:
 
     There no wall moves yet. The slope is a straight line over the drive, (2,) highest power first.
     """
-    found = []
+    place, slopes = [], []
     for track, static in zip(view.tracks, view.static, strict=True):
-        step = np.sign(np.diff(track.drive))
-        turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
-        turns = turns[:: max(len(turns) // 60, 1)]
-        for turn in turns:
-            after = track.drive[turn : turn + 4000]
-            far = np.flatnonzero(np.abs(after - after[0]) > TURN)
-            if len(far):
-                there = turn + int(far[0])
-                rise = track.drive[there] - track.drive[turn]
-                slope = float((static[there] - static[turn]) / rise)
-                found.append((float(track.drive[turn]), slope))
-    if len(found) < FEWEST:
+        turn, there = track.branches
+        rise = track.drive[there] - track.drive[turn]
+        place.append(track.drive[turn])
+        slopes.append((static[there] - static[turn]) / rise)
+    if sum(map(len, place)) < FEWEST:
         return np.array([0.0, 0.0])
-    place, slopes = np.array(found).T
-    return np.asarray(np.polyfit(place, slopes, 1))
+    return np.asarray(np.polyfit(np.concatenate(place), np.concatenate(slopes), 1))
 
 
 def _columns(view: View, parameters: Parameters) -> Array:

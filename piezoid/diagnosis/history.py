@@ -1,0 +1,116 @@
+"""History: a track with what its drive did before, and the states that leaves along it.
+
+What hysteresis knows of a way depends on where it turned and on nothing between: states at some
+rows follow from these rows and the turns of the drive alone.
+
+Source: Krejci (1996); Mayergoyz (1991) on rate independence.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.diagnosis.friction import rubbed, rubbing
+from piezoid.diagnosis.pasts import Turns, past
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape
+from piezoid.diagnosis.tracks import Places, Track
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.once import Once
+from piezoid.operators.play import play_columns
+
+CHUNK = 65536
+States = tuple[Array, Array]  # of plays, of friction
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class History:
+    """One track with one past.
+
+    turns  values at which the drive turned before the track
+    other  the same drive and past with other readings or rows: it knows the states already
+    """
+
+    track: Track
+    turns: Turns
+    other: "History | None" = None
+
+    def after(self, turns: Turns) -> "History":
+        """Return the track with another past."""
+        return self if turns == self.turns else History(track=self.track, turns=turns)
+
+    def on(self, track: Track) -> "History":
+        """Return another track with the same past."""
+        if track is self.track:
+            return self
+        same = np.array_equal(track.drive, self.track.drive)
+        return History(track=track, turns=self.turns, other=self.other or self if same else None)
+
+    @Once
+    def rows(self) -> States:
+        """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
+        return states_at(self.track.drive, self.turns, self.track.place)
+
+    @Once
+    def states(self) -> States:
+        """Return the states at every sample, (samples, plays) and (samples, friction states)."""
+        if self.other is not None:
+            return self.other.states
+        drive = self.track.drive
+        plays, _ = play_columns(drive, THRESHOLD, past(drive, self.turns))
+        return plays, rubbing(drive, rubbed(drive, self.turns))
+
+    def static(self, weight: Array) -> Array:
+        """Return what the shared columns make of the drive, (samples,); all states are kept."""
+        return shape(*self.states, self.track.drive, weight[:SHARED])
+
+    def kept(self, groups: int) -> Array:
+        """Return which part of its first states each group of plays keeps at the rows.
+
+        One keeps its first state until it moves. Narrow plays have forgotten them at once.
+        """
+        drive, first = self.track.drive, past(self.track.drive, self.turns)
+        highest, lowest = np.maximum.accumulate(drive), np.minimum.accumulate(drive)
+        up = np.searchsorted(highest, first + THRESHOLD, side="right")
+        down = np.searchsorted(-lowest, THRESHOLD - first, side="right")
+        kept = self.track.place[:, None] < np.minimum(up, down)
+        plays = len(THRESHOLD)
+        parts = np.array_split(np.arange(plays // 3, plays), groups)
+        return np.column_stack([kept[:, part].mean(axis=1) for part in parts])
+
+
+def way_to(drive: Array, place: Places) -> tuple[Places, Places]:
+    """Return the samples of a drive that say all of its way to some rows, and the rows in them.
+
+    place     (rows,)     samples in rising order
+    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
+    """
+    moves = np.flatnonzero(np.diff(drive))
+    up = drive[moves + 1] > drive[moves]
+    turns = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
+    way = np.union1d(np.append(turns, 0), place)
+    return way, np.searchsorted(way, place)
+
+
+def states_at(drive: Array, turns: Turns, place: Places) -> States:
+    """Return the states at some samples of any drive that turned before."""
+    way, rows = way_to(drive, place)
+    path = drive[way]
+    plays, _ = play_columns(path, THRESHOLD, past(path, turns))
+    return _rows(plays, rows), _rows(rubbing(path, rubbed(path, turns)), rows)
+
+
+def _rows(columns: Array, place: Places) -> Array:
+    """Return some rows of column-major columns, column-major again."""
+    return np.asarray(np.take(columns.T, place, axis=1).T)
+
+
+def static_of(drive: Array, turns: Turns, weight: Array) -> Array:
+    """Return what shared columns make of any drive that turned before, keeping no states."""
+    memory = past(drive, turns)
+    friction = rubbing(drive, rubbed(drive, turns))
+    parts = []
+    for first in range(0, len(drive), CHUNK):
+        part = np.asarray(drive[first : first + CHUNK])
+        states, memory = play_columns(part, THRESHOLD, memory)
+        parts.append(shape(states, friction[first : first + CHUNK], part, weight[:SHARED]))
+    return np.concatenate(parts)

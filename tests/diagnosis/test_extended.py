@@ -1,0 +1,45 @@
+"""Effects at work: rounds that begin near end where rounds from afar do."""
+
+import pytest
+
+from piezoid.diagnosis import extended as engine
+from piezoid.diagnosis.effects import lag, slew_limit
+from piezoid.diagnosis.extended import SETTLED, Accepted, driven, extended
+
+from .bench import healthy_view
+
+LAG = Accepted(effect=lag.EFFECT, parameters={"time_s": 2e-4})
+LATER = Accepted(effect=lag.EFFECT, parameters={"time_s": 3e-4})
+
+
+def limited(speed: float) -> Accepted:
+    return Accepted(effect=slew_limit.EFFECT, parameters={"limit_per_s": speed})
+
+
+def rounds_of(monkeypatch, near) -> tuple[int, float]:
+    """Return how many rounds a view takes, and the error it ends with."""
+    made = []
+    work = engine.offset_of
+    monkeypatch.setattr(engine, "offset_of", lambda *a: made.append(1) or work(*a))
+    view = extended(healthy_view(), [LATER], near)
+    monkeypatch.undo()
+    return len(made), view.rms
+
+
+def test_rounds_that_begin_near_are_fewer_and_end_at_the_same_error(monkeypatch) -> None:
+    near = extended(healthy_view(), [LAG])
+    from_afar, error = rounds_of(monkeypatch, None)
+    from_near, same = rounds_of(monkeypatch, near)
+    assert from_near < from_afar
+    assert same == pytest.approx(error, rel=2.0 * SETTLED)
+    assert extended(healthy_view(), [LATER], near).guess is None
+
+
+def test_the_drive_behind_a_limit_is_made_once_while_it_stays_the_same() -> None:
+    clean = healthy_view()
+    slow = driven(clean, [limited(30.0), LAG])
+    assert driven(clean, [limited(30.0), LATER]) is slow
+    faster = driven(clean, [limited(40.0)])
+    assert faster is not slow
+    assert driven(clean, [limited(30.0)]).rms == pytest.approx(slow.rms)
+    assert driven(clean, [LAG]) is clean

@@ -1,0 +1,50 @@
+"""Many hands: the same result in the same order, whoever does it."""
+
+import threading
+
+import pytest
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.hands import ALONE, Hands
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import recorded
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_results_come_in_the_order_of_what_was_asked(count) -> None:
+    hands = Hands(count=count)
+    assert hands.each(lambda n: n * n, iter([3, 1, 2])) == [9, 1, 4]
+    assert hands.each(str, []) == []
+    assert hands.both(lambda: "one", lambda: 2) == ("one", 2)
+
+
+def test_two_hands_work_at_the_same_time_and_one_does_not() -> None:
+    together = threading.Barrier(2, timeout=10.0)
+    Hands(count=2).each(lambda _: together.wait(), range(2))
+    Hands(count=2).both(together.wait, together.wait)
+    threads = ALONE.each(lambda _: threading.get_ident(), range(3))
+    assert set(threads) == {threading.get_ident()}
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_mistake_of_one_is_everybodys(count) -> None:
+    with pytest.raises(ZeroDivisionError):
+        Hands(count=count).each(lambda n: 1 / n, [1, 0, 2])
+    with pytest.raises(ZeroDivisionError):
+        Hands(count=count).both(lambda: 1, lambda: 1 // 0)
+
+
+def test_without_a_hand_nothing_is_done() -> None:
+    with pytest.raises(ValueError, match="0 threads"):
+        Hands(count=0)
+
+
+def test_a_diagnosis_is_the_same_byte_for_byte_however_many_threads_make_it() -> None:
+    plans = ("sweep", "rates", "staircase")
+    recordings, lab = recorded(draw_campaign(31, effects=("lag", "creep"), plans=plans))
+    alone, said = diagnose(recordings, lab=lab), set()
+    together = diagnose(recordings, lab=lab, threads=3, progress=said.add)
+    assert write_diagnosis(together) == write_diagnosis(alone)
+    assert {"testing creep", "telling lag from its rivals"} <= said

@@ -1,0 +1,111 @@
+"""What a track remembers at its rows: from rows and turns alone, as from every sample."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.bouc_wen import bent_states
+from piezoid.diagnosis.friction import rubbed, rubbing
+from piezoid.diagnosis.history import History, states_at, way_to
+from piezoid.diagnosis.pasts import past
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape_columns
+from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.view import with_commands, with_pasts, with_tracks
+from piezoid.operators.play import first_carry, play_columns, play_tangents
+
+from .bench import healthy_view
+
+PASTS = ((-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2))
+
+
+def drive_with_holds() -> np.ndarray:
+    """Return a drive on a grid that turns, rests, and goes on either way."""
+    way = np.round(np.sin(np.linspace(0.0, 40.0, 20_000)) ** 3, 3)
+    way[3_000:3_400] = way[3_000]
+    return way
+
+
+def track(drive: np.ndarray) -> Track:
+    place = np.unique(np.random.default_rng(3).integers(1, len(drive), 400))
+    return Track(
+        name="sweep",
+        rate_Hz=1000.0,
+        command=drive,
+        drive=drive,
+        sensor_Hz=None,
+        response=drive,
+        others={},
+        place=place,
+        block=place * 15 // len(drive),
+    )
+
+
+def every_state(drive: np.ndarray, turns: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    plays, _ = play_columns(drive, THRESHOLD, past(drive, turns))
+    return plays, rubbing(drive, rubbed(drive, turns))
+
+
+@pytest.mark.parametrize("turns", PASTS)
+def test_states_at_rows_follow_from_rows_and_turns_alone(turns) -> None:
+    drive = drive_with_holds()
+    place = track(drive).place
+    assert len(way_to(drive, place)[0]) < len(place) + 60
+    plays, friction = every_state(drive, turns)
+    found = states_at(drive, turns, place)
+    np.testing.assert_array_equal(found[0], plays[place])
+    np.testing.assert_allclose(found[1], friction[place], atol=1e-11)
+
+
+def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
+    view = healthy_view()
+    knee = (1.6, 0.6, 1.6, 0.1)
+    bent = replace(view.envelope, knee=knee)
+    drive, place = drive_with_holds(), track(drive_with_holds()).place
+    every = bent_states(knee, PASTS[0], drive)[place]
+    np.testing.assert_allclose(bent.bent_at(PASTS[0], drive, place), every, atol=1e-4)
+
+
+@pytest.mark.parametrize("turns", PASTS)
+def test_first_states_are_kept_until_a_play_moves(turns) -> None:
+    history = History(track=track(drive_with_holds()), turns=turns)
+    drive, place = history.track.drive, history.track.place
+    carry = first_carry(past(drive, turns))
+    memory = play_tangents(drive, THRESHOLD, carry).memory[place]
+    groups = np.array_split(np.arange(6, 18), 4)
+    expected = np.column_stack([memory[:, group].mean(axis=1) for group in groups])
+    np.testing.assert_array_equal(history.kept(4), expected)
+    assert 0.0 < expected.mean() < 1.0
+
+
+def test_the_static_response_is_the_shape_of_all_states_kept_or_not(monkeypatch) -> None:
+    envelope = healthy_view().envelope
+    weight = np.random.default_rng(5).normal(size=SHARED)
+    history = envelope.histories[0]
+    states = every_state(history.track.drive, history.turns)
+    expected = shape_columns(*states, history.track.drive) @ weight
+    np.testing.assert_allclose(envelope.static(0, weight), expected, rtol=1e-9, atol=1e-9)
+    monkeypatch.setattr("piezoid.diagnosis.envelope.KEPT", 0)
+    fresh = replace(envelope)
+    np.testing.assert_allclose(fresh.static(0, weight), expected, rtol=1e-9, atol=1e-9)
+    assert "states" not in vars(fresh.histories[1])
+
+
+def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
+    whole = healthy_view()
+    view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
+    first = view.envelope.histories[0]
+    assert not np.array_equal(first.states[0], whole.envelope.histories[0].states[0])
+    mended = [replace(track, response=track.response + 1.0) for track in view.tracks]
+    assert with_tracks(view, mended).envelope.histories[0].states is first.states
+    other = with_pasts(view, ((0.0,),) * len(view.tracks)).envelope.histories[0]
+    assert not np.array_equal(other.states[0], first.states[0])
+    assert other.after((0.0,)) is other
+
+
+def test_branches_lead_from_turns_to_where_the_drive_is_away_from_them() -> None:
+    drive = np.sin(np.linspace(0.0, 40.0, 20_000))
+    turns, there = track(drive).branches
+    assert len(turns) == 13
+    assert (np.abs(drive[there] - drive[turns]) > 0.03).all()
+    assert (np.abs(drive[there - 1] - drive[turns]) <= 0.03).all()
