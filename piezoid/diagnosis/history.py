@@ -87,7 +87,9 @@ def way_to(drive: Array, place: Places) -> tuple[Places, Places]:
     moves = np.flatnonzero(np.diff(drive))
     up = drive[moves + 1] > drive[moves]
     turns = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
-    way = np.union1d(np.append(turns, 0), place)
+    told = np.zeros(len(drive), dtype=bool)
+    told[0] = told[turns] = told[place] = True
+    way = np.flatnonzero(told)
     return way, np.searchsorted(way, place)
 
 

@@ -38,9 +38,10 @@ FARTHEST = 1.2
 
 def with_best_habit(view: View, hands: Hands = ALONE) -> View:
     """Return the view before whose drives a laboratory did what leaves least, always alike."""
-    ways = [with_habit(view, turns) for turns in habits(_drives(view), view.rest)]
-    left = hands.each(_error, ways)
-    return ways[left.index(min(left))]
+    ways = habits(_drives(view), view.rest)
+    # a view holds columns for all rows: the best is made again, sooner than that all are kept
+    left = hands.each(lambda turns: with_habit(view, turns).rms, ways)
+    return with_habit(view, ways[left.index(min(left))])
 
 
 def with_own_pasts(view: View, habit: View) -> View:
@@ -134,9 +135,9 @@ def _turned(turns: Turns, place: int, step: float) -> Turns:
 class _Sketch:
     """A track at few samples and its reversals, on which pasts are tried.
 
-    began     (states,)         friction after a drive that was cycled before
-    friction  (points, states)  from there
-    way       (points,)         the drive has gone
+    began      (states,)         friction after a drive that was cycled before
+    friction   (points, states)  from there
+    remembers  (points, states)  the part of its beginning that is not forgotten
     """
 
     weight: Array
@@ -145,13 +146,12 @@ class _Sketch:
     response: Array
     began: Array
     friction: Array
-    way: Array
+    remembers: Array
 
     def misfit(self, turns: Turns) -> float:
         """Return the standard deviation of what a past misses."""
         states, _ = play_columns(self.drive, THRESHOLD, past(self.drive, turns))
-        forgotten = np.exp(-self.way[:, None] / REACH)
-        rubs = self.friction + (rubbed(self.drive, turns) - self.began) * forgotten
+        rubs = self.friction + (rubbed(self.drive, turns) - self.began) * self.remembers
         model = shape(states, rubs, self.drive, self.weight[:SHARED])
         if self.knee:
             bent = bent_states(self.knee, turns, self.drive)
@@ -174,5 +174,5 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
         response=np.asarray(track.response[points]),
         began=began,
         friction=rubbing(track.drive, began)[points],
-        way=way[points],
+        remembers=np.exp(-way[points][:, None] / REACH),
     )
