@@ -5,6 +5,7 @@ import pytest
 from piezoid.diagnosis import extended as engine
 from piezoid.diagnosis.effects import lag, slew_limit
 from piezoid.diagnosis.extended import SETTLED, Accepted, driven, extended
+from piezoid.diagnosis.refinement import refined
 
 from .bench import healthy_view
 
@@ -43,3 +44,13 @@ def test_the_drive_behind_a_limit_is_made_once_while_it_stays_the_same() -> None
     assert faster is not slow
     assert driven(clean, [limited(30.0)]).rms == pytest.approx(slow.rms)
     assert driven(clean, [LAG]) is clean
+
+
+def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afar_come() -> None:
+    clean, slow = healthy_view(), Accepted(effect=lag.EFFECT, parameters={"time_s": 2e-3})
+    from_afar = extended(clean, [slow])
+    settled = from_afar
+    for _ in range(8):
+        settled = extended(clean, [slow], settled)
+    begun = refined(slow, clean, [])[1]  # nothing of it is free
+    assert abs(begun.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)

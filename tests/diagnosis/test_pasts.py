@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
+from piezoid.diagnosis import memory
 from piezoid.diagnosis.pasts import FREE, HABITS, habits, past, pasts
 from piezoid.diagnosis.shape import THRESHOLD
+from piezoid.diagnosis.view import with_commands
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
+
+from .bench import healthy_view
 
 ZERO_VOLTS = -1.3  # in half ranges from the middle of the drive
 AT_REST = 0.05  # of half the range: the smallest turns that a laboratory makes on purpose
@@ -73,3 +77,14 @@ def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
     )
     assert decaying < AT_REST
     assert max(cycled, other_way) > 0.4
+
+
+@pytest.mark.parametrize("turns", [(-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2)])
+def test_a_sketch_misses_what_the_whole_response_does_behind_a_past(monkeypatch, turns) -> None:
+    whole = healthy_view()
+    view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
+    track, weight = view.tracks[1], whole.weight
+    monkeypatch.setattr(memory, "POINTS", len(track.drive))
+    missed = view.envelope.along(track.drive, turns, weight) - track.response
+    sketch = memory._sketch(view, 1, weight)
+    assert sketch.misfit(turns) == pytest.approx(float(np.std(missed)), rel=1e-9)
