@@ -20,6 +20,8 @@ BEYOND_TWIN = 0.9  # times what the twin leaves, or leaves above the noise, and 
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
 STRANGE = 1.25  # times the noise: what a class leaves of a material that it does not follow
 STILL = 2.5  # standard errors of what is there beside it
+MUCH = 0.4  # of what is no noise, in power: so much may be structure however little it is
+DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 
 
@@ -60,9 +62,16 @@ class Judged:
         return (
             self.sound
             and self.held.z > self.effect.sure
-            and self.held.gain > self.effect.worth * self._asked
+            and (self.held.gain > self.effect.worth * self._asked or self._settles_it)
             and self._beats_its_twin
         )
+
+    @property
+    def _settles_it(self) -> bool:
+        """Tell whether structure that not every ceramic has takes off much of what is left."""
+        if self.effect.against is None or self.effect.common:
+            return False
+        return part_explained(self.held.gain, self.held.rms, self.view.noise) > MUCH
 
     @property
     def _asked(self) -> float:
@@ -80,6 +89,16 @@ class Judged:
             return clear > FAR_SURER
         own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.held, self.twin))
         return own < BEYOND_TWIN**2 * others and clear > SURER
+
+
+def part_explained(gain: float, left: float, noise: float) -> float:
+    """Return which part of what is no noise was taken off, in power.
+
+    gain  part of the error that was taken off
+    left  the error after that
+    """
+    before = (left / (1.0 - gain)) ** 2
+    return (before - left**2) / max(before - noise**2, DOUBTFUL * noise**2)
 
 
 def asked(without: View) -> float:

@@ -24,7 +24,8 @@ from piezoid.diagnosis.view import View
 NEAR = 0.5  # of the gain: what a rival's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
 ALIKE = 0.02  # of what a cause explains, and of what it leaves: so close is no difference
-BETTER = 3.0  # standard errors from which a rival takes the place
+BETTER = 3.0  # standard errors from which a rival takes the place,
+LIKELIER = 1.0  # and one that can do no more than what stands there
 
 Rivals = dict[str, tuple[str, ...]]
 
@@ -91,8 +92,15 @@ def rivals_of(
 
 
 def takes_the_place(rival: Judged, cause: Judged) -> bool:
-    """Tell whether a rival is surely better than the effect that was accepted before it."""
-    return rival.speaks and surely(cause.held.loss, rival.held.loss) > BETTER
+    """Tell whether a rival is surely better than the effect that was accepted before it.
+
+    Of two filters with as many parameters, neither of which surely is, the likelier one stands:
+    the other came first because of what was found only after it.
+    """
+    filters = rival.effect.passes is not None and cause.effect.passes is not None
+    as_free = filters and len(rival.accepted.free) == len(cause.accepted.free)
+    least = LIKELIER if as_free else BETTER
+    return rival.speaks and surely(cause.held.loss, rival.held.loss) > least
 
 
 def is_close(rival: Judged, cause: Judged) -> bool:

@@ -14,7 +14,7 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.growth import SLIP, Grown, grown
 from piezoid.diagnosis.hands import ALONE, Hands
-from piezoid.diagnosis.judgement import Judged, asked, judged_structure
+from piezoid.diagnosis.judgement import Judged, asked, judged_structure, part_explained
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.repair import repaired
@@ -136,16 +136,11 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
     beside  whether one of the causes looks alike
     """
     if not beside:
-        clear = structure.held.gain > CLEARLY and _part_explained(structure, final) > MOST
+        gain = structure.held.gain
+        clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
         return clear or final.rms < structure.effect.quiet * final.noise
     worth = structure.held.gain > structure.effect.worth  # and no half of it
     return worth and final.rms < min(structure.effect.quiet, QUIET) * final.noise
-
-
-def _part_explained(structure: Judged, final: View) -> float:
-    """Return which part of what is no noise structure takes off, in power."""
-    before = (final.rms / (1.0 - structure.held.gain)) ** 2
-    return (before - final.rms**2) / max(before - final.noise**2, 1e-300)
 
 
 def _with_rival(rivals: Rivals, effect: Effect) -> Rivals:

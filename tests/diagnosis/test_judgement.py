@@ -68,6 +68,30 @@ def test_of_what_ceramics_have_by_themselves_all_the_worth_is_asked_for():
 
 
 @pytest.mark.parametrize(
+    ("gain", "left", "z", "speaks"),
+    [
+        (0.02, 1.0, 4.5, True),  # next to nothing, and all that was not noise
+        (0.02, 1.0, 3.5, False),  # but not surely
+        (0.02, 1.2, 4.5, False),  # much else is left
+        (0.005, 1.0, 4.5, False),  # so little is noise that was estimated too small
+    ],
+)
+def test_other_pasts_are_evidence_where_they_take_off_most_of_what_is_no_noise(
+    gain, left, z, speaks
+):
+    past = initial_state.EFFECT
+    assert gain < 0.5 * past.worth
+    assert judged(past, held(rms=left, gain=gain, z=z), left=left, noise=1.0).speaks is speaks
+
+
+def test_what_most_ceramics_have_is_no_evidence_for_being_all_that_is_left():
+    opening = held(rms=1.0, gain=0.4 * non_congruence.EFFECT.worth, z=9.0)
+    drift = held(rms=1.0, gain=0.4 * thermal_drift.EFFECT.worth, z=5.0)
+    assert not judged(non_congruence.EFFECT, opening, left=1.0, noise=1.0).speaks
+    assert not judged(thermal_drift.EFFECT, drift, left=1.0, noise=1.0).speaks
+
+
+@pytest.mark.parametrize(
     ("mine_rms", "noise", "standard_errors", "speaks"),
     [
         (1.0, 0.0, 6.0, False),  # hardly better, however sure

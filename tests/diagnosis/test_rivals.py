@@ -5,8 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.effects import delay, lag, thermal_drift
 from piezoid.diagnosis.folds import surely
-from piezoid.diagnosis.rivals import SEPARABLE, is_close
+from piezoid.diagnosis.rivals import SEPARABLE, is_close, takes_the_place
 
 BLOCKS = 40
 WITHOUT = 2.0
@@ -51,3 +52,34 @@ def test_a_rival_that_leaves_a_tenth_more_is_close_only_where_blocks_are_not_sur
 def test_an_unsound_rival_is_close_where_it_leaves_less_and_only_there() -> None:
     assert is_close(left(0.9, sound=False), left(1.0))
     assert not is_close(left(1.0 + 1e-9, sound=False, sure=False), left(1.0))
+
+
+def standing(effect, ahead: float, free: int = 1, speaks: bool = True) -> SimpleNamespace:
+    """Return a cause whose blocks lose less than those of another, by so many standard errors."""
+    uneven = np.where(np.arange(BLOCKS) % 2, 1.0, -1.0)
+    less = ahead / np.sqrt(BLOCKS) * np.std(uneven, ddof=1)
+    return SimpleNamespace(
+        effect=effect,
+        speaks=speaks,
+        accepted=SimpleNamespace(free=dict.fromkeys(range(free), 2.0)),
+        held=SimpleNamespace(loss=(uneven if ahead else 0.0) - less + np.zeros(BLOCKS)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("rival", "ahead", "free", "speaks", "takes"),
+    [
+        (delay.EFFECT, 1.5, 1, True, True),  # as simple, and likelier
+        (delay.EFFECT, 0.5, 1, True, False),
+        (delay.EFFECT, 1.5, 1, False, False),
+        (delay.EFFECT, 1.5, 2, True, False),  # not as simple
+        (delay.EFFECT, 3.5, 2, True, True),
+        (thermal_drift.EFFECT, 1.5, 1, True, False),  # not even a filter
+        (thermal_drift.EFFECT, 3.5, 1, True, True),
+    ],
+)
+def test_of_two_filters_as_simple_as_each_other_the_likelier_stands_and_no_other_unless_surely(
+    rival, ahead, free, speaks, takes
+) -> None:
+    cause = standing(lag.EFFECT, 0.0)
+    assert takes_the_place(standing(rival, ahead, free, speaks), cause) is takes
