@@ -62,12 +62,12 @@ class Judged:
         return (
             self.sound
             and self.held.z > self.effect.sure
-            and (self.held.gain > self.effect.worth * self._asked or self._settles_it)
+            and (self.held.gain > self.effect.worth * self._asked or self.settles_it)
             and self._beats_its_twin
         )
 
     @property
-    def _settles_it(self) -> bool:
+    def settles_it(self) -> bool:
         """Tell whether structure that not every ceramic has takes off much of what is left."""
         if self.effect.against is None or self.effect.common:
             return False

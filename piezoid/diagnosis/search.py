@@ -139,7 +139,8 @@ def _stands(structure: Judged, final: View, *, beside: bool) -> bool:
         gain = structure.held.gain
         clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
         return clear or final.rms < structure.effect.quiet * final.noise
-    worth = structure.held.gain > structure.effect.worth  # and no half of it
+    # and no half of it
+    worth = structure.held.gain > structure.effect.worth or structure.settles_it
     return worth and final.rms < min(structure.effect.quiet, QUIET) * final.noise
 
 

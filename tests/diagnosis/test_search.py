@@ -28,6 +28,7 @@ class Cause:
     gain: float
     speaks: bool = True
     quiet: float = float("inf")
+    settles_it: bool = False
 
     @property
     def accepted(self) -> str:
@@ -83,6 +84,12 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
 def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, beside, stands) -> None:
     structure = Cause("initial_state", gain, quiet=1.6)
     assert search._stands(structure, of_noise(left), beside=beside) is stands
+
+
+def test_structure_beside_what_looks_alike_is_named_where_it_takes_most_of_what_is_left() -> None:
+    structure = Cause("initial_state", 0.05, quiet=1.6, settles_it=True)
+    assert search._stands(structure, of_noise(1.1), beside=True)
+    assert not search._stands(structure, of_noise(1.55), beside=True)
 
 
 def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
