@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
-from piezoid.diagnosis.history import History, states_at, static_of, way_to
+from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of, way_to
 from piezoid.diagnosis.pasts import Turns
 from piezoid.diagnosis.shape import (
     KNEE_COLUMNS,
@@ -39,6 +39,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.once import Once
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
+MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of it, what was poled for good among them
 KEPT = 1 << 20  # samples of which all states are kept: some 300 MB
 
 
@@ -78,7 +79,7 @@ class Envelope:
     @property
     def own(self) -> int:
         """Return how many columns belong to one track."""
-        return 1 + (FORGETTING if self.free else 0)
+        return 1 + (MEMORY if self.free else 0)
 
     @property
     def memory_columns(self) -> tuple[int, ...]:
@@ -86,7 +87,7 @@ class Envelope:
         if not self.free:
             return ()
         firsts = [self.shared + self.own * k + 1 for k in range(len(self.tracks))]
-        return tuple(first + g for first in firsts for g in range(FORGETTING))
+        return tuple(first + g for first in firsts for g in range(MEMORY))
 
     @property
     def bias_columns(self) -> tuple[int, ...]:
@@ -104,7 +105,9 @@ class Envelope:
             first = self.shared + self.own * k
             columns[rows, first] = 1.0
             if self.free:
-                columns[rows, first + 1 : first + self.own] = self.histories[k].kept(FORGETTING)
+                history, poled = self.histories[k], first + 1 + FORGETTING
+                columns[rows, first + 1 : poled] = history.kept(FORGETTING)
+                columns[rows, poled : first + self.own] = history.poled()
         if self.knee:
             columns[:, SHARED : self.shared] = self.bent_rows
         return columns

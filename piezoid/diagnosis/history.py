@@ -19,6 +19,7 @@ from piezoid.numerics.once import Once
 from piezoid.operators.play import play_columns
 
 CHUNK = 65536
+ONCE_BEYOND = (0.0, 0.5)  # of half the range: where walls are moved for good
 States = tuple[Array, Array]  # of plays, of friction
 
 
@@ -68,14 +69,33 @@ class History:
 
         One keeps its first state until it moves. Narrow plays have forgotten them at once.
         """
-        drive, first = self.track.drive, past(self.track.drive, self.turns)
-        highest, lowest = np.maximum.accumulate(drive), np.minimum.accumulate(drive)
+        first = past(self.track.drive, self.turns)
+        highest, lowest = self._farthest
         up = np.searchsorted(highest, first + THRESHOLD, side="right")
         down = np.searchsorted(-lowest, THRESHOLD - first, side="right")
         kept = self.track.place[:, None] < np.minimum(up, down)
         plays = len(THRESHOLD)
         parts = np.array_split(np.arange(plays // 3, plays), groups)
         return np.column_stack([kept[:, part].mean(axis=1) for part in parts])
+
+    def poled(self) -> Array:
+        """Return how far the drive has gone beyond some levels for the first time, at the rows.
+
+        Walls that the drive cannot bring back are moved once, when it first comes that far.
+        """
+        way = [side[self.track.place] - side[0] for side in self._beyond()]
+        return np.column_stack(way)
+
+    def _beyond(self) -> list[Array]:
+        highest, lowest = self._farthest
+        sides = (highest, -lowest)
+        return [np.maximum(side - level, 0.0) for side in sides for level in ONCE_BEYOND]
+
+    @Once
+    def _farthest(self) -> tuple[Array, Array]:
+        """Return how far up and down the drive has come by every sample."""
+        drive = self.track.drive
+        return np.maximum.accumulate(drive), np.minimum.accumulate(drive)
 
 
 def way_to(drive: Array, place: Places) -> tuple[Places, Places]:
