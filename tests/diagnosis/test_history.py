@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.bouc_wen import bent_states
-from piezoid.diagnosis.envelope import Envelope
+from piezoid.diagnosis.envelope import MEMORY, Envelope
 from piezoid.diagnosis.friction import rubbed, rubbing
 from piezoid.diagnosis.history import History, states_at, way_to
 from piezoid.diagnosis.pasts import past
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape_columns
 from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import with_commands, with_pasts, with_tracks
+from piezoid.diagnosis.view import with_commands, with_free_memory, with_pasts, with_tracks
 from piezoid.operators.play import first_carry, play_columns, play_tangents
 
 from .bench import healthy_view
@@ -110,3 +110,30 @@ def test_branches_lead_from_turns_to_where_the_drive_is_away_from_them() -> None
     assert len(turns) == 13
     assert (np.abs(drive[there] - drive[turns]) > 0.03).all()
     assert (np.abs(drive[there - 1] - drive[turns]) <= 0.03).all()
+
+
+def test_what_is_poled_for_good_grows_only_where_the_drive_comes_for_the_first_time() -> None:
+    way = np.array([-1.0, -0.2, 0.3, -0.4, 0.2, 0.8, -1.0, 1.0, -1.0, 1.0])
+    drive = np.interp(np.linspace(0.0, 9.0, 9_001), np.arange(10.0), way)
+    history = History(track=track(drive), turns=PASTS[0])
+    above, far_above, *below = history.poled().T
+    at = drive[history.track.place]
+    first = history.track.place < 2_000
+    np.testing.assert_allclose(above[first], np.maximum(at[first], 0.0), atol=1e-12)
+    assert (above[(history.track.place > 2_000) & (history.track.place < 4_150)] == 0.3).all()
+    np.testing.assert_allclose(above[history.track.place > 7_000], 1.0)
+    np.testing.assert_allclose(far_above, np.maximum(above - 0.5, 0.0), atol=1e-12)
+    assert not np.any(below)  # it began at its lowest
+    assert (np.diff(above) >= 0.0).all()
+
+
+def test_each_track_corrects_its_own_memory_and_no_other() -> None:
+    free = with_free_memory(healthy_view()).envelope
+    columns = free.columns[:, list(free.memory_columns)]
+    assert columns.shape[1] == MEMORY * len(free.tracks)
+    for k in range(len(free.tracks)):
+        own = columns[:, MEMORY * k : MEMORY * (k + 1)]
+        rows = np.zeros(len(own), dtype=bool)
+        rows[free.edges[k] : free.edges[k + 1]] = True
+        assert np.any(own[rows])
+        assert not np.any(own[~rows])

@@ -11,11 +11,17 @@ import pytest
 
 from piezoid.diagnosis.effects import initial_state
 from piezoid.diagnosis.judgement import Judged, judged_structure
-from piezoid.diagnosis.memory import OTHER_PASTS, with_best_habit, with_own_pasts
+from piezoid.diagnosis.memory import (
+    OTHER_PASTS,
+    does_as_well,
+    with_best_habit,
+    with_own_pasts,
+)
 from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.records.lab import Lab
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import healthy, view_of_recordings
+from .bench import healthy, recorded, view_of_recordings
 from .played import (
     WIDTH,
     Before,
@@ -96,3 +102,12 @@ def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorde
     structure = structure_of(view_after(cycled, forgotten, cycled))
     assert structure.speaks
     assert structure.held.gain > 2.0 * initial_state.EFFECT.worth
+
+
+def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagnetised() -> None:
+    campaign = draw_campaign(104133, truth="preisach", effects={"initial_state": 2.5})
+    view = view_of_recordings(*recorded(campaign))
+    habit = with_best_habit(view)
+    own = with_own_pasts(view, habit)
+    assert own.rms < 0.85 * habit.rms
+    assert not does_as_well(habit, own, view)
