@@ -81,7 +81,10 @@ def test_friction_states_of_one_reach_share_an_exponential_and_nothing_else() ->
     way = np.cumsum(np.random.default_rng(4).normal(0.0, 0.01, 2_500))
     reach, power = np.array([0.4, 0.05, 0.4, 3.0, 0.05]), np.array([2.0, 1.0, 1.0, 3.0, 2.0])
     start = np.array([0.1, -0.02, 0.3, 0.0, 0.01])
-    together = friction_states(way, reach, start, power=power)
+    together = friction_states(way + 0.7, reach, start, power=power)
+    np.testing.assert_array_equal(together[0], start)
     for k in range(len(reach)):
-        alone = friction_states(way, reach[k : k + 1], start[k : k + 1], power=power[k : k + 1])
+        alone = friction_states(
+            way + 0.7, reach[k : k + 1], start[k : k + 1], power=power[k : k + 1]
+        )
         np.testing.assert_array_equal(together[:, k], alone[:, 0])
