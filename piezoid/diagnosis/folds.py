@@ -7,10 +7,11 @@ Source: Arlot & Celisse, Statistics Surveys 4 (2010) on blocks for dependent dat
 """
 
 from dataclasses import dataclass
-from math import erfc, log, sqrt
+from math import erfc, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocks import sure_gain
 from piezoid.diagnosis.tracks import BLOCKS, Places
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.once import Once
@@ -18,8 +19,6 @@ from piezoid.numerics.once import Once
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio
 RIDGE = 1e-9
-TELLING = 0.95  # of what columns explain
-FEWEST = 6  # blocks to judge by
 SHORT = 4  # rows left out together where all columns are refitted: no state may be lost whole
 HELD_RIDGE = 1e-6  # rows left out may ask columns for what they never saw
 
@@ -174,13 +173,12 @@ class Null:
             loss[out] = energy[out] - 2 * right[out] @ beta + (gram[out] @ beta) @ beta
             betas.append(beta)
         beta = np.linalg.solve(total + small, all_right)
-        gains = energy - loss
-        gains = gains[_telling(np.einsum("i,bij,j->b", beta, gram, beta))]
+        explained = np.einsum("i,bij,j->b", beta, gram, beta)
         spread = np.std(betas, axis=0, ddof=1) * (FOLDS - 1) / sqrt(FOLDS)
         gain = 1.0 - sqrt(max(float(loss.sum()), 0.0) / float(energy.sum()))
         return Held(
             gain=gain,
-            z=max(_mean_z(gains), _sign_z(gains), _ratio_z(gain, len(energy))),
+            z=sure_gain(energy - loss, explained, gain),
             coefficient=beta / length,
             spread=spread / length,
             loss=loss,
@@ -222,50 +220,12 @@ def compared(before: Null, after: Null) -> Held:
     """
     energy, loss = before.energy, after.energy
     gains = energy - loss
-    telling = gains[_telling(np.abs(gains))]
     gain = 1.0 - sqrt(float(loss.sum()) / float(energy.sum()))
     return Held(
         gain=gain,
-        z=max(_mean_z(telling), _sign_z(telling), _ratio_z(gain, len(energy))),
+        z=sure_gain(gains, np.abs(gains), gain),
         coefficient=np.ones(1),
         spread=np.zeros(1),
         loss=loss,
         rms=sqrt(float(loss.sum()) / len(after.response)),
     )
-
-
-def surely(worse: Array, better: Array) -> float:
-    """Return by how many standard errors blocks lose less with one thing than with another.
-
-    Source: Vuong, Econometrica 57 (1989), on sums of squares of blocks.
-    """
-    return _mean_z(worse - better)
-
-
-def _telling(explained: Array) -> Array:
-    """Return which blocks can say anything: those in which nearly all of the columns lie."""
-    order = np.argsort(explained)[::-1]
-    total = np.cumsum(explained[order])
-    count = int(np.searchsorted(total, TELLING * total[-1])) + 1
-    chosen = np.zeros(len(explained), dtype=bool)
-    chosen[order[: max(count, FEWEST)]] = True
-    return chosen
-
-
-def _mean_z(gains: Array) -> float:
-    """Return the mean over its standard error."""
-    return float(gains.sum()) / (float(gains.std(ddof=1)) * sqrt(len(gains)) + 1e-300)
-
-
-def _sign_z(gains: Array) -> float:
-    """Return how surely more than half of the blocks gain: blind to how much, so to outliers."""
-    count = len(gains)
-    return float(np.sum(gains > 0) - 0.5 * count - 0.5) / (0.5 * sqrt(count))
-
-
-def _ratio_z(gain: float, blocks: int) -> float:
-    """Return the root of the likelihood ratio, 2 n ln(rms0 / rms1), n blocks for n observations.
-
-    What lies in a few blocks only is seen by this one; thousands of rows count as few tens.
-    """
-    return sqrt(-2.0 * blocks * log(1.0 - gain)) if 0.0 < gain < 1.0 else 0.0

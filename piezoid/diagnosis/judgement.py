@@ -5,10 +5,11 @@ from math import sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import Accepted, calm_for
-from piezoid.diagnosis.folds import Held, compared, surely
+from piezoid.diagnosis.folds import Held, compared
 from piezoid.diagnosis.knee import with_knee_of
 from piezoid.diagnosis.screening import Screened, null_of, screen, screened
 from piezoid.diagnosis.view import View

@@ -10,10 +10,10 @@ Source: Vuong, Econometrica 57 (1989).
 
 from collections.abc import Sequence
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.jumps import behind_jumps

@@ -17,9 +17,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.folds import Null, surely
+from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.slip_placing import placed, tracks_without
 from piezoid.diagnosis.slips import Slip, beside, late, strongest
 from piezoid.diagnosis.tracks import Track

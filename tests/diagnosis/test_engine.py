@@ -6,10 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.folds import Null, surely
+from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.knee import with_best_knee

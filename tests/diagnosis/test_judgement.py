@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
     amplifier_saturation,
@@ -15,7 +16,7 @@ from piezoid.diagnosis.effects import (
     resonance,
     thermal_drift,
 )
-from piezoid.diagnosis.folds import Held, surely
+from piezoid.diagnosis.folds import Held
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.screening import _best
 

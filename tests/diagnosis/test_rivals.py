@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effects import delay, lag, thermal_drift
-from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.rivals import SEPARABLE, is_close, takes_the_place
 
 BLOCKS = 40

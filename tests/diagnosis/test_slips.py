@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
@@ -13,7 +14,6 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.extended import Accepted
-from piezoid.diagnosis.folds import surely
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
