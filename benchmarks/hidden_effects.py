@@ -23,7 +23,8 @@ import numpy as np
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.records.ingest import ingest_all
-from piezoid.records.lab import read_lab
+from piezoid.records.lab import Lab, read_lab
+from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.rig import Rig
@@ -90,13 +91,18 @@ def hidden_in(case: int, seed: int) -> tuple[str, ...]:
     return ()
 
 
-def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:
+def read_back(campaign: Campaign) -> tuple[list[Recording], Lab]:
+    """Write a campaign as a laboratory hands it over, and read it."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         write_campaign(campaign, place)
         lab = read_lab(place / "recordings/lab.toml")
         files = [place / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
-        recordings = ingest_all(files, lab)
+        return list(ingest_all(files, lab)), lab
+
+
+def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:
+    recordings, lab = read_back(campaign)
     begun = time.process_time()
     return diagnose(recordings, lab=lab), time.process_time() - begun
 

@@ -9,24 +9,20 @@ of the search is told with its time, as ``piezoid diagnose`` tells it.
 
 import os
 import sys
-import tempfile
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from benchmarks.hidden_effects import read_back
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.records.ingest import ingest_all
-from piezoid.records.lab import read_lab
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.plans import Plan, Shapes
 from piezoid_datasets.virtual_lab.rig import Rig
 from piezoid_datasets.virtual_lab.signals import Array
-from piezoid_datasets.virtual_lab.write import write_campaign
 
 SLOW_Hz, MIDDLE_Hz = 1000.0, 2000.0
 Made = Callable[[float, np.random.Generator], Array]
@@ -87,12 +83,7 @@ def plans(samples: int) -> tuple[Plan, ...]:
 def main(seed: int, effects: tuple[str, ...], samples: int, threads: int) -> None:
     """Draw, write, read and diagnose one campaign."""
     campaign = draw_campaign(seed, effects=effects, plans=plans(samples))
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        write_campaign(campaign, place)
-        lab = read_lab(place / "recordings/lab.toml")
-        files = [place / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
-        recordings = ingest_all(files, lab)
+    recordings, lab = read_back(campaign)
     begun_s, used_s = time.perf_counter(), time.process_time()
 
     def told(step: str) -> None:

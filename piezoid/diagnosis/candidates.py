@@ -67,7 +67,7 @@ def _refined(telling: Sequence[Screened], beside: Beside, hands: Hands) -> list[
 
     def refit(begin: tuple[Accepted, Screened]) -> Judged:
         one, found = begin
-        hands.told(f"refitting with {one.effect.name.replace('_', ' ')}")
+        hands.say(f"refitting with {one.effect.name.replace('_', ' ')}")
         better, view = refined(one, beside.clean, beside.accepted)
         return _together(judged(better, view, beside.view, seen=found), beside, found)
 

@@ -43,7 +43,7 @@ def diagnose(
     lab         what the laboratory declares; declared poles are part of the simulation
     model       the axis as ``fit`` made it: errors are then of this model refitted with what is
                 found, and the diagnosis carries it; None: of a quick linear stand-in
-    progress    told what is being done, by whichever thread does it
+    progress    told what is being done, by whichever thread does it, one at a time
     threads     so many work at once; what is found does not depend on it
 
     Raises ``ExcitationError`` where drive or displacement does not move. What goes wrong: a cause

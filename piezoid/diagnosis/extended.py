@@ -83,11 +83,12 @@ def driven(clean: View, accepted: Sequence[Accepted]) -> View:
     """
     limits = [one for one in accepted if one.effect.drive is not None]
     asked = tuple((one.effect.name, *sorted(one.parameters.items())) for one in limits)
-    if limits and asked not in clean.driven:
+    found = clean.driven.get(asked) if limits else clean
+    if found is None:  # another thread may take the room at any time
         found = _behind_limits(clean, limits)
         clean.driven.clear()
         clean.driven[asked] = found
-    return clean.driven[asked] if limits else clean
+    return found
 
 
 def _behind_limits(clean: View, limits: Sequence[Accepted]) -> View:

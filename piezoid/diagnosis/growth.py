@@ -54,7 +54,7 @@ class Grown:
 
 def grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown:
     """Accept one effect after another until none is evidence."""
-    hands.told("looking behind jumps of the drive")
+    hands.say("looking behind jumps of the drive")
     far = Grown(clean=clean, accepted=struck(clean), faults=faults, screened={})
     for _ in range(MOST_CAUSES + 2):
         view = extended(far.clean, far.accepted)
@@ -105,7 +105,7 @@ def _bent_and_slipped(
 
 def _with_pair(far: Grown, beside: Beside, tried: Sequence[Judged], hands: Hands) -> Grown | None:
     """Take in two effects at once that one of them, or both, stood for alone."""
-    hands.told("looking for two that are taken for one")
+    hands.say("looking for two that are taken for one")
     pair = pair_of(tried, beside, hands)
     accepted = (*beside.accepted, *pair) if pair else pair_in_place(beside, hands)
     return replace(far, accepted=accepted) if accepted else None
@@ -143,7 +143,7 @@ def _slipped(far: Grown, slips: Instead, fault: Fault, accepted: tuple[Accepted,
 
 def _screened_all(view: View, named: set[str], hands: Hands) -> dict[str, Screened]:
     def screened(effect: Effect) -> Screened | None:
-        hands.told(f"testing {effect.name.replace('_', ' ')}")
+        hands.say(f"testing {effect.name.replace('_', ' ')}")
         return screen(effect, view)
 
     others = [e for e in EFFECTS if e.against is None and e.name not in named]

@@ -6,7 +6,9 @@ in compiled code that other threads need not wait for.
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from threading import Lock
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -22,16 +24,22 @@ def _to_nobody(_: str) -> None:
 class Hands:
     """How many work at once, and who is told what is being done.
 
-    told   called with a few words, by whichever thread does it
+    told   called with a few words, by whichever thread does it, one at a time
     count  threads; what is found does not depend on it
     """
 
     told: Callable[[str], None] = _to_nobody
     count: int = 1
+    _one_at_a_time: AbstractContextManager[bool] = field(default_factory=Lock, repr=False)
 
     def __post_init__(self) -> None:
         if self.count < 1:
             raise ValueError(f"{self.count} threads cannot do anything, 1 can")
+
+    def say(self, text: str) -> None:
+        """Tell what is being done: a channel to another process takes one word after the other."""
+        with self._one_at_a_time:
+            self.told(text)
 
     def each(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Return ``work(item)`` of all items, in their order."""

@@ -28,7 +28,7 @@ def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str
         if effect.fault is None or effect.name == but:
             continue
         for _ in range(MOST_REPAIRS):
-            hands.told(f"looking for {effect.name.replace('_', ' ')}")
+            hands.say(f"looking for {effect.name.replace('_', ' ')}")
             fault = effect.fault(view)
             if fault is None:
                 break

@@ -50,7 +50,7 @@ def told_apart(
 def _each(clean: View, accepted: list[Accepted], hands: Hands) -> tuple[list[Judged], Rivals]:
     accepted, causes, near = list(accepted), [], {}
     for k, one in enumerate(accepted):
-        hands.told(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        hands.say(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
         others = [other for n, other in enumerate(accepted) if n != k]
         there, beside = _where_seen(one, clean, others)
         cause = _cause(there, beside, one)

@@ -85,7 +85,7 @@ def _best_grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown
     left = extended(far.clean, far.accepted)
     if left.rms < UNEXPLAINED * left.noise:
         return far
-    hands.told("beginning again with one more state of hysteresis")
+    hands.say("beginning again with one more state of hysteresis")
     other = _grown(with_best_knee(clean, hands), faults, hands)
     return other if extended(other.clean, other.accepted).rms < FAR_LESS * left.rms else far
 
@@ -112,7 +112,7 @@ def _with_structure(outcome: Outcome, hands: Hands) -> Outcome:
         if effect.against is None or effect.untestable(final):
             continue
         beside = any(cause.effect.resembles(effect) for cause in outcome.causes)
-        hands.told(f"testing {effect.name.replace('_', ' ')}")
+        hands.say(f"testing {effect.name.replace('_', ' ')}")
         judgement = judged_structure(effect, final)
         if judgement is None:
             continue
@@ -157,7 +157,7 @@ def _without_slips(view: View, far: Grown, hands: Hands) -> Grown:
 
     A limit of the amplifier that a chirp meets from one instant on looks like one.
     """
-    hands.told("asking whether a clock slipped at all")
+    hands.say("asking whether a clock slipped at all")
     rest, faults = repaired(view, hands, but=SLIP)
     raw, again = with_tracks(far.clean, rest.tracks), list(far.accepted)
     for k, one in enumerate(far.accepted):
@@ -177,7 +177,7 @@ def _pruned(clean: View, accepted: Sequence[Accepted], hands: Hands) -> tuple[Ac
     """
     accepted = tuple(accepted)
     while len(accepted) > 1 and not all(one.struck for one in accepted):
-        hands.told("taking out what is not needed")
+        hands.say("taking out what is not needed")
         whole = extended(clean, accepted).rms
         spare = [one for one in accepted if not one.struck]
         rests = [tuple(o for o in accepted if o is not one) for one in spare]

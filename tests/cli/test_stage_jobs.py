@@ -1,10 +1,56 @@
-"""What of a stage is done apart: how many threads each axis is diagnosed by."""
+"""A stage done in several processes is the stage done in one, to the last byte.
 
+Cores that no axis takes become threads of those that are there.
+"""
+
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from piezoid_cli import stage_jobs
+from piezoid_cli.calibration import calibrate
+
+SAMPLES = 300
+DRIVE_V = 10 * (1 - np.cos(2 * np.pi * np.arange(SAMPLES) / 100)) / 2
+LAB = """
+[rig]
+name = "two butterflies"
+[acquisition]
+sampling_rate_Hz = 1000
+"""
+ENTRY = """
+[[recording]]
+file = "{axis}.csv"
+axis = "{axis}"
+columns = {{ voltage = 1, displacement = 2 }}
+"""
+
+
+def write_butterfly(place: Path, bottom_V: float) -> Path:
+    """Write a noisy response that falls and rises: no class of ours, and soon told."""
+    noise_um = 0.3 * np.random.default_rng(0).standard_normal(SAMPLES)
+    displacement_um = 0.1 * (DRIVE_V - bottom_V) ** 2 + noise_um
+    lines = [f"V{place.stem} [V],{place.stem} [um]"]
+    lines += [f"{u:.5f},{y:.6f}" for u, y in zip(DRIVE_V, displacement_um, strict=True)]
+    place.write_text("\n".join(lines) + "\n")
+    return place
+
+
+def test_the_files_of_a_stage_are_the_same_bytes_for_one_and_for_two_processes(
+    tmp_path: Path,
+) -> None:
+    files = [write_butterfly(tmp_path / "x.csv", 5.0), write_butterfly(tmp_path / "y.csv", 4.0)]
+    lab = tmp_path / "lab.toml"
+    lab.write_text(LAB + "".join(ENTRY.format(axis=axis) for axis in "xy"))
+    said: list[str] = []
+    alone = calibrate(files, lab, lambda _: None, 1)
+    together = calibrate(files, lab, said.append, 2)
+    assert sorted(alone.model.axes) == ["x", "y"]
+    assert dict(together.files) == dict(alone.files)
+    assert any("axis x: " in text for text in said)
+    assert any("axis y: " in text for text in said)
 
 
 @pytest.mark.parametrize(

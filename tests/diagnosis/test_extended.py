@@ -1,5 +1,7 @@
 """Effects at work: rounds that begin near end where rounds from afar do."""
 
+from dataclasses import replace
+
 import pytest
 
 from piezoid.diagnosis import extended as engine
@@ -54,3 +56,13 @@ def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afa
         settled = extended(clean, [slow], settled)
     begun = refined(slow, clean, [])[1]  # nothing of it is free
     assert abs(begun.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)
+
+
+def test_a_drive_whose_room_another_thread_takes_at_once_is_returned_all_the_same() -> None:
+    class TakenAtOnce(dict[object, object]):
+        def __setitem__(self, *_: object) -> None:
+            """Keep nothing."""
+
+    clean = replace(healthy_view())
+    vars(clean)["driven"] = TakenAtOnce()
+    assert driven(clean, [limited(30.0)]).rms == driven(clean, [limited(30.0)]).rms

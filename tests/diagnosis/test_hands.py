@@ -1,6 +1,7 @@
 """Many hands: the same result in the same order, whoever does it."""
 
 import threading
+import time
 
 import pytest
 
@@ -26,6 +27,20 @@ def test_two_hands_work_at_the_same_time_and_one_does_not() -> None:
     Hands(count=2).both(together.wait, together.wait)
     threads = ALONE.each(lambda _: threading.get_ident(), range(3))
     assert set(threads) == {threading.get_ident()}
+
+
+def test_many_hands_speak_one_at_a_time() -> None:
+    speaking, heard = threading.Lock(), []
+
+    def told(text: str) -> None:
+        assert speaking.acquire(blocking=False)
+        time.sleep(0.002)
+        heard.append(text)
+        speaking.release()
+
+    hands = Hands(told=told, count=4)
+    hands.each(lambda n: hands.say(str(n)), range(12))
+    assert sorted(heard, key=int) == [str(n) for n in range(12)]
 
 
 @pytest.mark.parametrize("count", [1, 2])
