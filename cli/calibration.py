@@ -74,7 +74,7 @@ def calibrate(
         found = side_by_side(
             run_job, jobs, told, processes=processes, weight=weight_of, begun=begun
         )
-    return finished(_stage(blank, found), held, lab, declared, told)
+    return finished(_stage(blank, found), held, lab, declared, told, processes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,11 +97,13 @@ def finished(
     lab: Path | None,
     declared: "Lab | None",
     told: Told,
+    threads: int = 1,
 ) -> Calibration:
     """Design, export, verify and report a stage that is fitted.
 
     held      the recordings, for the report's pictures; None where they are larger than memory
     declared  what stands in ``lab``
+    threads   so many verify; the files are the same bytes
     """
     from piezoid.identification.store import write_model
     from piezoid_cli.controllers import controllers_of, files_of
@@ -109,7 +111,12 @@ def finished(
 
     content = {"model.json": write_model(stage.model), **_told_files(stage.diagnoses, lab)}
     made = controllers_of(
-        stage.model, content["model.json"], declared, told, designed=stage.designed
+        stage.model,
+        content["model.json"],
+        declared,
+        told,
+        designed=stage.designed,
+        threads=threads,
     )
     content |= files_of(made)
     told("writing the report")

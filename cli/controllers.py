@@ -53,11 +53,13 @@ def controllers_of(
     told: Told,
     *,
     designed: "Sequence[Designed] | None" = None,
+    threads: int = 1,
 ) -> Controllers:
     """Return the controllers and what became of them, or why there are none.
 
     model     and the ``content`` of its file
     designed  what came of designing its axes; None: they are designed here
+    threads   so many verify; what they find does not depend on it
 
     Whatever stands in their way, model and report are there without them; a controller that could
     not be verified does not ship.
@@ -72,7 +74,7 @@ def controllers_of(
             design = design_stage(model, model_digest=digest, lab=lab, progress=told)
         else:
             design = _together(designed, digest)
-        return _verified(model, design, lab, told)
+        return _verified(model, design, lab, told, threads)
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
         return Controllers(design=design, reason=str(refusal), refused=sought)
@@ -92,7 +94,7 @@ def _together(designed: "Sequence[Designed]", digest: str) -> "Design":
 
 
 def _verified(
-    model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told
+    model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told, threads: int
 ) -> Controllers:
     """Return what ships of a design, and what its run against the stage showed."""
     from piezoid.export.stage import export_stage
@@ -102,7 +104,7 @@ def _verified(
     design_digest = loads(design.to_json())["digest"]
     parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
     told("running the compiled controller against the stage")
-    found = verify_stage(parameters, model, lab=lab)
+    found = verify_stage(parameters, model, lab=lab, threads=threads)
     return Controllers(
         design=design,
         parameters=parameters,

@@ -57,6 +57,7 @@ def verify(
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
+    from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import lab_of, same_model, text_of
 
     file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
@@ -69,7 +70,15 @@ def verify(
         told("compiling and comparing" if rebuild or target else "running the controller")
         proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
         told("running the compiled controller against the stage")
-        found = verify_stage(file, model, lab=declared, limits=chosen, proofs=proofs, seed=seed)
+        found = verify_stage(
+            file,
+            model,
+            lab=declared,
+            limits=chosen,
+            proofs=proofs,
+            seed=seed,
+            threads=usable_cores(),
+        )
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written})
     if json:

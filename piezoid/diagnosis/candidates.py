@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from math import sqrt
 
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.refinement import begun, refined, refined_together
 from piezoid.diagnosis.screening import Screened
 from piezoid.diagnosis.view import View
+from piezoid.numerics.hands import Hands
 
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
 LEAST_GAIN = 0.012

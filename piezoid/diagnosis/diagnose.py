@@ -9,7 +9,6 @@ from piezoid.diagnosis.absence import absent
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
@@ -21,6 +20,7 @@ from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.hands import Hands
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

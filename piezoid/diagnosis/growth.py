@@ -14,7 +14,6 @@ from piezoid.diagnosis.candidates import Beside, best_of, refitted
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.jumps import struck
 from piezoid.diagnosis.knee import with_best_knee
@@ -29,6 +28,7 @@ from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.slips_instead import Instead, fault_beside, slips_instead, stand_better
 from piezoid.diagnosis.view import View, with_free_memory, with_habit, with_knee, with_pasts
+from piezoid.numerics.hands import Hands
 
 MOST_CAUSES = 5
 SLIP = "timestamp_fault"

@@ -11,8 +11,8 @@ import numpy as np
 
 from piezoid.diagnosis.bouc_wen import Knee
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.view import View, with_knee
+from piezoid.numerics.hands import ALONE, Hands
 
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta

@@ -17,11 +17,11 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen import Knee, bent_states
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH, rubbed, rubbing
-from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.pasts import Turns, habits, past, pasts
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, knee_columns, shape
 from piezoid.diagnosis.view import View, cycled, with_free_memory, with_habit, with_pasts
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.hands import ALONE, Hands
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: then all is forgotten

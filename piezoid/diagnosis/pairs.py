@@ -14,11 +14,11 @@ from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import compared
-from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import CERTAIN, Judged, asked, judged
 from piezoid.diagnosis.refinement import Refined, begun, refined, refined_together
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.view import View
+from piezoid.numerics.hands import ALONE, Hands
 
 MUCH = 0.4  # of the error: what one of the two takes off where it stands for both
 SURE = 4.0  # standard errors: one cause for what two would explain is the simpler tale

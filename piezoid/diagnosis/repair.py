@@ -2,9 +2,9 @@
 
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.hands import Hands
 from piezoid.diagnosis.memory import OTHER_PASTS, does_as_well, with_best_habit, with_own_pasts
 from piezoid.diagnosis.view import View, with_habit, with_tracks
+from piezoid.numerics.hands import Hands
 
 MOST_REPAIRS = 3
 EVIDENT = 0.5  # of the error: what a habit leaves that is beyond doubt

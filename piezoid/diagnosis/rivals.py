@@ -14,12 +14,12 @@ from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
-from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.view import View
+from piezoid.numerics.hands import ALONE, Hands
 
 NEAR = 0.5  # of the gain: what a rival's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart

@@ -13,7 +13,6 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.growth import SLIP, Grown, grown
-from piezoid.diagnosis.hands import ALONE, Hands
 from piezoid.diagnosis.judgement import Judged, asked, judged_structure, part_explained
 from piezoid.diagnosis.knee import with_best_knee
 from piezoid.diagnosis.refinement import refined
@@ -21,6 +20,7 @@ from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.rivals import Rivals, told_apart
 from piezoid.diagnosis.screening import Screened, screen
 from piezoid.diagnosis.view import View, with_tracks
+from piezoid.numerics.hands import ALONE, Hands
 
 WORTH = 0.02  # of the rms: what removing a cause must lose, or half of it near the noise
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,

@@ -8,6 +8,7 @@ import numpy as np
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.hands import ALONE, Hands
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.loop_plant import rest_position
@@ -16,6 +17,17 @@ from piezoid.verification.trace import SpiralTrace
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
 _REACH = 0.7  # of the way from rest to the nearer end of the references
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """What one axis is asked to follow, beside which disturbance and fault of its sensor."""
+
+    axis: AxisParameters
+    plant: AxisPlant
+    reference: Array
+    disturbance: Array | None = None
+    fault: Array | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -31,6 +43,7 @@ class Bench:
     tunnelling: tuple[str, ...]
     centre_m: Mapping[str, float]
     radius_m: float
+    hands: Hands = ALONE
     runs: int = 0
     records: dict[str, list[LoopRecord]] = field(default_factory=dict)
     comparison: list[ComparisonRow] = field(default_factory=list)
@@ -44,24 +57,34 @@ class Bench:
         axes = [self.file.axis(name) for name in self.lateral]
         return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
 
-    def run(
-        self,
-        axis: AxisParameters,
-        plant: AxisPlant,
-        reference: Array,
-        *,
-        disturbance: Array | None = None,
-        fault: Array | None = None,
-    ) -> LoopRecord:
-        """Run one axis with noise of its own, and remember the record."""
-        self.runs += 1
-        rng = np.random.default_rng([self.seed, self.runs])
-        record = run_axis(plant, axis, reference, rng=rng, disturbance=disturbance, fault=fault)
-        self.records.setdefault(plant.axis, []).append(record)
-        return record
+    def run_all(self, runs: Sequence[Run]) -> dict[str, LoopRecord]:
+        """Run axes that move at the same time, each with noise of its own, and remember them."""
+        numbered = list(enumerate(runs, self.runs + 1))
+        self.runs += len(runs)
+        records = self.hands.each(self._run, numbered)
+        for record in records:
+            self.records.setdefault(record.axis, []).append(record)
+        return {record.axis: record for record in records}
+
+    def _run(self, numbered: tuple[int, Run]) -> LoopRecord:
+        number, run = numbered
+        return run_axis(
+            run.plant,
+            run.axis,
+            run.reference,
+            rng=np.random.default_rng([self.seed, number]),
+            disturbance=run.disturbance,
+            fault=run.fault,
+        )
 
 
-def bench_of(file: ParameterFile, plants: Sequence[AxisPlant], limits: Limits, seed: int) -> Bench:
+def bench_of(
+    file: ParameterFile,
+    plants: Sequence[AxisPlant],
+    limits: Limits,
+    seed: int,
+    hands: Hands = ALONE,
+) -> Bench:
     """Put every axis beside its plant, and choose the radius of all paths.
 
     Raises ``ParameterFileError`` for an axis without a plant.
@@ -87,6 +110,7 @@ def bench_of(file: ParameterFile, plants: Sequence[AxisPlant], limits: Limits, s
         plants=by_axis,
         limits=limits,
         seed=seed,
+        hands=hands,
         rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
         lateral=lateral,
         tunnelling=tips,

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from piezoid.numerics.arrays import Array
 from piezoid.verification import criteria
-from piezoid.verification.bench import Bench
+from piezoid.verification.bench import Bench, Run
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.scenarios import Scenario
@@ -50,14 +51,17 @@ def run_tips(
     ideal = [radius_m * path.x, radius_m * path.y]
     surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * radius_m)
     height_m = surface.height(*(*ways, *ideal[len(ways) :])[:2])
-    found = {}
-    for name in bench.tunnelling:
-        response = _junction(plants[name])
-        reference = np.full(len(path.x), response.current_A)
-        disturbance = response.decay_per_m * height_m
-        axis = bench.file.axis(name)
-        found[name] = bench.run(axis, plants[name], reference, disturbance=disturbance)
-    return found
+    return bench.run_all([_over(bench, name, plants[name], height_m) for name in bench.tunnelling])
+
+
+def _over(bench: Bench, name: str, plant: AxisPlant, height_m: Array) -> Run:
+    response = _junction(plant)
+    return Run(
+        axis=bench.file.axis(name),
+        plant=plant,
+        reference=np.full(len(height_m), response.current_A),
+        disturbance=response.decay_per_m * height_m,
+    )
 
 
 def _junction(plant: AxisPlant) -> Junction:

@@ -41,13 +41,15 @@ def verify_stage(
     proofs: Sequence[Proof] = (),
     draws: int = DRAWS,
     seed: int = 0,
+    threads: int = 1,
 ) -> Verification:
     """Verify a parameter file against the identified stage.
 
-    lab     whose converters round the readings, and which barriers occur; without it readings
-            are not rounded
-    limits  by default those of ``[verification]`` in lab.toml, else those of ``Limits``
-    draws   how many other stages the recordings allow are run as well
+    lab      whose converters round the readings, and which barriers occur; without it readings
+             are not rounded
+    limits   by default those of ``[verification]`` in lab.toml, else those of ``Limits``
+    draws    how many other stages the recordings allow are run as well
+    threads  so many axes of a path run at once; what is found does not depend on it
 
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
     """
@@ -64,7 +66,15 @@ def verify_stage(
             drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
     chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
-    return verify(file, plants, variations=variations, limits=chosen, proofs=proofs, seed=seed)
+    return verify(
+        file,
+        plants,
+        variations=variations,
+        limits=chosen,
+        proofs=proofs,
+        seed=seed,
+        threads=threads,
+    )
 
 
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:

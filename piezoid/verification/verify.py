@@ -7,9 +7,10 @@ import numpy as np
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.hands import Hands
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.bench import Bench, bench_of
+from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.over_surface import judge_tips, run_tips
@@ -31,6 +32,7 @@ def verify(
     scenarios: Sequence[Scenario] = SCENARIOS,
     proofs: Sequence[Proof] = (),
     seed: int = 0,
+    threads: int = 1,
 ) -> Verification:
     """Run what ships against plants, scenario by scenario, and judge it.
 
@@ -40,10 +42,11 @@ def verify(
     limits      by default those of ``Limits``
     proofs      builds that were compared, to stand in the same record
     seed        of every noise
+    threads     so many axes of a path run at once; what is found does not depend on it
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
-    bench = bench_of(file, plants, limits or Limits(), seed)
+    bench = bench_of(file, plants, limits or Limits(), seed, Hands(count=threads))
     for scenario in scenarios:
         if scenario.is_varied:
             _run_varied(bench, scenario, variations)
@@ -85,13 +88,13 @@ def _lateral(
     plants: Mapping[str, AxisPlant] | None = None,
     fault: Array | None = None,
 ) -> dict[str, LoopRecord]:
-    found = {}
+    runs = []
     for name, reference in _references(bench, path).items():
         axis = bench.file.axis(name)
         chosen = axis if method is None else axis.for_method(method)
         plant = (plants or bench.plants)[name]
-        found[name] = bench.run(chosen, plant, reference, fault=fault)
-    return found
+        runs.append(Run(axis=chosen, plant=plant, reference=reference, fault=fault))
+    return bench.run_all(runs)
 
 
 def _centred(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from piezoid.diagnosis import candidates
-from piezoid.diagnosis.hands import ALONE
+from piezoid.numerics.hands import ALONE
 
 
 def found(name: str, total: float, sound: bool = True) -> SimpleNamespace:

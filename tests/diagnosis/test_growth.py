@@ -6,8 +6,8 @@ import pytest
 
 from piezoid.diagnosis import growth, repair
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.hands import ALONE
 from piezoid.diagnosis.memory import AS_GOOD, NEARLY, POOR, does_as_well
+from piezoid.numerics.hands import ALONE
 
 CYCLED, HABIT, OWN = "cycled", "habit", "own"
 

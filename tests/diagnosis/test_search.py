@@ -14,8 +14,8 @@ from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.growth import SLIP, Grown
-from piezoid.diagnosis.hands import ALONE
 from piezoid.diagnosis.slips_instead import Instead, fault_beside
+from piezoid.numerics.hands import ALONE
 
 from .bench import healthy_view
 

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from threading import get_ident
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.runtime.controller import Status
+from piezoid.verification import bench
+from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Limits
 from piezoid.verification.plant import Plugged, with_gain
 from piezoid.verification.proof import Proof
@@ -74,6 +77,28 @@ def test_the_record_names_what_was_verified(whole):
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
     runs = [verify(stage("x"), PLANTS[:1], scenarios=QUICK, seed=s).to_json() for s in (3, 3, 4)]
     assert runs[0] == runs[1] != runs[2]
+
+
+def test_axes_that_run_at_once_give_the_same_bytes_as_one_after_the_other():
+    alone, together = (
+        verify(stage(), PLANTS, scenarios=QUICK, threads=count).to_json() for count in (1, 2)
+    )
+    assert alone == together
+
+
+def test_axes_run_at_once_only_where_more_threads_are_allowed(monkeypatch):
+    by = []
+
+    def noted(*given, **named):
+        by.append(get_ident())
+        return run_axis(*given, **named)
+
+    monkeypatch.setattr(bench, "run_axis", noted)
+    verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1])
+    assert set(by) == {get_ident()}
+    by.clear()
+    verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1], threads=2)
+    assert get_ident() not in by
 
 
 def test_what_ships_is_verified_and_nothing_else():

@@ -21,6 +21,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.mains_lines import MainsLines
@@ -113,11 +114,24 @@ def _strongest(view: View, lines: Lines, nominal_Hz: float) -> tuple[float, int]
             if track.rate_Hz < ROWS_PER_PERIOD * n * tried[-1] or lines.driven(k, n * nominal_Hz):
                 continue
             residual = view.null.residual[edges[k] : edges[k + 1]]
-            turn = np.outer(2 * np.pi * n * tried / track.rate_Hz, track.place)
-            power += (np.cos(turn) @ residual) ** 2 + (np.sin(turn) @ residual) ** 2
+            power += _powers(residual, 2 * np.pi * n * tried / track.rate_Hz, track.place)
         j = int(np.argmax(power))
         best = max(best, (float(power[j]), float(tried[j]), n))
     return best[1], best[2]
+
+
+def _powers(signal: Array, turns: Array, place: Places) -> Array:
+    """Return how strongly a signal follows waves of equally spaced turns per sample, (turns,).
+
+    The next wave is the last one times a slow one: a product instead of a sine for every sample.
+    """
+    wave = signal * np.exp(1j * turns[0] * place)
+    slow = np.exp(1j * (turns[1] - turns[0]) * place)
+    sums = [wave.sum()]
+    for _ in turns[1:]:
+        wave *= slow
+        sums.append(wave.sum())
+    return np.asarray(np.abs(sums) ** 2)
 
 
 def _trials(view: View) -> list[Trial]:

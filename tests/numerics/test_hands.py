@@ -5,12 +5,7 @@ import time
 
 import pytest
 
-from piezoid.diagnosis.diagnose import diagnose
-from piezoid.diagnosis.hands import ALONE, Hands
-from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
-from piezoid_datasets.virtual_lab.campaign import draw_campaign
-
-from .bench import recorded
+from piezoid.numerics.hands import ALONE, Hands
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
@@ -54,12 +49,3 @@ def test_a_mistake_of_one_is_everybodys(count) -> None:
 def test_without_a_hand_nothing_is_done() -> None:
     with pytest.raises(ValueError, match="0 threads"):
         Hands(count=0)
-
-
-def test_a_diagnosis_is_the_same_byte_for_byte_however_many_threads_make_it() -> None:
-    plans = ("sweep", "rates", "staircase")
-    recordings, lab = recorded(draw_campaign(31, effects=("lag", "creep"), plans=plans))
-    alone, said = diagnose(recordings, lab=lab), set()
-    together = diagnose(recordings, lab=lab, threads=3, progress=said.add)
-    assert write_diagnosis(together) == write_diagnosis(alone)
-    assert {"testing creep", "telling lag from its rivals"} <= said
