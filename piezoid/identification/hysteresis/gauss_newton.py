@@ -19,6 +19,8 @@ from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.chain import Samples
 
 CONVERGED = 1e-5  # relative fall of the cost that is not worth another iteration
+# Thresholds that meet kinks go on in steps that do not end, each worth a ten-thousandth.
+CRAWL, CRAWLED = 5, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,7 +51,8 @@ class Minimum:
     rms         of the residual, scaled units
     iterations  Jacobians computed
     gradient    largest scaled derivative that a bound does not hold: 0 at an exact minimum
-    converged   whether the last step changed the cost by less than one part in 1e5
+    converged   whether the last step changed the cost by less than one part in 1e5, or the last
+                five together by less than one in a thousand
     """
 
     theta: Array
@@ -154,11 +157,18 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
     state = Minimum(
         theta=theta, rms=rms_of(theta, task), iterations=0, gradient=np.inf, converged=False
     )
-    damping = 1e-3
+    damping, passed = 1e-3, [state.rms]
     while state.iterations < iterations and not state.converged:
         factor = factor_of(state.theta, task, upper > lower)
         state, damping = _iterate(state, factor, (lower, upper), task, damping)
+        passed.append(state.rms)
+        state = replace(state, converged=state.converged or _crawls(passed))
     return state
+
+
+def _crawls(passed: Sequence[float]) -> bool:
+    """Tell whether the last steps together lowered the cost by next to nothing."""
+    return len(passed) > CRAWL and 1.0 - (passed[-1] / passed[-1 - CRAWL]) ** 2 < CRAWLED
 
 
 def _iterate(
