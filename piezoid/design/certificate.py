@@ -14,6 +14,7 @@ from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import grid_Hz
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
+from piezoid.operators.recursive_filter import recursive_filter
 from piezoid.readable import told
 
 _TAIL = 1e-12
@@ -136,14 +137,12 @@ def impulse_response(numerator: ArrayLike, denominator: ArrayLike) -> Array:
 
     returned  (samples,); the length follows from the largest root, 1e-12 of it remains
     """
-    from scipy.signal import lfilter
-
     radius = spectral_radius(np.asarray(denominator))
     wanted = np.log(_TAIL) / np.log(radius) if 0.0 < radius < 1.0 else 0.0
     count = int(min(max(2.0 * wanted, 500.0), _LONGEST))
     impulse = np.zeros(count)
     impulse[0] = 1.0
-    return np.asarray(lfilter(numerator, denominator, impulse), dtype=np.float64)
+    return recursive_filter(numerator, denominator, impulse)
 
 
 def peak_gain(numerator: ArrayLike, denominator: ArrayLike) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.numerics.arrays import Array
+from piezoid.operators.recursive_filter import recursive_filter
 
 SAME = 0.01  # of the clock: so near a recording's rate is the converter's own
 APART = 1e-4  # of a pole: nearer ones are one
@@ -43,8 +44,6 @@ def held(command: Array, poles_Hz: tuple[float | None, ...], rate_Hz: float) -> 
 
 
 def _behind(command: Array, ratio: float) -> Array:
-    from scipy.signal import lfilter
-
     pole = float(np.exp(-ratio))
-    moved = lfilter([0.0, 1.0 - pole], [1.0, -pole], command - command[0])
+    moved = recursive_filter([0.0, 1.0 - pole], [1.0, -pole], command - command[0])
     return np.asarray(moved + command[0])

@@ -9,6 +9,7 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
+from piezoid.operators.recursive_filter import recursive_filter
 from piezoid.records.recording import Quantity, Recording
 
 
@@ -42,15 +43,13 @@ def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
 
     A recording with fewer than four rows for a period cannot show the mode.
     """
-    from scipy.signal import lfilter
-
     if rate_Hz < 4.0 * frequency_Hz:
         return signal
     k = np.tan(np.pi * frequency_Hz / rate_Hz)
     a = np.array([1 + k / quality + k * k, 2 * (k * k - 1), 1 - k / quality + k * k])
     b = k * k * np.array([1.0, 2.0, 1.0])
     start = np.asarray(signal)[0]
-    return np.asarray(lfilter(b / a[0], a / a[0], signal - start) + start)
+    return np.asarray(recursive_filter(b, a, signal - start) + start)
 
 
 def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Array:

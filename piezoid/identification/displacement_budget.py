@@ -14,9 +14,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.quantiles import student_quantile
 from piezoid.numerics.uncertainty_budget import (
     HEAVY,
     NORMAL,
@@ -168,4 +168,4 @@ def _converter_step_m(axis: str, lab: Lab) -> float | None:
 
 def _standard(half_m: float, freedom: int) -> float:
     """Return the standard uncertainty behind half a 95 % interval."""
-    return half_m / float(student.ppf(0.975, freedom))
+    return half_m / float(student_quantile(0.975, freedom))

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
 DRAWS = 200_000
@@ -120,7 +119,7 @@ def budget_of(
     """
     combined = math.sqrt(sum(one.standard**2 for one in contributions))
     freedom = effective_freedom(contributions)
-    factor = float(student.ppf(0.5 + CONFIDENCE / 2, freedom))
+    factor = float(student_quantile(0.5 + CONFIDENCE / 2, freedom))
     rng = np.random.default_rng(seed)
     shared = sum(
         (_drawn(one, draws, rng) for one in contributions if one.is_shared), np.zeros(draws)
@@ -159,10 +158,10 @@ def tail_of(quantile_ratio: float, probability: float = 0.999) -> float:
     returned        nu, at least 2.2; infinite where the tail is no heavier than normal
     """
     upper = 0.5 + probability / 2
-    if quantile_ratio <= norm.ppf(upper):
+    if quantile_ratio <= normal_quantile(upper):
         return math.inf
     nu = np.geomspace(2.2, 1e3, 400)
-    reached = student.ppf(upper, nu) * np.sqrt((nu - 2) / nu)
+    reached = student_quantile(upper, nu) * np.sqrt((nu - 2) / nu)
     falling = int(np.argmax(reached))  # below it the variance goes to the last few draws
     place = np.searchsorted(-reached[falling:], -quantile_ratio)
     return float(nu[min(falling + int(place), len(nu) - 1)])
@@ -198,8 +197,8 @@ def _unit_quantile(probability: Array, tail: float) -> Array:
     """Return quantiles of unit variance, normal or of Student's t."""
     inside = np.clip(probability, 1e-15, 1.0 - 1e-15)
     if math.isinf(tail):
-        return np.asarray(norm.ppf(inside))
-    return np.asarray(student.ppf(inside, tail) * math.sqrt((tail - 2.0) / tail))
+        return np.asarray(normal_quantile(inside))
+    return np.asarray(student_quantile(inside, tail) * math.sqrt((tail - 2.0) / tail))
 
 
 def _drawn(one: Contribution, draws: int, rng: np.random.Generator) -> Array:

@@ -45,6 +45,18 @@ void pk_ladder(size_t samples, const double *input, size_t rungs, const double *
     }
 }
 
+void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
+               double *memory, double *output) {
+    for (size_t k = 0; k < samples; ++k) {
+        const double x = input[k];
+        const double y = memory[0] + b[0] * x;
+        for (size_t i = 1; i <= order; ++i) {
+            memory[i - 1] = memory[i] + b[i] * x - a[i] * y;
+        }
+        output[k] = y;
+    }
+}
+
 void pk_slew(size_t samples, const double *input, double step, double *output) {
     double held = samples > 0 ? input[0] : 0.0;
     for (size_t k = 0; k < samples; ++k) {

@@ -25,6 +25,13 @@ void pk_first_order(size_t samples, size_t columns, size_t stride, double *value
 void pk_ladder(size_t samples, const double *input, size_t rungs, const double *pole,
                const double *b0, const double *b1, double *state, double *output);
 
+/* A recursive filter in transposed direct form II, a[0] = 1:
+ *   output[k] = sum_i b_i x[k-i] - sum_(i>0) a_i output[k-i],   i = 0 .. order
+ *   memory (order + 1,)  in/out, the last one stays zero; output must not alias input
+ */
+void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
+               double *memory, double *output);
+
 /* A signal that goes at most `step` from sample to sample; output must not alias input. */
 void pk_slew(size_t samples, const double *input, double step, double *output);
 

@@ -57,7 +57,7 @@ class Bench:
         axes = [self.file.axis(name) for name in self.lateral]
         return tuple(m for m in axes[0].methods if all(m in axis.methods for axis in axes))
 
-    def run_all(self, runs: Sequence[Run]) -> dict[str, LoopRecord]:
+    def run(self, runs: Sequence[Run]) -> dict[str, LoopRecord]:
         """Run axes that move at the same time, each with noise of its own, and remember them."""
         numbered = list(enumerate(runs, self.runs + 1))
         self.runs += len(runs)

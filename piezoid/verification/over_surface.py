@@ -51,7 +51,7 @@ def run_tips(
     ideal = [radius_m * path.x, radius_m * path.y]
     surface = RoughSurface(rms_m=_ROUGHNESS_m, shortest_m=_WAVELENGTH * radius_m)
     height_m = surface.height(*(*ways, *ideal[len(ways) :])[:2])
-    return bench.run_all([_over(bench, name, plants[name], height_m) for name in bench.tunnelling])
+    return bench.run([_over(bench, name, plants[name], height_m) for name in bench.tunnelling])
 
 
 def _over(bench: Bench, name: str, plant: AxisPlant, height_m: Array) -> Run:

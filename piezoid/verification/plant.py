@@ -11,6 +11,7 @@ from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.recursive_filter import recursive_filter
 
 Respond = Callable[[float], float]
 
@@ -117,15 +118,13 @@ class AxisPlant:
         First-order noise sampled exactly: all of its power is there, also what a sensor faster
         than half the sampling rate folds down.
         """
-        from scipy.signal import lfilter
-
         white = rng.standard_normal(samples)
         if self.noise_bandwidth_Hz is None:
             return np.asarray(self.noise_rms * white)
         pole = float(np.exp(-2.0 * np.pi * self.noise_bandwidth_Hz / self.sampling_rate_Hz))
         kicks = np.sqrt(1.0 - pole**2) * white
         kicks[:1] = white[:1]
-        return np.asarray(self.noise_rms * lfilter([1.0], [1.0, -pole], kicks))
+        return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks))
 
 
 def lateral_plant(

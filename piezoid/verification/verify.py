@@ -94,7 +94,7 @@ def _lateral(
         chosen = axis if method is None else axis.for_method(method)
         plant = (plants or bench.plants)[name]
         runs.append(Run(axis=chosen, plant=plant, reference=reference, fault=fault))
-    return bench.run_all(runs)
+    return bench.run(runs)
 
 
 def _centred(

@@ -6,9 +6,9 @@ Every look at a stage is a chance to be wrong, so the thresholds know how often 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import normal_quantile
 from piezoid.numerics.robust import (
     Spread,
     Trend,
@@ -80,7 +80,7 @@ def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
         if len((found := _held(fleet, axis, quantity)).stages) >= FEWEST
     ]
     looks = sum(len(one.values) for one in held)
-    limit = float(norm.isf(FALSE_ALARMS / max(looks, 1) / 2))
+    limit = float(-normal_quantile(FALSE_ALARMS / max(looks, 1) / 2))
     trends = [trend_of(one.serials, one.values) for one in held]
     p_values = holm(np.array([1.0 if trend is None else trend.p_value for trend in trends]))
     return tuple(

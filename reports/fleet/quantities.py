@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from scipy.stats import t as student
-
 from piezoid.design.design import AxisDesign
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.quantiles import student_quantile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +42,7 @@ def _loop_width(axis: AxisModel, _: AxisDesign | None) -> float | None:
 
 def _quantile(axis: AxisModel) -> float:
     """Return how many standard errors half a 95 % interval is."""
-    return float(student.ppf(0.975, max(axis.uncertainty.blocks - 1, 1)))
+    return float(student_quantile(0.975, max(axis.uncertainty.blocks - 1, 1)))
 
 
 def _sensitivity_error(axis: AxisModel) -> float | None:

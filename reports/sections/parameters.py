@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.stats import t as student
 
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
+from piezoid.numerics.quantiles import student_quantile
 from piezoid_reports.page import Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, told, told_between
 
@@ -38,7 +38,7 @@ def render(page: Page) -> Section:
 
 def known_of(found: Uncertainty) -> Known:
     """Return value and half interval of every parameter by name."""
-    quantile = float(student.ppf(0.975, max(found.blocks - 1, 1)))
+    quantile = float(student_quantile(0.975, max(found.blocks - 1, 1)))
     half = quantile * np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     return {
         name: (float(value), float(spread))

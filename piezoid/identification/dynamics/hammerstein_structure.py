@@ -8,8 +8,8 @@ both simulations, and only such frequencies and times count at which the drive i
 """
 
 import numpy as np
-from scipy.fft import irfft
-from scipy.signal import stft
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.fft import irfft, rfft
 
 from piezoid.identification.dynamics.hammerstein_fit import straightened
 from piezoid.identification.dynamics.hammerstein_model import (
@@ -92,7 +92,7 @@ def _blocks(rows: HammersteinRows, parts: list[Array], lowest_Hz: float) -> Arra
     """Cross and own powers of measured and both simulated harmonics, (blocks, 5)."""
     length = 2 ** int(np.log2(rows.samples / WINDOWS))
     signals = np.stack([straightened(rows.drive_V), *parts])
-    frequency_Hz, _, found = stft(signals, rows.rate_Hz, nperseg=length, boundary=None)
+    frequency_Hz, found = _short_time(signals, rows.rate_Hz, length)
     drive, measured, before, behind = found
     power = np.abs(drive) ** 2
     counts = power < SILENT * power.max(axis=0)
@@ -109,6 +109,13 @@ def _blocks(rows: HammersteinRows, parts: list[Array], lowest_Hz: float) -> Arra
     ]
     each = np.array_split(np.array(products), BLOCKS, axis=1)
     return np.array([block.sum(axis=1) for block in each])
+
+
+def _short_time(signals: Array, rate_Hz: float, length: int) -> tuple[Array, Array]:
+    """Return the lines of Hann windows that overlap by half, (signals, lines, windows)."""
+    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(length) / length)
+    parts = sliding_window_view(signals, length, axis=1)[:, :: length // 2] * window
+    return np.arange(length // 2 + 1) * rate_Hz / length, np.moveaxis(rfft(parts), 1, 2)
 
 
 def _agreement(sums: Array) -> Array:

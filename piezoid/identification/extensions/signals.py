@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.operators.recursive_filter import recursive_filter
 
 
 def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:
@@ -12,11 +13,10 @@ def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> A
 
     moved  (samples,) or (samples, columns)
     """
-    from scipy.signal import lfilter
-
-    b, a = _mode(frequency_Hz, quality, rate_Hz)
-    start = moved[:1]
-    return np.asarray(lfilter(b, a, moved - start, axis=0) + start)
+    fraction, start = _mode(frequency_Hz, quality, rate_Hz), moved[:1]
+    changes = (moved - start).reshape(len(moved), -1).T
+    rung_up = [recursive_filter(*fraction, change) for change in changes]
+    return np.asarray(np.stack(rung_up, axis=-1).reshape(moved.shape) + start)
 
 
 @lru_cache(maxsize=256)

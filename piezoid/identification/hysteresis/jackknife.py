@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
 
 from piezoid.identification.hysteresis.gauss_newton import Task
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.rows import column_places, rows_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import student_quantile
 
 BLOCKS = 24
 _RIDGE = 1e-12
@@ -54,7 +54,7 @@ class Jackknife:
     @property
     def quantile(self) -> float:
         """Return the factor from a standard error to half a 95 % interval."""
-        return float(student.ppf(0.975, self.blocks - 1))
+        return float(student_quantile(0.975, self.blocks - 1))
 
     def spread(self, functional: Callable[[Array], Array]) -> Array:
         """Return the covariance of a vector-valued function of theta."""

@@ -28,6 +28,7 @@ from piezoid.identification.tunnelling.weighted_fit import (
     fit_sweeps,
 )
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _BLOCKS = 10  # few enough that neighbours in different blocks are nearly independent
@@ -179,13 +180,12 @@ def _covariance(state: WeightedFit, sweeps: int) -> tuple[Array, float, int]:
 def _decay_interval(
     state: WeightedFit, covariance: Array, alone: tuple[float, ...], blocks: int
 ) -> tuple[float, float]:
-    from scipy.stats import t as student
 
     jacobian, _ = _whitened(state)
     plain = 1.0 / max(float(partial_score(jacobian, 0).sum()), 1e-300)
     between = float(np.var(alone, ddof=1)) / len(alone) if len(alone) > 2 else 0.0
     inflation = max(float(covariance[0, 0]) / plain, between / plain, 1.0)
-    quantile = float(student.ppf(0.975, max(blocks - 1, 1)))
+    quantile = float(student_quantile(0.975, max(blocks - 1, 1)))
     return profile_interval(state.points, state.fit, quantile**2 * inflation)
 
 

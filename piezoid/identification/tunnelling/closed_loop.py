@@ -32,6 +32,7 @@ from piezoid.identification.tunnelling.loop_spectra import (
     spectra_of_dither,
 )
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias
@@ -177,9 +178,8 @@ def _naive_reason(error: float, share: float) -> str:
 
 
 def _intervals(fit: InstrumentFit, blocks: int) -> tuple[Array, Array]:
-    from scipy.stats import t as student
 
-    half = float(student.ppf(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
+    half = float(student_quantile(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
     return fit.logs - half, fit.logs + half
 
 

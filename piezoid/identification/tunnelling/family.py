@@ -16,6 +16,7 @@ from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _FEWEST_RECORDS = 3
@@ -137,9 +138,8 @@ def _covariances(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, Arr
 
 
 def _quantile(records: int) -> float:
-    from scipy.stats import t as student
 
-    return float(student.ppf(0.975, records - 1))
+    return float(student_quantile(0.975, records - 1))
 
 
 def _within_bounds(center: Array, step: Array, like: JunctionPlant) -> Array:

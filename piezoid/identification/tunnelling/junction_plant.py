@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.operators.recursive_filter import recursive_filter
 
 ComplexArray = NDArray[np.complex128]
 
@@ -84,8 +85,5 @@ class JunctionPlant:
 
     def respond(self, drive_V: Array) -> Array:
         """Return the log current a drive makes from rest, (samples,) nepers."""
-        from scipy.signal import lfilter
-
         numerator, denominator = self.polynomials()
-        response: Array = lfilter(numerator, denominator, drive_V)
-        return response
+        return recursive_filter(numerator, denominator, drive_V)

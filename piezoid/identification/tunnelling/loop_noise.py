@@ -18,6 +18,7 @@ from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import lines_of
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import student_quantile
 
 _MAINS_Hz = (50.0, 60.0)
 _HARMONICS = 6
@@ -207,12 +208,11 @@ def _disturbance(record: LoopRecord, plant: JunctionPlant, decay_per_m: float) -
 
 def _drift(disturbance_m: Array, sampling_rate_Hz: float) -> tuple[float, float]:
     """Rate and half its interval, from the steps between block means: a walk has no trend line."""
-    from scipy.stats import t as student
-
     length = len(disturbance_m) // _DRIFT_BLOCKS
     means = disturbance_m[: length * _DRIFT_BLOCKS].reshape(_DRIFT_BLOCKS, length).mean(axis=1)
     rates = np.diff(means) * sampling_rate_Hz / length
-    half = float(student.ppf(0.975, len(rates) - 1)) * np.std(rates, ddof=1) / np.sqrt(len(rates))
+    standard = np.std(rates, ddof=1) / np.sqrt(len(rates))
+    half = student_quantile(0.975, len(rates) - 1) * standard
     return float(np.mean(rates)), float(half)
 
 
