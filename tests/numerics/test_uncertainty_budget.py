@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import norm
+from scipy.stats import t as student
 
 from piezoid.numerics.uncertainty_budget import (
     HEAVY,
@@ -68,6 +69,14 @@ def test_the_largest_of_many_normal_errors_is_their_closed_form(positions: int) 
     found = budget_of([normal(2.0, is_shared=False)], positions=positions)
     for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
         exact = 2.0 * norm.ppf((1 + probability ** (1 / positions)) / 2)
+        assert reached == pytest.approx(exact, rel=0.02)
+
+
+def test_the_largest_of_a_thousand_heavy_errors_is_their_closed_form() -> None:
+    found = budget_of([heavy(4.0, is_shared=False)])
+    assert found.positions == 1000  # unless told otherwise
+    for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
+        exact = student.ppf((1 + probability ** (1 / 1000)) / 2, 4.0) * math.sqrt(0.5)
         assert reached == pytest.approx(exact, rel=0.02)
 
 
