@@ -85,6 +85,24 @@ def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
     assert max(in_pm, key=lambda name: in_pm[name]) == "drive_step"
 
 
+@pytest.mark.parametrize("unrest_m", [1e-12, 1e-13])
+def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
+    unrest_m: float,
+) -> None:
+    *reading, drive, gap = budget_resolution(
+        set_point_A=1e-9,
+        decay_per_m=decay_of_barrier(1.0),
+        drive_step_m=5e-12,
+        sampling_rate_Hz=20e3,
+        chain=CHAIN,
+        gap_rms_m=unrest_m,
+    )
+    assert (drive.name, gap.name) == ("drive_step", "gap")
+    whole_m = np.sqrt(sum(source.rms_m**2 for source in (*reading, gap)))
+    alone_m = np.sqrt(sum(source.rms_m**2 for source in reading))
+    assert whole_m == pytest.approx(max(unrest_m, alone_m), rel=1e-9, abs=0.0)
+
+
 def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     whole, attenuated = (
         _noise(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
