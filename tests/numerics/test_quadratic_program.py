@@ -77,6 +77,17 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
         assert (others < alone) is balanced
 
 
+def test_a_bound_at_zero_holds_what_is_zero() -> None:
+    none, zero = np.full(2, np.inf), np.zeros(2)
+    upwards, below, above = np.array([2.0, 1.0]), (-none, zero), (zero, none)
+    for target, held, let_go in ((upwards, below, above), (-upwards, above, below)):
+        gaps = [
+            stationarity(np.eye(2), zero, target, np.eye(2), limits)
+            for limits in (held, let_go, (-none, none))
+        ]
+        assert gaps == pytest.approx([0.0, 1.0, 1.0])
+
+
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
 def test_the_gap_is_the_same_in_other_units(rng: np.random.Generator, unit: float) -> None:
     factor, right = reduced(rng.normal(size=(60, 4)), rng.normal(size=60))
@@ -138,6 +149,10 @@ def test_what_the_gram_matrix_tells_is_not_asked_again(
         lower, upper = unit * np.array([[-0.2], [0.2]]) * rng.uniform(0.1, 1.0, 6)
         found = bounded_step(columns, columns @ (unit * rng.normal(size=6)), lower, upper)
         assert ((found == lower) | (found == upper)).any()
+    # What only the bounds ask for, of columns in any unit.
+    columns, asked = unit * np.array([[1.0, 1.0], [0.0, 0.1]]), np.array([3.0, -9.0])
+    found = bounded_step(columns, np.zeros(2), asked, np.full(2, 9.0))
+    np.testing.assert_allclose(found, [3.0, -3.0 / 1.01], rtol=1e-12)
     # On a bound that nothing pushes against, a step is as much at its end as inside.
     for bounds in ((np.ones(3), np.full(3, 9.0)), (np.full(3, -9.0), np.ones(3))):
         held = [unit * bound for bound in bounds]
