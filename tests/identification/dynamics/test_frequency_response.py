@@ -33,6 +33,18 @@ def test_the_stated_variance_is_that_of_the_error(rng: np.random.Generator) -> N
     assert abs(mean_square - 1) < 4 / np.sqrt(len(error))
 
 
+def test_coherence_is_the_share_of_the_power_that_is_no_noise(rng: np.random.Generator) -> None:
+    """White noise of rms s has the power s^2 n / r in every line of the mean of r periods."""
+    noise_m, data = 2e-8, record(rng, noise_m=2e-8)
+    found = estimate_response(data)
+    lines = np.round(found.frequency_Hz * PERIOD / RATE_HZ).astype(int)
+    drive = np.fft.rfft(data.voltage_V[:, 0, :, 0], axis=0)[lines]
+    gain = truth().sampled(RATE_HZ).response(found.frequency_Hz)[:, 0]
+    moved, noise = (np.abs(gain * drive) ** 2).mean(axis=1), noise_m**2 * PERIOD / 4
+    assert (noise / moved).max() > 0.05
+    np.testing.assert_allclose(found.coherence[:, 0], moved / (moved + noise), atol=0.03)
+
+
 def test_noise_and_distortion_are_told_apart(rng: np.random.Generator) -> None:
     noisy = estimate_response(record(rng, noise_m=5e-9))
     bent = estimate_response(record(rng, noise_m=1e-10, cubic=0.05))

@@ -11,6 +11,7 @@ from piezoid.identification.dynamics.fit_dynamics import (
     _trial_delays,
 )
 from piezoid.identification.dynamics.modal_basis import _direct
+from piezoid.identification.dynamics.vector_fitting import weighted_misfit
 
 
 def sorted_into(poles_Hz: list[complex], modes: int, lags: int) -> list[float]:
@@ -43,6 +44,17 @@ def test_delays_are_tried_sample_by_sample_but_no_more_than_twenty(
     if count > 1:
         assert found[-1] == pytest.approx(longest_s or 4.0 / 2e4)
         np.testing.assert_allclose(np.diff(found), found[1])
+
+
+def test_a_response_made_of_its_poles_is_missed_by_nothing_and_any_other_by_its_square() -> None:
+    s, poles = 1j * np.linspace(0.1, 3.0, 40), np.array([-0.1 + 1j, -0.1 - 1j])
+    made = (1.0 / (s - poles[0]) + 1.0 / (s - poles[1]) + 0.3)[:, None]
+    misfit = [
+        weighted_misfit(s, height * made, np.ones((40, 1)), at)
+        for height, at in ((1.0, poles), (1.0, 1.3 * poles), (2.0, 1.3 * poles))
+    ]
+    assert misfit[0] == pytest.approx(0.0, abs=1e-20)
+    assert misfit[2] == pytest.approx(4.0 * misfit[1])
 
 
 def test_what_passes_directly_is_one_input_on_one_output_without_a_state() -> None:

@@ -7,6 +7,9 @@ from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.exponential_fit import profile_interval
+from piezoid.identification.tunnelling.weighted_fit import fit_sweeps
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, sweep
 
 
@@ -63,6 +66,11 @@ def test_no_current_at_all_excludes_nothing_above(rng: np.random.Generator) -> N
     fit = fit_barrier([dark])
     assert fit.confidence is Confidence.LOW
     assert fit.decay_interval_per_m[1] == np.inf
+
+
+def test_where_any_cost_is_allowed_no_decay_is_excluded(rng: np.random.Generator) -> None:
+    state = fit_sweeps([sweep(rng)], CurrentChain())
+    assert profile_interval(state.points, state.fit, np.inf) == (0.0, np.inf)
 
 
 @pytest.mark.parametrize("nepers", [0.3, -0.3])
