@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
+from piezoid.numerics import bounded
 from piezoid.numerics.bounded import bounded_minimum
 
 
@@ -55,3 +56,20 @@ def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
     assert ((lower <= found) & (found <= upper)).all()
     assert (slope[found > lower] <= 1e-9).all()
     assert (slope[found < upper] >= -1e-9).all()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_lies_on_its_bound_to_rounding_is_settled_in_one_round(
+    monkeypatch: pytest.MonkeyPatch, sign: float
+) -> None:
+    rounds, solved = [], bounded._solved
+    monkeypatch.setattr(bounded, "_solved", lambda *given: rounds.append(1) or solved(*given))
+    for seed in range(50):
+        chance = np.random.default_rng(seed)
+        rows = chance.standard_normal((40, 10)) + 2.0 * chance.standard_normal((40, 1))
+        true = sign * chance.uniform(0.5, 1.0, 10)
+        ends = np.where(chance.random(10) < 0.5, true, -2.0 * sign), np.full(10, 2.0 * sign)
+        lower, upper = np.minimum(*ends), np.maximum(*ends)
+        found = bounded_minimum(rows.T @ rows, rows.T @ (rows @ true), lower, upper)
+        np.testing.assert_allclose(found, true, atol=1e-12)
+    assert len(rounds) == 50

@@ -20,6 +20,7 @@ def test_the_grid_increases_from_its_start_to_just_below_nyquist():
     assert (np.diff(grid) > 0).all()
     assert grid[0] == pytest.approx(0.5)
     assert 0.4998 * RATE_Hz < grid[-1] < 0.5 * RATE_Hz
+    assert 290 <= len(grid) <= 300
 
 
 def test_the_response_is_the_fourier_sum_of_the_impulse_response():

@@ -1,5 +1,7 @@
 """Small convex programs: two solvers that share no code give the same answer."""
 
+from typing import Literal
+
 import daqp
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import nnls
 
 from piezoid.errors import InfeasibleFitError
+from piezoid.numerics import quadratic_program
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
     bounded_step,
@@ -61,6 +64,9 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
     gradient = factor.T @ (factor @ (best + 0.1) - right) / norms
     gap = float(np.linalg.norm(gradient) / np.linalg.norm(factor.T @ right / norms))
     assert stationarity(factor, best + 0.1, right, np.eye(4), free) == pytest.approx(gap)
+    # A target of nothing has no size to be beside.
+    nothing = stationarity(factor, best, 0.0 * right, np.eye(4), free)
+    assert nothing == pytest.approx(np.linalg.norm(factor.T @ (factor @ best) / norms))
     # A bound that holds a number back balances its part, in the direction it pushes and no other.
     pushed = np.where(np.arange(4) == 2, 0.1, 0.0)
     for sign, balanced in ((1.0, False), (-1.0, True)):
@@ -69,6 +75,17 @@ def test_the_gap_of_what_is_no_optimum_is_the_gradient_that_nothing_balances(
         others = stationarity(factor, x, right, np.eye(4), (free[0], upper))
         alone = stationarity(factor, x, right, np.eye(4), free)
         assert (others < alone) is balanced
+
+
+def test_a_bound_at_zero_holds_what_is_zero() -> None:
+    none, zero = np.full(2, np.inf), np.zeros(2)
+    upwards, below, above = np.array([2.0, 1.0]), (-none, zero), (zero, none)
+    for target, held, let_go in ((upwards, below, above), (-upwards, above, below)):
+        gaps = [
+            stationarity(np.eye(2), zero, target, np.eye(2), limits)
+            for limits in (held, let_go, (-none, none))
+        ]
+        assert gaps == pytest.approx([0.0, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
@@ -118,6 +135,29 @@ def test_a_step_towards_nothing_goes_as_far_as_the_bounds_ask() -> None:
         found = bounded_step(factor, np.zeros(2), asked, none) / unit
         np.testing.assert_allclose(found, [1.0, -1.0 / 1.01], rtol=1e-12)
         assert not bounded_step(factor, np.zeros(2), -abs(asked), none).any()
+
+
+@pytest.mark.parametrize("power", [-40, 0, 40])
+def test_what_the_gram_matrix_tells_is_not_asked_again(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch, power: int
+) -> None:
+    """The second method is a hundred times slower, and steps are taken by the thousand."""
+    monkeypatch.delattr(quadratic_program, "_decided")
+    unit = 10.0**power
+    for _ in range(20):
+        columns = rng.normal(size=(80, 6))
+        lower, upper = unit * np.array([[-0.2], [0.2]]) * rng.uniform(0.1, 1.0, 6)
+        found = bounded_step(columns, columns @ (unit * rng.normal(size=6)), lower, upper)
+        assert ((found == lower) | (found == upper)).any()
+    # What only the bounds ask for, of columns in any unit.
+    columns, asked = unit * np.array([[1.0, 1.0], [0.0, 0.1]]), np.array([3.0, -9.0])
+    found = bounded_step(columns, np.zeros(2), asked, np.full(2, 9.0))
+    np.testing.assert_allclose(found, [3.0, -3.0 / 1.01], rtol=1e-12)
+    # On a bound that nothing pushes against, a step is as much at its end as inside.
+    for bounds in ((np.ones(3), np.full(3, 9.0)), (np.full(3, -9.0), np.ones(3))):
+        held = [unit * bound for bound in bounds]
+        found = bounded_step(np.eye(3), np.full(3, unit), *held)
+        np.testing.assert_allclose(found, unit, rtol=1e-12)
 
 
 def test_general_constraints_agree_with_an_active_set_solver(rng: np.random.Generator) -> None:
@@ -202,3 +242,14 @@ def test_a_triangle_gathered_in_chunks_holds_the_norm_of_every_combination(
     x = rng.normal(size=6)
     assert np.linalg.norm(triangle @ x) == pytest.approx(np.linalg.norm(rows @ x), rel=1e-13)
     assert np.allclose(triangle, np.triu(triangle))
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_rows_that_are_gathered_stay_as_they_are_unless_they_may_be_spent(
+    rng: np.random.Generator, order: Literal["C", "F"]
+) -> None:
+    rows = np.asarray(rng.normal(size=(50, 3)), order=order)
+    before = rows.copy()
+    kept = gather(empty_triangle(3), rows)
+    np.testing.assert_array_equal(rows, before)
+    np.testing.assert_array_equal(gather(empty_triangle(3), rows, spend=True), kept)

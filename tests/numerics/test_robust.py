@@ -40,6 +40,14 @@ def test_what_values_scatter_beyond_their_own_errors_is_found(true: float) -> No
     assert np.std(deviations(values, found, errors)) == pytest.approx(1.0, rel=0.06)
 
 
+def test_one_value_without_an_error_hides_no_other_values_error() -> None:
+    rng = np.random.default_rng(6)
+    errors = rng.choice([0.0, 1.0, 20.0], 20_000)
+    values = 7.0 + 3.0 * rng.standard_normal(20_000) + errors * rng.standard_normal(20_000)
+    assert spread_of(values).sigma > 4.0
+    assert spread_beyond(values, errors).sigma == pytest.approx(3.0, rel=0.06)
+
+
 def test_values_without_errors_have_the_plain_spread() -> None:
     values = np.random.default_rng(5).normal(size=31)
     assert spread_beyond(values, np.zeros(31)) == spread_of(values)
@@ -86,3 +94,4 @@ def test_holm_is_the_worked_example_and_never_below_the_raw_value() -> None:
     assert holm(raw) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     drawn = np.random.default_rng(5).uniform(size=50)
     assert np.all(holm(drawn) >= drawn)
+    assert holm(np.array([0.6, 0.9, 0.7])) == pytest.approx([1.0, 1.0, 1.0])

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.stats import norm
+from scipy.stats import t as student
 
 from piezoid.numerics.uncertainty_budget import (
     HEAVY,
@@ -37,6 +38,7 @@ def test_the_end_gauge_of_the_guide_has_the_guides_numbers() -> None:
 
 
 def test_one_estimate_keeps_its_freedom_and_certain_ones_have_no_end() -> None:
+    assert effective_freedom([normal(3.0, 1)]) == pytest.approx(1.0)
     assert effective_freedom([normal(3.0, 7)]) == pytest.approx(7.0)
     assert effective_freedom([normal(3.0), normal(4.0)]) == math.inf
     assert effective_freedom([]) == math.inf
@@ -68,6 +70,21 @@ def test_the_largest_of_many_normal_errors_is_their_closed_form(positions: int) 
     found = budget_of([normal(2.0, is_shared=False)], positions=positions)
     for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
         exact = 2.0 * norm.ppf((1 + probability ** (1 / positions)) / 2)
+        assert reached == pytest.approx(exact, rel=0.02)
+
+
+def test_a_heavy_tail_is_heavy_for_a_single_error_as_well() -> None:
+    for one in (heavy(4.0), heavy(4.0, is_shared=False)):
+        found = budget_of([one])
+        far = student.ppf((1 + found.probability[-2]) / 2, 4.0) * math.sqrt(0.5)
+        assert found.single_error[-2] == pytest.approx(far, rel=0.03)
+
+
+def test_the_largest_of_a_thousand_heavy_errors_is_their_closed_form() -> None:
+    found = budget_of([heavy(4.0, is_shared=False)])
+    assert found.positions == 1000  # unless told otherwise
+    for probability, reached in zip((0.025, 0.975), found.largest, strict=True):
+        exact = student.ppf((1 + probability ** (1 / 1000)) / 2, 4.0) * math.sqrt(0.5)
         assert reached == pytest.approx(exact, rel=0.02)
 
 
@@ -138,7 +155,14 @@ def test_the_same_seed_gives_the_same_bits() -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"kind": "C"}, {"standard": -1.0}, {"standard": math.nan}, {"shape": "odd"}, {"tail": 2.0}],
+    [
+        {"kind": "C"},
+        {"standard": -1.0},
+        {"standard": math.nan},
+        {"shape": "odd"},
+        {"tail": 2.0},
+        {"freedom": 0.9},
+    ],
 )
 def test_a_contribution_that_cannot_be_is_refused(wrong: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="n: "):

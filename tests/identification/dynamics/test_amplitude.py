@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import linregress
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.amplitude import extrapolate_mode
@@ -37,6 +38,25 @@ def test_uncertainty_grows_on_the_way_to_zero() -> None:
     found = extrapolate_mode([at_level(v, 0.0) for v in (0.1, 0.3)], 630)
     low, high = found.frequency.at_zero_interval
     assert np.log(high / low) / (2 * 1.96) == pytest.approx(1e-5 * np.sqrt(2.5), rel=1e-3)
+
+
+def test_each_number_of_a_mode_has_its_own_uncertainty() -> None:
+    """The second of two modes, equal standard deviations s at 0.1 and 0.3 V: s sqrt(2.5)."""
+    std = np.array([1e-5, 2e-5, 3e-4, 4e-4, 1.0])
+    levels = [replace(at_level(v, 0.0), shape_covariance=np.diag(std**2)) for v in (0.1, 0.3)]
+    found = extrapolate_mode(levels, FREQUENCY_HZ[1])
+    for trend, own in ((found.frequency, std[1]), (found.damping_trend, std[3])):
+        low, high = trend.at_zero_interval
+        assert np.log(high / low) / (2 * 1.96) == pytest.approx(own * np.sqrt(2.5), rel=1e-3)
+
+
+def test_levels_that_lie_on_no_line_make_the_interval_of_a_regression() -> None:
+    level_V, off = np.linspace(0.1, 0.5, 5), np.array([3.0, -4.0, 2.0, -3.0, 2.0]) * 1e-3
+    found = extrapolate_mode([at_level(v, w / v) for v, w in zip(level_V, off, strict=True)], 630)
+    line = linregress(level_V, -off)
+    low, high = found.frequency.change_interval
+    assert found.frequency.change_per_V == pytest.approx(line.slope)
+    assert (high - low) / (2 * 1.96) == pytest.approx(line.stderr, rel=1e-3)
 
 
 def test_one_level_is_no_trend() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.dynamics import periodic_estimate
 from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_data import PeriodicData, cut_periods
@@ -30,6 +31,18 @@ def test_the_stated_variance_is_that_of_the_error(rng: np.random.Generator) -> N
     error = found.response - truth().sampled(RATE_HZ).response(found.frequency_Hz)
     mean_square = np.mean(np.abs(error) ** 2 / found.variance)
     assert abs(mean_square - 1) < 4 / np.sqrt(len(error))
+
+
+def test_coherence_is_the_share_of_the_power_that_is_no_noise(rng: np.random.Generator) -> None:
+    """White noise of rms s has the power s^2 n / r in every line of the mean of r periods."""
+    noise_m, data = 2e-8, record(rng, noise_m=2e-8)
+    found = estimate_response(data)
+    lines = np.round(found.frequency_Hz * PERIOD / RATE_HZ).astype(int)
+    drive = np.fft.rfft(data.voltage_V[:, 0, :, 0], axis=0)[lines]
+    gain = truth().sampled(RATE_HZ).response(found.frequency_Hz)[:, 0]
+    moved, noise = (np.abs(gain * drive) ** 2).mean(axis=1), noise_m**2 * PERIOD / 4
+    assert (noise / moved).max() > 0.05
+    np.testing.assert_allclose(found.coherence[:, 0], moved / (moved + noise), atol=0.03)
 
 
 def test_noise_and_distortion_are_told_apart(rng: np.random.Generator) -> None:
@@ -73,18 +86,47 @@ def test_a_chirp_gives_the_response_where_it_has_power_and_rejects_the_rest(
     assert found.is_rejected[above].mean() > 0.9
 
 
-def test_coherence_falls_with_noise_as_it_should(rng: np.random.Generator) -> None:
+@pytest.mark.parametrize("segment_samples", [32, 512])
+def test_coherence_falls_with_noise_as_it_should(
+    rng: np.random.Generator, segment_samples: int
+) -> None:
     """Equal powers of signal and noise make a coherence of one half."""
     drive_V = rng.standard_normal(200_000)
     found = estimate_response_by_coherence(
         drive_V,
         drive_V + rng.standard_normal(200_000),
         sampling_rate_Hz=1.0,
-        segment_samples=512,
+        segment_samples=segment_samples,
     )
     assert np.mean(found.coherence) == pytest.approx(0.5, abs=0.02)
     scatter = np.mean(np.abs(found.response - 1) ** 2) / np.mean(found.variance)
     assert scatter == pytest.approx(1.0, abs=0.25)
+
+
+def test_windows_count_by_the_power_with_which_they_drive(rng: np.random.Generator) -> None:
+    """Half of them at full height and half at h count as (1 + h^2)^2 / (2 + 2 h^4) of all."""
+    height = np.repeat([1.0, 0.3], 100_000)
+    loud = rng.standard_normal(200_000)
+    counted = [
+        estimate_response_by_coherence(
+            drive_V, drive_V, sampling_rate_Hz=1.0, segment_samples=512
+        ).variance_freedom
+        + 1.0  # of one input
+        for drive_V in (loud, height * loud)
+    ]
+    expected = (1.0 + 0.3**2) ** 2 / (2.0 + 2.0 * 0.3**4)
+    assert counted[1] / counted[0] == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize("realisations", range(2, 40))
+def test_variances_rest_on_thirty_degrees_of_freedom_and_no_more_lines_than_that_takes(
+    realisations: int,
+) -> None:
+    freedom = realisations - 1
+    width = periodic_estimate._odd_width(freedom, 1000)
+    assert width % 2 == 1
+    assert width * freedom >= 30
+    assert width == 1 or (width - 2) * freedom < 30
 
 
 def test_one_realisation_of_one_period_is_refused(rng: np.random.Generator) -> None:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.fft import rfftfreq
 from scipy.signal import lfilter
 
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
@@ -14,13 +15,15 @@ from piezoid.identification.dynamics.hammerstein import (
     _with_small,
     fit_jointly,
 )
+from piezoid.identification.dynamics.hammerstein_fit import _normal, _step
 from piezoid.identification.dynamics.hammerstein_model import (
+    HammersteinShape,
     simulate_rows,
     start_of,
     tangents,
 )
 from piezoid.identification.dynamics.hammerstein_record import JointFit
-from piezoid.identification.dynamics.hammerstein_rows import rows_of
+from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows, rows_of
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
@@ -121,12 +124,30 @@ def test_memory_behind_the_mode_is_told_as_well() -> None:
     assert found.record.structure.order == "behind"
 
 
-def test_every_derivative_is_that_of_the_simulation() -> None:
-    known = axis()
+def lagging(known: AxisModel) -> LinearDynamics:
+    """The same with a third of the gain behind a lag."""
+    gain = rough(known).mode_gain_m_per_V
+    return replace(
+        rough(known),
+        mode_gain_m_per_V=2.0 / 3.0 * gain,
+        lag_frequency_Hz=np.array([30.0]),
+        lag_gain_m_per_V=gain / 3.0,
+        shape_covariance=np.eye(4),
+    )
+
+
+def rows_and_start(
+    dynamics: LinearDynamics,
+) -> tuple[HammersteinRows, HammersteinShape, Array]:
+    known, threshold_V = axis(), HYSTERESIS.plays.threshold
     chirped = recorded(chirp(samples=SAMPLES), np.random.default_rng(41))
-    threshold_V = known.hysteresis.plays.threshold
-    (rows,) = rows_of(known, [chirped], threshold_V=threshold_V, dynamics=rough(known))
-    shape, theta = start_of(known.hysteresis, rough(known), threshold_V)
+    (rows,) = rows_of(known, [chirped], threshold_V=threshold_V, dynamics=dynamics)
+    return rows, *start_of(known.hysteresis, dynamics, threshold_V)
+
+
+@pytest.mark.parametrize("dynamics", [rough(axis()), lagging(axis())])
+def test_every_derivative_is_that_of_the_simulation(dynamics: LinearDynamics) -> None:
+    rows, shape, theta = rows_and_start(dynamics)
     exact = tangents(shape, theta, rows)
     for place in range(shape.size):
         step = np.zeros(shape.size)
@@ -136,6 +157,21 @@ def test_every_derivative_is_that_of_the_simulation() -> None:
         ahead, back = (simulate_rows(shape, theta + s * step, rows) for s in (1, -1))
         numeric = (ahead - back) / (2.0 * step[place])
         assert np.linalg.norm(numeric - exact[place]) <= 0.02 * np.linalg.norm(numeric)
+
+
+def test_a_step_gains_what_it_says_and_is_taken_only_where_it_gains() -> None:
+    rows, shape, theta = rows_and_start(rough(axis()))
+    weights = [np.ones(len(rfftfreq(rows.samples)))]
+    for damping in (1e-9, 1e-3, 1.0):
+        normal = _normal([rows], shape, theta, weights)
+        new, _, gained = _step([rows], shape, theta, weights, normal, damping)
+        assert gained > 0.0
+        there = _normal([rows], shape, new, weights)[2]
+        assert normal[2] - there == pytest.approx(gained, rel=1e-6)
+    uphill = normal[0], -normal[1], normal[2]
+    held, _, nothing = _step([rows], shape, theta, weights, uphill, damping)
+    assert nothing == 0.0
+    np.testing.assert_array_equal(held, theta)
 
 
 def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:

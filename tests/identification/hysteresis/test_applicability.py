@@ -68,6 +68,14 @@ def test_ordinary_hysteresis_passes_every_check() -> None:
     assert fit([recording(drive, noisy(1e-6 * plays))])["x"].verdict.applies
 
 
+@pytest.mark.parametrize(("drop", "is_told"), [(0.32, True), (0.30, False)])
+def test_a_branch_turns_back_where_six_times_the_noise_says_so(drop: float, is_told: bool) -> None:
+    """Beyond a twentieth of the range: 0.1 of 2, and 0.21 of noise."""
+    loops = [SimpleNamespace(rise=np.array([0.0, 1.0, 1.0 - drop]))]
+    told = applicability._turning(loops, 2.0, 0.035)  # type: ignore[arg-type]
+    assert bool(told) is is_told
+
+
 @pytest.mark.parametrize(("scatter", "is_told"), [(0.115, True), (0.14, False)])
 def test_a_loop_crosses_where_three_standard_errors_say_so(scatter: float, is_told: bool) -> None:
     """Of four loops, two on either side of the middle one, the error is half their distance."""

@@ -13,7 +13,6 @@ from piezoid.identification.hysteresis.certificate import (
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, operator_of
 from piezoid.identification.hysteresis.gauss_newton import rms_of
 from piezoid.identification.hysteresis.jackknife import block_edges, jackknife
-from piezoid.identification.hysteresis.loops import loops_of
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.placement import gathered_thresholds, group_centres
@@ -179,12 +178,3 @@ def test_groups_of_weights_are_the_best_partition() -> None:
     place = np.array([0.1, 0.12, 0.5, 0.52, 0.9])
     weight = np.array([1.0, 1.0, 2.0, 2.0, 0.5])
     np.testing.assert_allclose(group_centres(place, weight, 3), [0.11, 0.51, 0.9], atol=1e-5)
-
-
-def test_a_loop_is_as_wide_as_its_branches_are_apart() -> None:
-    u = np.concatenate([np.linspace(-1, 1, 200), np.linspace(1, -1, 200)] * 3)
-    y = play_sum(u, np.array([0.0, 0.3]), np.array([1.0, 0.5]), np.full(2, -1.0))
-    for loop in loops_of(u, y, 0.01)[1:]:
-        middle = np.abs(loop.drive) < 0.3
-        np.testing.assert_allclose(loop.opening[middle], 0.5 * 2 * 0.3, atol=0.01)
-        assert loop.span == pytest.approx(2.0, abs=0.02)

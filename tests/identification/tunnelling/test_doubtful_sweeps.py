@@ -7,6 +7,9 @@ from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.tunnelling.approach import Direction, read_approach
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.exponential_fit import profile_interval
+from piezoid.identification.tunnelling.weighted_fit import fit_sweeps
 from tests.identification.tunnelling.sweeps import DECAY_PER_M, HEIGHT_M, OFFSET_A, sweep
 
 
@@ -65,6 +68,11 @@ def test_no_current_at_all_excludes_nothing_above(rng: np.random.Generator) -> N
     assert fit.decay_interval_per_m[1] == np.inf
 
 
+def test_where_any_cost_is_allowed_no_decay_is_excluded(rng: np.random.Generator) -> None:
+    state = fit_sweeps([sweep(rng)], CurrentChain())
+    assert profile_interval(state.points, state.fit, np.inf) == (0.0, np.inf)
+
+
 @pytest.mark.parametrize("nepers", [0.3, -0.3])
 def test_a_tip_jump_is_found_allowed_for_and_said(rng: np.random.Generator, nepers: float) -> None:
     fit = fit_barrier([sweep(rng, jump_nepers=nepers)])
@@ -85,6 +93,34 @@ def test_an_unstable_tip_gets_low_confidence(rng: np.random.Generator) -> None:
     fit = fit_barrier([sweep(rng, relative=0.4, correlation=0.5)])
     assert fit.confidence is Confidence.LOW
     assert any("unstable tip" in reason.text for reason in fit.reasons)
+
+
+@pytest.mark.parametrize("factor", [3.0, 0.3])
+def test_outliers_are_counted_on_either_side(rng: np.random.Generator, factor: float) -> None:
+    whole = sweep(rng)
+    current_A = whole.current_A.copy()
+    current_A[[10, 20, 30, 40, 50, 60]] *= factor
+    hit = read_approach(
+        whole.height_m, current_A, bias_V=-0.02, direction=Direction.FORWARD, label="hit"
+    )
+    assert fit_barrier([whole]).evidence.outliers < 4 / 200
+    assert 6 / 200 <= fit_barrier([hit]).evidence.outliers < 10 / 200
+
+
+@pytest.mark.parametrize("steeper", [1.15, 0.85])
+def test_a_decay_that_changes_with_the_height_is_told_with_its_sign(
+    rng: np.random.Generator, steeper: float
+) -> None:
+    """From the middle of what stands clear of the noise: 9.6 nepers, two thirds of the sweep."""
+    above_m = HEIGHT_M - HEIGHT_M[0]
+    bent_m = above_m + (steeper - 1.0) * np.maximum(above_m - 0.23e-9, 0.0)
+    jitter, dark = 0.03 * rng.standard_normal(200), 0.015e-12 * rng.standard_normal(200)
+    current_A = -750e-12 * np.exp(jitter - DECAY_PER_M * bent_m) + OFFSET_A + dark
+    bent = read_approach(
+        HEIGHT_M, current_A, bias_V=-0.02, direction=Direction.FORWARD, label="bent"
+    )
+    found = fit_barrier([bent]).evidence.slope_change
+    assert found == pytest.approx(steeper - 1.0, rel=0.25)  # both halves touch the bend
 
 
 def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) -> None:

@@ -1,11 +1,16 @@
 """Drift, hum and the limit of resolution are read off the closed loop, in metres of gap."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling import loop_noise
 from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.junction import noise_of_loop
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import (
     LoopNoise,
     budget_resolution,
@@ -85,6 +90,24 @@ def test_the_published_budget_at_one_nanoampere_and_ten_kilohertz() -> None:
     assert max(in_pm, key=lambda name: in_pm[name]) == "drive_step"
 
 
+@pytest.mark.parametrize("unrest_m", [1e-12, 1e-13])
+def test_the_gap_is_what_the_electronics_of_the_current_leave_of_the_unrest(
+    unrest_m: float,
+) -> None:
+    *reading, drive, gap = budget_resolution(
+        set_point_A=1e-9,
+        decay_per_m=decay_of_barrier(1.0),
+        drive_step_m=5e-12,
+        sampling_rate_Hz=20e3,
+        chain=CHAIN,
+        gap_rms_m=unrest_m,
+    )
+    assert (drive.name, gap.name) == ("drive_step", "gap")
+    whole_m = np.sqrt(sum(source.rms_m**2 for source in (*reading, gap)))
+    alone_m = np.sqrt(sum(source.rms_m**2 for source in reading))
+    assert whole_m == pytest.approx(max(unrest_m, alone_m), rel=1e-9, abs=0.0)
+
+
 def test_the_limiting_electronics_change_with_an_attenuator() -> None:
     whole, attenuated = (
         _noise(Junction(drive_range_V=volts), seed=29, periods=12) for volts in (10.0, 0.1)
@@ -117,6 +140,31 @@ def test_a_sine_keeps_its_power_in_the_density() -> None:
     frequency_Hz, density = power_density(signal, 1000.0)
     near = np.abs(frequency_Hz - 50.0) < 5.0
     assert np.sum(density[near]) * frequency_Hz[1] == pytest.approx(4.5, rel=0.01)
+
+
+def test_the_budget_is_for_the_declared_bandwidth_or_for_the_pole_below_half_the_rate() -> None:
+    record = loop_records([Junction()], periods=6, seed=31)[0]
+    rig = LoopRig(
+        axis="z",
+        set_point_A=record.set_point_A,
+        floor_A=1e-12,
+        amplifier_pole_Hz=4e3,
+        drive_gain_m_per_V=18e-9,
+        bandwidth_Hz=None,
+        feedback_ohm=1e9,
+        extension_uncertainty=0.0,
+    )
+    for declared_Hz, pole_Hz, taken_Hz in ((7e3, 3e3, 7e3), (None, 3e3, 3e3), (None, 3e4, 1e4)):
+        plant = JunctionPlant(
+            gain_nepers_per_V=400.0,
+            sensor_pole_Hz=pole_Hz,
+            delay_s=3e-5,
+            amplifier_pole_Hz=4e3,
+            sampling_rate_Hz=record.sampling_rate_Hz,
+        )
+        found = noise_of_loop(record, replace(rig, bandwidth_Hz=declared_Hz), plant)
+        assert found is not None
+        assert found.bandwidth_Hz == pytest.approx(taken_Hz)
 
 
 def test_an_undeclared_bandwidth_is_refused() -> None:

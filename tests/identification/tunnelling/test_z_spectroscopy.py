@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.errors import RecordingError, UnitError
 from piezoid.identification.tunnelling.approach import Direction
+from piezoid.identification.tunnelling.junction import curves_of
 from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
 from piezoid.records.table import Column, RawTable
 from tests.identification.tunnelling.sweeps import real_sweep, real_table
@@ -36,6 +37,17 @@ def test_the_real_file_holds_three_sweeps_each_way(realdata: Path) -> None:
     expected = real_sweep(table, "00002", Direction.BACKWARD)
     assert np.array_equal(curves[4].current_A, expected.current_A)
     assert np.array_equal(curves[4].height_m, expected.height_m)
+
+
+def test_sweeps_of_several_files_are_taken_in_their_order() -> None:
+    head = {"Bias>Bias (V)": "-20E-3"}
+    first = _table("Z rel (nm)", "Current (nA)", "Current [bwd] (nA)", metadata=head)
+    second = _table("Z rel (nm)", "Current (pA)", metadata=head)
+    assert [curve.label.partition(": ")[2] for curve in curves_of([second, first])] == [
+        "Current (pA)",
+        "Current (nA)",
+        "Current [bwd] (nA)",
+    ]
 
 
 def test_an_average_is_taken_only_where_there_is_nothing_else() -> None:
