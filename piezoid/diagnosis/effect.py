@@ -102,6 +102,8 @@ class Effect:
     drive        (drive, rate_Hz, parameters) -> what reaches the stage, for effects in front of it
     passes       (response, rate_Hz, parameters) -> what is read of it, for filters that all of the
                  response passes
+    elsewhere    the same cause on the other side of the hysteresis, for filters that may be there
+    between      the same cause where it comes between two recordings
     fault        (view) -> Fault or None, for faults of the data
     size         (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
@@ -134,6 +136,8 @@ class Effect:
     beside: Callable[[View], Array] | None = None
     drive: Callable[[Array, float, Parameters], Array] | None = None
     passes: Callable[[Array, float, Parameters], Array] | None = None
+    elsewhere: "Effect | None" = None
+    between: "Effect | None" = None
     fault: Callable[[View], Fault | None] | None = None
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None

@@ -13,6 +13,7 @@ import numpy as np
 from piezoid.diagnosis.candidates import Beside, best_of, refitted
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.elsewhere import placed_elsewhere
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.jumps import struck
@@ -76,6 +77,9 @@ def _farther(far: Grown, view: View, hands: Hands) -> Grown | None:
     tried = refitted(far.screened.values(), beside, hands)
     best = best_of(tried, beside)
     least = best.view.rms if best else np.inf
+    moved = placed_elsewhere(beside, best)
+    if moved is not None:
+        return replace(far, accepted=moved)
     habit = with_best_habit(view, hands)
     own, (bent, slips) = hands.both(
         lambda: with_own_pasts(view, habit), lambda: _bent_and_slipped(far, view, best)
@@ -144,11 +148,19 @@ def _slipped(far: Grown, slips: Instead, fault: Fault, accepted: tuple[Accepted,
 def _screened_all(view: View, named: set[str], hands: Hands) -> dict[str, Screened]:
     def screened(effect: Effect) -> Screened | None:
         hands.say(f"testing {effect.name.replace('_', ' ')}")
-        return screen(effect, view)
+        found = screen(effect, view)
+        return _better(found, screen(effect.between, view)) if effect.between else found
 
     others = [e for e in EFFECTS if e.against is None and e.name not in named]
     found = hands.each(screened, [effect for effect in others if not effect.untestable(view)])
     return {one.effect.name: one for one in found if one is not None}
+
+
+def _better(one: Screened | None, other: Screened | None) -> Screened | None:
+    """Return what takes off more beside its null, if physics allows it."""
+    if one is None or other is None or not other.sound:
+        return one or other
+    return other if other.held.gain > one.held.gain else one
 
 
 def _settled(clean: View, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:

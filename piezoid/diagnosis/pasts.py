@@ -18,6 +18,9 @@ ONCE, TWICE = 9, 5  # places of turns to try
 FREE = 4  # of the histories are what a laboratory does on purpose wherever 0 V lies,
 HABITS = FREE + 2  # and so many with the two that end there
 DECAYING = 24  # turns that end at rest
+ROUND = 0.03  # of a drive's span: so near an end it has come there
+ROUNDS = 3  # that show that a drive goes round
+SAME = 1.4  # times the mean round: a first one that is longer begins a sweep of the frequency
 Turns = tuple[float, ...]
 
 
@@ -61,13 +64,35 @@ def _decaying(about: float) -> Turns:
 def habits(drives: Sequence[Array], rest: float) -> tuple[tuple[Turns, ...], ...]:
     """Return what was done before drives by a laboratory that does it always alike.
 
-    Before each of them, or before the first, and each goes on where the one before it ended.
+    Before each of them, or before the first, and each goes on where the one before it ended. A
+    drive that goes round and round may have begun with its recording, or long before.
 
     rest  the drive at 0 V, where a stage lies that nobody uses
     """
     known = [_on_purpose(drive, rest) for drive in drives]
-    alike = zip(*known, strict=True)
-    return (*alike, *(_one_after_another(turns, drives) for turns in known[0]))
+    rounds = [_round_of(drive) for drive in drives]
+    found: list[tuple[Turns, ...]] = []
+    for led in (False, True) if any(rounds) else (False,):
+        lead = rounds if led else [()] * len(drives)
+        found += [tuple(map(_led, turns, lead)) for turns in zip(*known, strict=True)]
+        found += [_one_after_another(turns, drives, lead) for turns in known[0]]
+    return tuple(found)
+
+
+def _round_of(drive: Array) -> Turns:
+    """Return the last two turns of a drive that goes round and round, before it began."""
+    low, high = float(drive.min()), float(drive.max())
+    near = ROUND * (high - low)
+    at_end = np.flatnonzero((drive < low + near) | (drive > high - near))
+    above = drive[at_end] > 0.5 * (low + high)
+    crossed = at_end[1:][above[1:] != above[:-1]]  # where it comes to the other end
+    if len(crossed) < 2 * ROUNDS or crossed[1] * (len(crossed) - 1) > 2.0 * SAME * crossed[-1]:
+        return ()
+    return (high, low) if above[0] else (low, high)
+
+
+def _led(turns: Turns, lead: Turns) -> Turns:
+    return _left_by(turns, np.array(lead)) if lead else turns
 
 
 def _on_purpose(drive: Array, rest: float) -> tuple[Turns, ...]:
@@ -75,10 +100,12 @@ def _on_purpose(drive: Array, rest: float) -> tuple[Turns, ...]:
     return (*free, *((*cycled, rest) for cycled in free[:2]))
 
 
-def _one_after_another(turns: Turns, drives: Sequence[Array]) -> tuple[Turns, ...]:
-    found = [turns]
-    for drive in drives[:-1]:
-        found.append(_left_by(found[-1], drive))
+def _one_after_another(
+    turns: Turns, drives: Sequence[Array], lead: Sequence[Turns]
+) -> tuple[Turns, ...]:
+    found = [_led(turns, lead[0])]
+    for drive, first in zip(drives[:-1], lead[1:], strict=True):
+        found.append(_led(_left_by(found[-1], drive), first))
     return (*found,)
 
 

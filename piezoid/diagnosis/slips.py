@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.other_axes import answers_of_others
 from piezoid.diagnosis.signals import relaxed
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
@@ -63,7 +64,7 @@ def late(static: Array, place: Places, samples: int) -> Array:
 
 
 def beside(view: View) -> Null:
-    """Return the view's null with everything else that looks like a delay."""
+    """Return the view's null with all else that looks like a delay, and what others move."""
     speed = [
         _slope(static, max(1, len(static) // SMOOTH)) * track.rate_Hz
         for static, track in zip(view.static, view.tracks, strict=True)
@@ -75,7 +76,9 @@ def beside(view: View) -> Null:
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
     columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
     return Null(
-        columns=np.column_stack([view.null.every, *(c for c in columns if np.any(c))]),
+        columns=np.column_stack(
+            [view.null.every, answers_of_others(view), *(c for c in columns if np.any(c))]
+        ),
         response=view.response,
         block=view.block,
     )

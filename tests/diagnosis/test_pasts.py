@@ -88,3 +88,26 @@ def test_a_sketch_misses_what_the_whole_response_does_behind_a_past(monkeypatch,
     missed = view.envelope.along(track.drive, turns, weight) - track.response
     sketch = memory._sketch(view, 1, weight)
     assert sketch.misfit(turns) == pytest.approx(float(np.std(missed)), rel=1e-9)
+
+
+@pytest.mark.parametrize("phase", np.linspace(0.1, 6.0, 7))
+def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(phase) -> None:
+    turn = np.linspace(0.0, 8 * np.pi, 900)
+    sweep, running = np.linspace(-1.0, 1.0, 100), 0.6 * np.sin(turn + phase) - 0.1
+    long_before = 0.6 * np.sin(np.linspace(-80.0, 0.0, 9000) + phase) - 0.1
+    met = left_by(running[:1], left_by(long_before, np.zeros(len(THRESHOLD))))
+    found = [past(running, turns[1]) for turns in habits([sweep, running], ZERO_VOLTS)]
+    assert len(found) == 4 * HABITS
+    assert min(np.abs(memory - met).max() for memory in found) < 2e-3
+
+
+@pytest.mark.parametrize("kind", ["sweep", "chirp", "growing", "walk"])
+def test_a_drive_that_does_not_go_round_and_round_began_with_its_recording(kind) -> None:
+    turn = np.linspace(0.0, 60.0, 3000)
+    drives = {
+        "sweep": np.linspace(-1.0, 1.0, 100),
+        "chirp": np.sin(0.2 * turn + turn**2 / 20.0),
+        "growing": turn / 60.0 * np.sin(turn),
+        "walk": np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 60), 20),
+    }
+    assert len(habits([drives[kind]], ZERO_VOLTS)) == 2 * HABITS

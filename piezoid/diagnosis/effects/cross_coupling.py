@@ -17,15 +17,13 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.other_axes import GAPS, answers_of_others
 from piezoid.diagnosis.signals import scaled_to, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
-
-GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
 
 
 def _untestable(view: View) -> str:
@@ -34,33 +32,15 @@ def _untestable(view: View) -> str:
     return "no recording holds the moving drive of another axis"
 
 
-def _answers(view: View, *, backwards: bool = False) -> Array:
-    axes = sorted({axis for track in view.tracks for axis in track.others})
-    return np.column_stack([_answer(view, axis, backwards) for axis in axes])
-
-
-def _answer(view: View, axis: str, backwards: bool) -> Array:
-    columns = np.zeros((len(view.response), 2 + len(GAPS)))
-    edges = view.envelope.edges
-    for k, track in enumerate(view.tracks):
-        if axis not in track.others:
-            continue
-        drive = track.others[axis][:: -1 if backwards else 1]
-        plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
-        part = np.column_stack([drive, drive**2, plays])[track.place]
-        columns[edges[k] : edges[k + 1]] = part
-    return columns
-
-
 def _trials(view: View) -> list[Trial]:
     return [
-        Trial(columns=_answers(view)),
-        Trial(columns=_answers(view, backwards=True), real=False),
+        Trial(columns=answers_of_others(view)),
+        Trial(columns=answers_of_others(view, backwards=True), real=False),
     ]
 
 
 def _columns(view: View, _: Parameters) -> Array:
-    return _answers(view)
+    return answers_of_others(view)
 
 
 def inject(recording: Recording, share: float) -> Recording:

@@ -7,17 +7,22 @@ Why it happens
 How it is detected
     A step of the gain at one instant explains what static hysteresis and a gain of each
     recording's own cannot, better than a ramp or a passing change of the gain at the same place.
+    Between two recordings it is one gain of all that came later, as fast ones as before.
 What the extension adds
     A gain that changes at an instant; the remedy is two models, one for each condition.
 Source
     spring load on a ceramic of finite stiffness, manufacturers' application notes
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
+from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
@@ -26,6 +31,8 @@ from piezoid.records.recording import Recording
 
 PLACES = np.linspace(0.07, 0.93, 13)
 LEAST_CHANGE = 0.003  # of the gain: a step of the zero alone is something else
+LEAST_BETWEEN = 0.005  # recordings of other drives differ by less where a class does not quite fit
+ALIKE = 4.0  # ratio of speeds between recordings that tell a gain from a filter
 NARROW = 0.2  # of the track: how long a passing change lasts
 
 
@@ -78,6 +85,47 @@ def _trial(view: View, k: int, place: float, kind: str) -> Trial:
     )
 
 
+def _later(view: View, first: int) -> Array:
+    """Return what a gain of all recordings from one on adds."""
+    parts = [
+        static[track.place] * float(k >= first)
+        for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True))
+    ]
+    return np.concatenate(parts)[:, None]
+
+
+def _steps_between(view: View) -> list[Trial]:
+    """Return changes between two recordings, where others as fast were made on the other side.
+
+    A change in one recording alone, undone before the next, is their twin.
+    """
+    speed = [float(np.sqrt(np.mean(np.gradient(s) ** 2))) * t.rate_Hz for s, t in _read(view)]
+    count = len(speed)
+    found = [
+        _between(k, _later(view, k)) for k in range(1, count) if _matched(speed[:k], speed[k:])
+    ]
+    alone = [_later(view, k) - _later(view, k + 1) for k in range(1, count - 1)]
+    return [*found, *(_between(0, column, real=False) for column in alone)]
+
+
+def _read(view: View) -> list[tuple[Array, Track]]:
+    return list(zip(view.static, view.tracks, strict=True))
+
+
+def _matched(before: Sequence[float], after: Sequence[float]) -> bool:
+    return any(a < ALIKE * b and b < ALIKE * a for a in before for b in after)
+
+
+def _between(first: int, columns: Array, *, real: bool = True) -> Trial:
+    return Trial(
+        columns=columns,
+        parameters={"track": float(first), "place": 0.0},
+        real=real,
+        within=(-0.3, 0.3),
+        least=LEAST_BETWEEN,
+    )
+
+
 def _columns(view: View, parameters: Parameters) -> Array:
     return _change(view, int(parameters["track"]), parameters["place"], "step")
 
@@ -109,7 +157,7 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
     )
 
 
-EFFECT = Effect(
+WITHIN = Effect(
     name="gain_change",
     explanation=__doc__ or "",
     unit="percent",
@@ -125,3 +173,10 @@ EFFECT = Effect(
     shows_at=8e-3,
     worth=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )
+BETWEEN = replace(
+    WITHIN,
+    trials=_steps_between,
+    columns=lambda view, parameters: _later(view, int(parameters["track"])),
+    beside=None,
+)
+EFFECT = replace(WITHIN, between=BETWEEN)

@@ -3,15 +3,19 @@
 What you see
     Loops open with the speed of the drive, and fast motion comes out smaller.
 Why it happens
-    A filter of the sensor, a servo of low bandwidth, a demodulator.
+    A filter of the sensor, a servo of low bandwidth, a demodulator; or an amplifier that charges
+    the ceramic slowly, and then walls follow what is left of the command.
 How it is detected
     The static response behind one pole explains what static hysteresis cannot, with nearly all of
-    the response passing through it. At low frequency this is a delay, and then that is said.
+    the response passing through it. At low frequency this is a delay, and then that is said. In
+    front of the hysteresis it stands where that leaves clearly less.
 What the extension adds
     A first-order pole behind the hysteresis.
 Source
     Fleming & Leang (2014)
 """
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -72,7 +76,7 @@ def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
     return (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),)
 
 
-EFFECT = Effect(
+BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
     unit="us",
@@ -85,3 +89,5 @@ EFFECT = Effect(
     inject=inject,
     extend=extend,
 )
+IN_FRONT = replace(BEHIND, passes=None, drive=_passed, elsewhere=BEHIND)
+EFFECT = replace(BEHIND, elsewhere=IN_FRONT)

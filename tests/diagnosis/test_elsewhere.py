@@ -1,0 +1,69 @@
+"""A filter in front of the walls is told from one behind them; so is a gain between recordings."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.numerics.arrays import Array
+
+from .play_stage import NOISE_m, STROKE_m, clean, drive, moved, recording
+
+KINDS = ("sweep", "walk", "waves")
+ORDER = ("sweep", "sweep", "waves")
+LAG_s = 1.5e-3
+
+
+def behind(signal: Array, rate_Hz: float) -> Array:
+    """Return a signal behind a pole, straight between samples."""
+    pole = np.exp(-1.0 / (rate_Hz * LAG_s))
+    part = LAG_s * rate_Hz * (1.0 - pole)
+    moved_on = lfilter([1.0 - part, part - pole], [1.0, -pole], signal - signal[0])
+    return moved_on + signal[0]
+
+
+def noisy(reading_m: Array) -> Array:
+    return reading_m + np.random.default_rng(3).normal(0.0, NOISE_m, len(reading_m))
+
+
+@cache
+def diagnosed(*, in_front: bool) -> Diagnosis:
+    recordings = []
+    for kind in KINDS:
+        rate_Hz, field = drive(kind)
+        if in_front:
+            reading_m = STROKE_m * moved(behind(field, rate_Hz))
+        else:
+            reading_m = behind(STROKE_m * moved(field), rate_Hz)
+        recordings.append(recording(kind, noisy(reading_m)))
+    return diagnose(recordings)
+
+
+@pytest.mark.parametrize("in_front", [True, False], ids=["in front", "behind"])
+def test_a_lag_is_named_alone_and_sized_on_either_side_of_the_walls(in_front) -> None:
+    lag, past = diagnosed(in_front=in_front).findings
+    assert (lag.effect, past.effect) == ("lag", "initial_state")
+    low_us, high_us = lag.size.ci95
+    assert low_us < 1e6 * LAG_s < high_us
+    assert lag.size.value == pytest.approx(1e6 * LAG_s, rel=0.03)
+
+
+def with_gains(*gains: float) -> list[str]:
+    """Return what is named of a sweep, the same again, and waves, at gains of their own."""
+    made = [
+        recording(kind, clean(kind)[2] * gain) for kind, gain in zip(ORDER, gains, strict=True)
+    ]
+    found = diagnose([replace(one, name=f"{k}") for k, one in enumerate(made)]).findings
+    return [f"{one.effect} {one.size.value:.1f}" for one in found if one.effect != "initial_state"]
+
+
+def test_a_gain_that_changed_between_two_recordings_is_named_and_sized() -> None:
+    assert with_gains(1.0, 1.02, 1.02) == ["gain_change 2.0"]
+
+
+def test_a_gain_of_one_recording_alone_is_no_change_at_an_instant() -> None:
+    assert not any(name.startswith("gain_change") for name in with_gains(1.0, 1.0, 1.02))
