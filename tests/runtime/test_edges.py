@@ -153,9 +153,8 @@ def test_one_bad_sample_more_than_allowed_retracts():
     np.testing.assert_array_equal(np.flatnonzero(bad), [0, 1, 2, 4])
 
 
-def of_full_order(**others):
-    """As many states as there is room for, each of its own pole."""
-    states = MAX_ORDER
+def observer_of(states, **others):
+    """So many states, each of its own pole."""
     pole = np.linspace(0.1, 0.9, states)
     return {
         **LATERAL,
@@ -173,9 +172,12 @@ def of_full_order(**others):
     }
 
 
+@pytest.mark.parametrize("states", [1, MAX_ORDER])
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_an_observer_of_full_order_is_usable_and_its_last_state_counts(precision):
-    known = of_full_order()
+def test_an_observer_of_least_and_of_full_order_is_usable_and_its_last_state_counts(
+    states, precision
+):
+    known = observer_of(states)
     assert refused(known, precision) is None
     for name, blamed in (
         ("observer_B", "observer_rest"),

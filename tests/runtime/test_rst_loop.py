@@ -129,6 +129,15 @@ def test_a_current_that_ignores_the_voltage_retracts():
     assert not held.status.any()
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_reference_that_is_no_current_is_replaced_by_the_last(bad):
+    currents = np.full(3, REFERENCE_A)
+    run = started().run(REFERENCE_A * np.array([2.0, bad, 1.5]), currents)
+    kept = started().run(REFERENCE_A * np.array([2.0, 2.0, 1.5]), currents)
+    assert np.array_equal(run.voltage_V, kept.voltage_V)
+    assert list(run.status) == [0, Status.BAD_REFERENCE, 0]
+
+
 def test_at_the_limits_nothing_winds_up():
     reference = np.r_[np.full(500, 1e-8), np.full(100, REFERENCE_A)]
     limited = started(voltage_maximum_V=1e-3, voltage_minimum_V=-10.0)
