@@ -107,6 +107,18 @@ def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, ste
     )
 
 
+def test_the_worst_row_of_half_steps_errs_by_what_is_guaranteed_of_a_converter():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, o = loop(bounds)
+    _, found = certificate_of(plant, o, bounds, 1e-4, step_V=2e-3)
+    c = linear_controller(o)
+    through = impulse_response(
+        np.convolve(plant.B, c.S), np.convolve(plant.A, c.S) + np.convolve(plant.B, c.R)
+    )
+    half_steps_V = 1e-3 * np.sign(through[::-1])
+    assert half_steps_V @ through[::-1] == pytest.approx(found.converter_error_m, rel=1e-9)
+
+
 def test_an_unstable_member_has_no_certificate():
     bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
     plant, o = loop(bounds)

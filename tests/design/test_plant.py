@@ -65,6 +65,7 @@ def test_a_fraction_comes_back_as_the_same_plant(rng):
             response(plant.B, plant.A, f, RATE_Hz),
             rtol=1e-8,  # poles near one lose digits in polynomial form
         )
+        assert len(again.realised()[0]) == max(len(plant.A), len(plant.B)) - 1
 
 
 def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
