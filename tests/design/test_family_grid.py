@@ -92,6 +92,19 @@ def test_the_grid_counts_unstable_members():
     assert counts == [False, True]
 
 
+@pytest.mark.parametrize("factor", [4.0, 8.0, 20.0])
+def test_where_no_limit_is_missed_unstable_poles_alone_decide(factor):
+    family = vertical_family()
+    easy = replace(vertical_specification(1.0), modulus_margin=1e-3, delay_margin_s=1e-7)
+    grid = family_grid(family, easy)
+    R, S = loop(1e3, 0.9)
+    closed = [closed_loop_polynomial(m, factor * R, S) for m in family.members]
+    outside = max(int((np.abs(np.roots(P)) > 1.0).sum()) for P in closed)
+    assert outside > 0
+    assert judge(grid, factor * R, S).excess_dB == 60.0 * outside
+    assert worst_place(grid, factor * R, S).excess_dB == 60.0 * outside
+
+
 def test_predicted_noise_is_the_simulated_noise(rng):
     plant = plant_from_chain(vertical_chain())
     R, S = loop(1e3, 0.9)

@@ -76,6 +76,17 @@ def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
     assert changed.gain == pytest.approx(1.15)
 
 
+def test_what_is_not_varied_stays_and_what_is_varied_alone_is_all_that_changes():
+    chain = lateral_chain(LATERAL_m_per_V, 2e-5)
+    assert varied(chain) == chain
+    louder = varied(chain, gain_factor=2.0)
+    assert replace(louder, gain=chain.gain, label=chain.label) == chain
+    assert (louder.gain, louder.label) == (2.0 * chain.gain, "gain x2")
+    softer = varied(chain, damping_factor=0.5)
+    assert softer.sections[1] == replace(chain.sections[1], damping=0.025)
+    assert softer.label == "damping x0.5"
+
+
 def test_a_numerator_without_its_delay_is_refused():
     with pytest.raises(ValueError, match="answers one sample late"):
         plant_from_fraction("p", [1.0], [1.0, -0.5], sampling_rate_Hz=RATE_Hz, output_unit="m")
