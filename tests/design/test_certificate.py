@@ -19,6 +19,7 @@ from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
 from tests.design.hysteretic import REACH_V, THRESHOLD_V, hysteresis, loop
 from tests.design.rig import LATERAL_m_per_V, RATE_Hz, lateral_chain
+from tests.design.stepping import with_observer
 
 
 def run_around_hysteresis(
@@ -105,6 +106,30 @@ def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, ste
     assert found.guaranteed_error_m == pytest.approx(
         found.hysteresis_error_m + found.reference_error_m + found.converter_error_m
     )
+
+
+def test_the_worst_row_of_half_steps_errs_by_what_is_guaranteed_of_a_converter():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, o = loop(bounds)
+    _, found = certificate_of(plant, o, bounds, 1e-4, step_V=2e-3)
+    c = linear_controller(o)
+    through = impulse_response(
+        np.convolve(plant.B, c.S), np.convolve(plant.A, c.S) + np.convolve(plant.B, c.R)
+    )
+    half_steps_V = 1e-3 * np.sign(through[::-1])
+    assert half_steps_V @ through[::-1] == pytest.approx(found.converter_error_m, rel=1e-9)
+
+
+def test_three_standard_deviations_of_the_noise_are_its_own_line():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, o = loop(bounds)
+    _, found = certificate_of(plant, o, bounds, 1e-4)
+    # White noise is a row of independent pushes: their squares add.
+    push = np.eye(3000)[0]
+    y, _ = with_observer(plant, o, np.zeros(3000), np.zeros(3000), 1e-9 * push)
+    assert found.noise_error_m == pytest.approx(3.0 * np.linalg.norm(y), rel=1e-6)
+    sum_m = found.hysteresis_error_m + found.reference_error_m + found.converter_error_m
+    assert found.guaranteed_error_m == pytest.approx(sum_m)
 
 
 def test_an_unstable_member_has_no_certificate():

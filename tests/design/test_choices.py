@@ -7,7 +7,7 @@ from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.feasibility import _rounded_down
 from piezoid.design.poles import PoleChoice, observer_poles, slow_and_fast
 from piezoid.design.rst import sampled_poles
-from piezoid.design.tuning import _frequency
+from piezoid.design.tuning import _frequency, _placed_choices
 from piezoid.numerics.polynomial import roots_of
 from tests.design.rig import RATE_Hz, lateral_chain
 
@@ -40,6 +40,25 @@ def test_starts_are_multiples_of_the_slowest_pole_as_far_as_the_limits_let_them(
     assert 0.0 < choice.lowest < choice.highest == 2e3
     expected = np.clip(slowest_Hz * np.array([1.9, 0.5, 1e-3]), choice.lowest, choice.highest)
     assert choice.starts == pytest.approx(expected)
+
+
+def test_a_search_starts_with_the_published_tuning_and_then_with_slower_observers():
+    choices = {
+        choice.name: choice for choice in _placed_choices(plant_from_chain(lateral_chain()))
+    }
+    published = {
+        **{"feedback_Hz": 630.0, "feedback_damping": 0.9},
+        **{"observer_Hz": 1200.0, "observer_damping": 0.8, "disturbance_Hz": 800.0},
+    }
+    first = {name: choice.starts[0] for name, choice in choices.items()}
+    assert first == pytest.approx(published, rel=5e-3)
+    for name in ("observer_Hz", "disturbance_Hz"):
+        assert (np.diff(choices[name].starts) < 0.0).all()
+    assert all(
+        choice.lowest < start < choice.highest  # room to either side
+        for choice in choices.values()
+        for start in choice.starts
+    )
 
 
 def test_what_is_advised_has_three_digits_and_is_never_more():

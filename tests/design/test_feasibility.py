@@ -1,18 +1,19 @@
 """What can be held is designed; what cannot is refused with the nearest that can."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from piezoid.design.design import LoopDesign
-from piezoid.design.feasibility import at_feasible_bandwidth
+from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible
 from piezoid.design.lateral import design_lateral
 from piezoid.design.observer_loop import linear_controller
 from piezoid.design.plant import PlantFamily, plant_from_fraction
 from piezoid.design.requirements import unmet
 from piezoid.design.specification import Specification, default_specification
-from piezoid.design.templates import Template
+from piezoid.design.templates import Template, Violation
 from piezoid.design.tuning import tune_observer
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import TemplateError
@@ -106,6 +107,62 @@ def test_identified_fractions_are_designed_with_their_defaults(B, A):
     loop = design_lateral("x", {"inverse": family}, asked).recommended
     assert not unmet(loop.members, loop.R, loop.S, asked)
     assert loop.reference.error < 1e-3
+
+
+def missed(*excesses_dB: float) -> tuple[Violation, ...]:
+    return tuple(
+        Violation(
+            template=f"t{k % 2}",
+            member="m",
+            frequency_Hz=1.0,
+            found=1.0,
+            limit=1.0,
+            unit="dB",
+            excess_dB=excess_dB,
+        )
+        for k, excess_dB in enumerate(excesses_dB)
+    )
+
+
+def nearest_Hz(is_met: Callable[[float], bool], worst_dB: float = 6.0) -> float | None:
+    """Bandwidth advised for 1 kHz where ``is_met`` says which can be."""
+    asked = replace(lateral_specification(), bandwidth_Hz=1e3)
+
+    def attempt(tried: Specification) -> tuple[Violation, ...]:
+        return () if is_met(tried.bandwidth_Hz) else missed(worst_dB)
+
+    return nearest_feasible(asked, missed(worst_dB), attempt).bandwidth_Hz
+
+
+@pytest.mark.parametrize("worst_dB", [0.01, 6.0, 200.0])
+@pytest.mark.parametrize("most_Hz", [11.0, 100.0, 480.0, 930.0])
+def test_the_bandwidth_advised_is_just_below_the_largest_that_can_be_met(most_Hz, worst_dB):
+    found_Hz = nearest_Hz(lambda f_Hz: f_Hz <= most_Hz, worst_dB)
+    # Four bisections of at most two decades, and three digits.
+    assert 0.99 * most_Hz * 100.0 ** (-1 / 16) <= found_Hz <= most_Hz
+
+
+def test_what_is_advised_was_tried_and_met_where_feasibility_has_holes():
+    """Between 300 and 500 Hz no number of three digits can be met, though others can."""
+    tried_Hz = []
+
+    def is_between(f_Hz: float) -> bool:
+        return f_Hz < 500.0 and abs(f_Hz - round(f_Hz)) > 1e-6
+
+    def is_met(f_Hz: float) -> bool:
+        tried_Hz.append(f_Hz)
+        return f_Hz < 300.0 or is_between(f_Hz)
+
+    found_Hz = nearest_Hz(is_met)
+    assert 290.0 < found_Hz < 300.0
+    assert tried_Hz[-1] == pytest.approx(found_Hz)
+    assert nearest_Hz(lambda f_Hz: f_Hz > 100.0 and is_between(f_Hz)) is None
+    assert nearest_Hz(lambda _: False) is None
+
+
+def test_every_template_has_to_give_way_by_its_worst_miss():
+    found = nearest_feasible(lateral_specification(), missed(5.0, 4.0, 3.0, 2.0), lambda _: ())
+    assert found.relaxation_dB == {"t0": 5.0, "t1": 4.0}
 
 
 def test_a_default_nobody_asked_for_gives_way_to_the_nearest_feasible():

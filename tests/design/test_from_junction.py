@@ -65,6 +65,18 @@ def test_the_command_keeps_within_converter_and_amplifier() -> None:
         vertical_task(LOOP, replace(LAB, amplifier=apart))
 
 
+@pytest.mark.parametrize("unsaid", ["gain_V_per_V", "output_min_V", "output_max_V"])
+def test_an_amplifier_of_which_a_part_is_not_declared_limits_no_command(unsaid: str) -> None:
+    said = {"gain_V_per_V": 20.0, "output_min_V": -20.0, "output_max_V": 150.0}
+    whole = replace(LAB, amplifier=Amplifier(**said))
+    assert converters_of(whole, "z").command_V == (-1.0, 7.5)
+    part = replace(LAB, amplifier=Amplifier(**{**said, unsaid: None}))
+    assert converters_of(part, "z").command_V == (-10.0, 10.0)
+    alone = replace(part, acquisition=Acquisition(dac_bits=16))
+    assert converters_of(alone, "z").command_V is None
+    assert converters_of(alone, "z").command_step_V == 0.0
+
+
 def test_a_gap_law_alone_is_not_enough_to_design_a_loop() -> None:
     law = GapLaw(
         polarity=1.0,

@@ -172,6 +172,11 @@ def test_without_the_rate_of_the_controller_nothing_is_designed() -> None:
         design_stage(model, model_digest=DIGEST)
 
 
+def test_a_model_without_an_axis_is_not_designed() -> None:
+    with pytest.raises(DesignError, match="the model holds no axis"):
+        design_stage(stage(axes={}), model_digest=DIGEST)
+
+
 def test_an_axis_to_which_the_class_does_not_apply_is_not_designed() -> None:
     wrong = replace(
         stage_model(axis_model(reason="it opens the wrong way")), controller_rate_Hz=1e4

@@ -26,21 +26,24 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
             np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
 
 
-def test_a_state_that_the_input_cannot_reach_is_refused():
+@pytest.mark.parametrize(("link", "input_size"), [(0.0, 1.0), (1e-13, 1.0), (1e-7, 1e6)])
+def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
+    """Or so little, beside what it does to another, that rounding reaches it as well."""
     with pytest.raises(DesignError, match="cannot be moved"):
-        placed_gain(np.diag([0.5, 0.3]), np.array([1.0, 0.0]), [0.1, 0.2])
+        placed_gain(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]), [0.1, 0.2])
 
 
-def test_the_kalman_gain_solves_its_riccati_equation():
+@pytest.mark.parametrize("input_variance", [0.0, 1e-4])
+def test_the_kalman_gain_solves_its_riccati_equation(input_variance):
     plant = plant_from_chain(lateral_chain())
     model = disturbance_model(RATE_Hz)
     found = kalman_gain(
-        plant, model, input_variance=1e-4, drift_variance=1e-3, sensor_variance=1e-2
+        plant, model, input_variance=input_variance, drift_variance=1e-3, sensor_variance=1e-2
     )
     # Second route: iterate the covariance from nothing.
     A_e, C_e = extended(plant, model)
     drive = np.concatenate([plant.input_taps.sum(axis=1), [0.0]])
-    Q = 1e-4 * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
+    Q = input_variance * np.outer(drive, drive) + np.diag([0.0, 0.0, 0.0, 0.0, 1e-3])
     P = np.eye(5)
     for _ in range(4000):
         variance = C_e @ P @ C_e + 1e-2

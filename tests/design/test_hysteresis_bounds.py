@@ -78,6 +78,7 @@ def test_the_inverse_of_a_model_leaves_no_more_than_its_bounds(model, truths, rn
             slope = np.diff(y) / np.diff(wanted)
             least, most = min(least, slope.min()), max(most, slope.max())
             worst = max(worst, np.abs(y - wanted).max())
+    assert bounds.slope_min + bounds.slope_max == pytest.approx(2.0)
     centre = bounds.gain_m_per_V / LATERAL_m_per_V
     assert bounds.slope_min * centre <= least * ATTAINED
     assert most <= bounds.slope_max * centre * ATTAINED

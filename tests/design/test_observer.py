@@ -157,6 +157,15 @@ def test_oscillators_may_stand_among_the_states():
     assert with_oscillators_as_states(merged) is merged
 
 
+def test_a_disturbance_is_a_constant_and_sines_of_as_many_volts_as_their_states():
+    model = disturbance_model(RATE_Hz, (100.0, 300.0))
+    w, k = np.array([0.5, 1.0, 0.0, 2.0, 0.0]), np.arange(400)
+    found = [model.output @ np.linalg.matrix_power(model.transition, n) @ w for n in k]
+    turn = 2 * np.pi * k / RATE_Hz
+    expected = 0.5 + np.cos(100.0 * turn) + 2.0 * np.cos(300.0 * turn)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
 def test_an_unknown_form_is_refused():
     plant = plant_from_chain(lateral_chain())
     feedback, observer = printed_observer_poles()

@@ -65,6 +65,7 @@ def test_a_fraction_comes_back_as_the_same_plant(rng):
             response(plant.B, plant.A, f, RATE_Hz),
             rtol=1e-8,  # poles near one lose digits in polynomial form
         )
+        assert len(again.realised()[0]) == max(len(plant.A), len(plant.B)) - 1
 
 
 def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
@@ -73,6 +74,17 @@ def test_a_variation_says_what_it_changed_and_changes_the_slowest_section():
     assert changed.sections[1].frequency_Hz == pytest.approx(567.0)
     assert changed.sections[0].frequency_Hz == 4e3
     assert changed.gain == pytest.approx(1.15)
+
+
+def test_what_is_not_varied_stays_and_what_is_varied_alone_is_all_that_changes():
+    chain = lateral_chain(LATERAL_m_per_V, 2e-5)
+    assert varied(chain) == chain
+    louder = varied(chain, gain_factor=2.0)
+    assert replace(louder, gain=chain.gain, label=chain.label) == chain
+    assert (louder.gain, louder.label) == (2.0 * chain.gain, "gain x2")
+    softer = varied(chain, damping_factor=0.5)
+    assert softer.sections[1] == replace(chain.sections[1], damping=0.025)
+    assert softer.label == "damping x0.5"
 
 
 def test_a_numerator_without_its_delay_is_refused():

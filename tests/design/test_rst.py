@@ -133,6 +133,14 @@ def test_the_tracking_polynomial_leaves_only_zeros_delay_and_the_reference_model
     np.testing.assert_allclose(y, expected, atol=1e-12)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_a_target_is_its_dominant_pair_and_so_many_auxiliary_roots(count):
+    dominant = Section(frequency_Hz=1e3, damping=0.9)
+    target = closed_loop_target(dominant, RATE_Hz, auxiliary_root=0.2, auxiliary_count=count)
+    pair = np.exp(2e3 * np.pi / RATE_Hz * (-0.9 + 1j * np.sqrt(1.0 - 0.9**2)))
+    np.testing.assert_allclose(target, np.poly([pair, pair.conj(), *[0.2] * count]), atol=1e-14)
+
+
 def test_a_target_on_the_unit_circle_is_refused():
     plant = plant_from_chain(vertical_chain())
     with pytest.raises(UnstableLoopError, match="magnitude 1"):

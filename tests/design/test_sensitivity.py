@@ -74,6 +74,15 @@ def test_an_unstable_loop_has_no_margins():
     assert (reached.modulus_margin, reached.delay_margin_s) == (0.0, 0.0)
 
 
+def test_a_loop_with_a_pole_on_the_unit_circle_is_not_stable():
+    plant = plant_from_fraction(
+        "held", [0.0, 1.0], [1.0, -1.0], sampling_rate_Hz=RATE_Hz, output_unit="m"
+    )
+    reached = margins(plant, [0.0], [1.0])  # nobody feeds it back
+    assert (reached.spectral_radius, reached.is_stable) == (1.0, False)
+    assert reached.modulus_margin == 0.0
+
+
 def test_a_loop_without_gain_has_no_delay_margin_to_lose():
     plant = plant_from_fraction(
         "p", [0.0, 1.0], [1.0, -0.5], sampling_rate_Hz=RATE_Hz, output_unit="m"

@@ -3,9 +3,11 @@
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from piezoid.runtime.library import library
+from piezoid.runtime.schema import MAX_TAPS
 from piezoid.runtime.values import complete
 from tests.runtime.compiler import PRECISION, SOURCE, found, run
 from tests.runtime.test_schema import LATERAL, tunnelling
@@ -22,9 +24,15 @@ FURTHER = {
     **{"command_section_count": 1, "command_section": SECTION, "voltage_step_V": 1.0},
     **{"stuck_samples": 3, "stuck_voltage_V": 0.01},
 }
+# Polynomials filled to their last places: what reaches further leaves the structures.
+TAPS = np.r_[1.0, np.full(MAX_TAPS - 1, 1e-3)]
+FULL = {
+    **{f"rst_{name}_count": MAX_TAPS for name in ("T", "R", "S", "A0")},
+    **{"rst_T_V": 1e-3 * TAPS, "rst_R_V": 1e-3 * TAPS, "rst_S": TAPS, "rst_A0": TAPS},
+}
 SETS = (
     *({**LATERAL, **FURTHER, "method": method} for method in ("mpi", "dob", "mpi_dob")),
-    tunnelling(lsb_V=20 / 65536, stuck_samples=10, voltage_step_V=0.01),
+    tunnelling(lsb_V=20 / 65536, stuck_samples=10, voltage_step_V=0.01, **FULL),
 )
 
 

@@ -110,6 +110,28 @@ def test_the_start_does_not_bump(method, volts, measured):
     )
 
 
+@pytest.mark.parametrize("precision", ["double", "float"])
+@pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
+def test_a_stage_of_micrometres_moves_by_the_same_bits_as_one_of_metres(method, precision, rng):
+    """In units of 2^-20 m every product and sum rounds alike: no number of metres is built in."""
+    reference, measured = rng.normal(0, 1, (2, 200))
+    volts = []
+    for unit_m in (1.0, 2.0**-20):
+        given = {
+            **hysteresis({**WORKED, "w": unit_m * WORKED["w"], "knot": unit_m * WORKED["knot"]}),
+            **{"relaxation_count": 2, "relaxation_rate": RATES, "relaxation_share": SHARES},
+            **{"command_section_count": 1, "command_section": NOTCH[None, :]},
+            **observer_parameters(unit_m),
+            **{"displacement_offset_m": 0.25 * unit_m, "reference_step_m": 2.0 * unit_m},
+            **{"reference_maximum_m": 3.0 * unit_m, "displacement_minimum_m": -2.0 * unit_m},
+        }
+        controller = Controller({**given, "method": method}, precision=precision)
+        controller.start(0.5, unit_m * measured[0])
+        volts.append(controller.run(unit_m * reference, unit_m * measured).voltage_V)
+    np.testing.assert_array_equal(volts[0], volts[1])
+    assert np.ptp(volts[0]) > 1.0
+
+
 @pytest.mark.parametrize("method", ["none", "mpi", "dob", "mpi_dob"])
 def test_a_stage_that_falls_as_the_drive_rises_is_the_mirrored_one(method, rng):
     given = {**hysteresis(WORKED), **observer_parameters(), "method": method}

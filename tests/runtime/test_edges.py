@@ -153,9 +153,8 @@ def test_one_bad_sample_more_than_allowed_retracts():
     np.testing.assert_array_equal(np.flatnonzero(bad), [0, 1, 2, 4])
 
 
-def of_full_order(**others):
-    """As many states as there is room for, each of its own pole."""
-    states = MAX_ORDER
+def observer_of(states, **others):
+    """So many states, each of its own pole."""
     pole = np.linspace(0.1, 0.9, states)
     return {
         **LATERAL,
@@ -173,9 +172,12 @@ def of_full_order(**others):
     }
 
 
+@pytest.mark.parametrize("states", [1, MAX_ORDER])
 @pytest.mark.parametrize("precision", ["double", "float"])
-def test_an_observer_of_full_order_is_usable_and_its_last_state_counts(precision):
-    known = of_full_order()
+def test_an_observer_of_least_and_of_full_order_is_usable_and_its_last_state_counts(
+    states, precision
+):
+    known = observer_of(states)
     assert refused(known, precision) is None
     for name, blamed in (
         ("observer_B", "observer_rest"),
@@ -185,6 +187,33 @@ def test_an_observer_of_full_order_is_usable_and_its_last_state_counts(precision
         other = known[name].copy()
         other[-1] += 0.01
         assert refused({**known, name: other}, precision) == blamed
+
+
+def test_an_observer_of_full_order_runs_as_its_equations(rng):
+    given = observer_of(MAX_ORDER, observer_L=rng.normal(0, 0.1, MAX_ORDER), relaxation_count=0)
+    controller = started({**given, "method": "dob"})
+    A, B, C, L = (given[f"observer_{name}"] for name in "ABCL")
+    x, d = np.zeros(MAX_ORDER), 0.0
+    for wanted, measured in rng.normal(0, 1, (100, 2)):
+        innovation = measured - C @ x
+        x, d = x + L * innovation, d + 0.1 * innovation
+        volts = given["feedback_N_V_per_m"] * wanted - given["feedback_K_V"] @ x - d
+        assert controller.step(wanted, measured) == pytest.approx(volts, abs=1e-9)
+        x = A @ x + B * (volts + d)
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_states_that_nothing_moves_at_rest_are_usable(precision):
+    """An oscillator among the states: it gets nothing from the voltage and is 0 at rest."""
+    turn = np.array([[0.8, 0.6], [-0.6, 0.8]])
+    known = observer_of(3)
+    known["observer_A"][1:, 1:] = turn
+    for name in ("observer_B", "observer_C", "observer_rest"):
+        known[name] = np.array([known[name][0], 0.0, 0.0])
+    known["observer_C"][0] = 1.0
+    known["feedback_K_V"] = np.array([0.01, 1.0, 0.0])
+    known["feedback_N_V_per_m"] = 1.01
+    assert refused(known, precision) is None
 
 
 @pytest.mark.parametrize(("current_A", "is_stuck"), [(1e-11, False), (1.001e-11, True)])

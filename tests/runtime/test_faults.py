@@ -73,9 +73,12 @@ def test_a_stuck_sensor_is_said_and_no_longer_believed():
     assert np.abs(run.voltage_V).max() < 2.0
 
 
-def test_a_quiet_stage_is_not_a_stuck_sensor():
-    controller = started(lateral(stuck_samples=50, stuck_voltage_V=0.1))
-    run = controller.run(np.zeros(500), np.zeros(500))
+@pytest.mark.parametrize("volts", [0.0, 2.0, -2.0])
+def test_a_quiet_stage_is_not_a_stuck_sensor_wherever_it_rests(volts):
+    controller = Controller(lateral(stuck_samples=50, stuck_voltage_V=0.1))
+    controller.start(volts, 0.3)
+    run = controller.run(np.full(500, 0.3), np.full(500, 0.3))
+    assert run.voltage_V == pytest.approx(np.full(500, volts))
     assert not run.status.any()
 
 

@@ -11,6 +11,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import (
 from piezoid.operators.modified_prandtl_ishlinskii import compensate as reference_compensate
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.runtime.controller import Controller
+from piezoid.runtime.schema import MAX_KNOTS, MAX_PLAYS, MAX_RELAXATIONS
 from tests.runtime.runtime_parameters import WORKED, hysteresis
 from tests.runtime.runtime_reference import compensate, follow, forward, random_model
 
@@ -138,6 +139,42 @@ def test_an_envelope_in_front_of_the_plays_is_inverted_too(rng):
         controller = Controller(given)
         controller.start(0.5, np.nan)
         assert np.array_equal(controller.run(y, y).voltage_V, expected)
+
+
+def without_the_lowest_kink(model):
+    return {**model, "knot": model["knot"][1:], "weight": model["weight"][1:]}
+
+
+@pytest.mark.parametrize("start_V", [-300.0, 0.5, 300.0])
+def test_a_model_that_fills_its_tables_is_inverted_up_to_their_last_places(start_V, rng):
+    """Behind a full table stands the next one: nothing of that is taken for a play or a kink."""
+    model, front = (
+        without_the_lowest_kink(
+            random_model(rng, plays=MAX_PLAYS, knots_each_side=MAX_KNOTS // 2, negative=True)
+        )
+        for _ in range(2)
+    )
+    operator = ModifiedPrandtlIshlinskii(
+        plays=PrandtlIshlinskii(threshold=model["r"], weight=model["w"]),
+        dead_zones=DeadZones(threshold=model["knot"], weight=model["weight"]),
+        envelope=DeadZones(threshold=front["knot"], weight=front["weight"]),
+    )
+    given = hysteresis(
+        model,
+        envelope_count=MAX_KNOTS,
+        envelope_knot_V=front["knot"],
+        envelope_weight=front["weight"],
+        relaxation_count=MAX_RELAXATIONS,
+        relaxation_rate=np.full(MAX_RELAXATIONS, 0.5),
+    )
+    u = np.cumsum(rng.uniform(-40, 40, 300))
+    u = np.r_[start_V, u - u.mean()]
+    y, _ = operator.run(u, model["z"])
+    assert (y > model["knot"][-1]).any()
+    assert (y < model["knot"][0]).any()
+    controller = Controller(given)
+    controller.start(start_V, np.nan)
+    assert np.abs(controller.run(y, y).voltage_V - u).max() < 1e-9
 
 
 def test_in_single_precision_the_inverse_errs_by_single_roundings(rng):

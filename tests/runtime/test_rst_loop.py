@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import library
+from piezoid.runtime.schema import MAX_TAPS
 from tests.runtime.runtime_parameters import RST_A, RST_B, RST_R, RST_S, tunnelling
 
 REFERENCE_A = 1e-9
@@ -127,6 +128,47 @@ def test_a_current_that_ignores_the_voltage_retracts():
     quiet = started(stuck_samples=20, stuck_voltage_V=1e-4)
     held = quiet.run(np.full(60, REFERENCE_A), np.full(60, REFERENCE_A))
     assert not held.status.any()
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_reference_that_is_no_current_is_replaced_by_the_last(bad):
+    currents = np.full(3, REFERENCE_A)
+    run = started().run(REFERENCE_A * np.array([2.0, bad, 1.5]), currents)
+    kept = started().run(REFERENCE_A * np.array([2.0, 2.0, 1.5]), currents)
+    assert np.array_equal(run.voltage_V, kept.voltage_V)
+    assert list(run.status) == [0, Status.BAD_REFERENCE, 0]
+
+
+def test_a_reference_beyond_the_currents_is_the_last_of_them_and_that_is_said():
+    currents = np.full(3, REFERENCE_A)
+    run = started().run(np.array([1e-12, 1.0, REFERENCE_A]), currents)
+    kept = started().run(np.array([1e-11, 2e-8, REFERENCE_A]), currents)
+    assert np.array_equal(run.voltage_V, kept.voltage_V)
+    assert list(run.status) == [Status.REFERENCE_LIMITED] * 2 + [0]
+    assert not kept.status.any()
+
+
+def test_polynomials_that_fill_their_tables_are_the_written_equation(rng):
+    """R and T reach back as far as there is room; S and A_0 too, at limits that are met."""
+    R, T, S, a0 = (1e-3 * rng.normal(size=MAX_TAPS) for _ in range(4))
+    S[0] = a0[0] = 1.0
+    given = {f"rst_{name}_count": MAX_TAPS for name in ("R", "T", "S", "A0")}
+    given |= {"rst_R_V": R, "rst_T_V": T, "rst_S": S, "rst_A0": a0}
+    y, r = np.zeros((2, 200 + MAX_TAPS))
+    y[MAX_TAPS:], r[MAX_TAPS:] = rng.normal(0.0, 0.5, (2, 200))
+    currents = REFERENCE_A * np.exp([r[MAX_TAPS:], y[MAX_TAPS:]])
+    given |= {"voltage_minimum_V": -5e-3, "voltage_maximum_V": 5e-3, "retract_voltage_V": 0.0}
+    shipped = started(**given).run(*currents).voltage_V
+    change, excess = np.zeros((2, len(y)))
+    volts = np.zeros(len(y))
+    for k in range(MAX_TAPS, len(y)):
+        now, before = slice(k, k - MAX_TAPS, -1), slice(k - 1, k - MAX_TAPS, -1)
+        wanted = volts[k - 1] + T @ r[now] - R @ y[now] - S[1:] @ change[before]
+        wanted += a0[1:] @ excess[before]
+        volts[k] = np.clip(wanted, -5e-3, 5e-3)
+        change[k], excess[k] = volts[k] - volts[k - 1], volts[k] - wanted
+    assert np.abs(shipped - volts[MAX_TAPS:]).max() < 1e-12
+    assert (excess != 0.0).sum() > 50
 
 
 def test_at_the_limits_nothing_winds_up():

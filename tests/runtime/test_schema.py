@@ -217,3 +217,10 @@ def test_one_number_fills_all_places_and_nobody_writes_into_them():
 def test_a_library_of_the_other_precision_is_refused():
     with pytest.raises(RuntimeLibraryError, match="size of pz_real is 4"):
         compare_layout(replace(library("float"), real=ctypes.c_double))
+
+
+def test_a_runtime_that_was_never_compiled_is_asked_for(monkeypatch):
+    absent = ("piezoid.runtime._never_compiled", ctypes.c_double)
+    monkeypatch.setitem(library_module.PRECISIONS, "half", absent)
+    with pytest.raises(RuntimeLibraryError, match="is not beside the package"):
+        library("half")

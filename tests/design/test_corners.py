@@ -1,0 +1,101 @@
+"""Corners of a lateral family: what was found moves by its interval, what was declared by 10 %."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.from_model import lag_half_s, lateral_task
+from piezoid.design.plant import Plant
+from piezoid.design.specification import rest_delay_s
+from piezoid.identification.model import AxisModel, Lag
+from tests.design.test_from_model import RIG, RATE_Hz, one_mode, rigged
+from tests.reports.known_stage import axis_model
+
+LAG_s = 1e-3
+STD_s = 1e-4
+HELD_s = 1e-6  # what a hold adds to a pole's delay at rest, beside half a sample
+DECLARED_s = 1.0 / (2.0 * np.pi * np.array([RIG.sensor_bandwidth_Hz, RIG.amplifier_bandwidth_Hz]))
+
+
+def lagging(kind: str, time_s: float = LAG_s) -> AxisModel:
+    """An axis whose lag is known to a standard deviation of a tenth of a millisecond."""
+    known = axis_model().uncertainty
+    covariance = known.covariance.copy()
+    place = known.names.index("lag_s")
+    covariance[place, place] = STD_s**2
+    uncertainty = replace(known, covariance=covariance)
+    return rigged(lag=Lag(kind=kind, time_s=time_s), uncertainty=uncertainty)
+
+
+def members(axis: AxisModel) -> tuple[Plant, dict[str, Plant]]:
+    nominal, *corners = lateral_task(axis, RATE_Hz, forms=("inverse",)).families["inverse"].members
+    return nominal, {corner.label: corner for corner in corners}
+
+
+def time_constants_s(plant: Plant) -> list[float]:
+    return sorted(-1.0 / (RATE_Hz * np.log(np.abs(plant.poles))))
+
+
+def way_of(label: str) -> float:
+    return 1.0 if label.endswith("slow") else -1.0
+
+
+def test_low_and_high_gain_meet_slow_and_fast_dynamics() -> None:
+    _, corners = members(lagging("first_order"))
+    assert {tuple(label.split(" gain, ")) for label in corners} == {
+        (gain, speed) for gain in ("low", "high") for speed in ("slow", "fast")
+    }
+    for speed in ("slow", "fast"):
+        assert corners[f"low gain, {speed}"].gain < corners[f"high gain, {speed}"].gain
+
+
+def test_a_fitted_pole_moves_by_the_interval_of_its_lag() -> None:
+    axis = lagging("first_order")
+    half_s = lag_half_s(axis)
+    assert half_s == pytest.approx(1.96 * STD_s, rel=1e-4)
+    nominal, corners = members(axis)
+    assert time_constants_s(nominal) == pytest.approx([*DECLARED_s, LAG_s])
+    for label, corner in corners.items():
+        moved_s = [*DECLARED_s * (1.0 + 0.1 * way_of(label)), LAG_s + way_of(label) * half_s]
+        assert time_constants_s(corner) == pytest.approx(moved_s)
+
+
+def test_a_pole_whose_interval_reaches_zero_keeps_a_tenth_of_its_time() -> None:
+    """Less than the interval's half: a pole needs some time constant."""
+    _, corners = members(lagging("first_order", STD_s))
+    assert max(time_constants_s(corners["low gain, fast"])) == pytest.approx(
+        max(0.1 * STD_s, 0.9 * max(DECLARED_s))
+    )
+    assert max(time_constants_s(corners["low gain, slow"])) == pytest.approx(
+        2.96 * STD_s, rel=1e-4
+    )
+
+
+@pytest.mark.parametrize(("kind", "time_s"), [("delay", LAG_s), ("none", 0.0)])
+def test_a_delay_moves_by_the_interval_of_the_lag_and_never_ahead(
+    kind: str, time_s: float
+) -> None:
+    axis = lagging(kind, time_s)
+    nominal, corners = members(axis)
+    for label, corner in corners.items():
+        assert time_constants_s(corner) == pytest.approx(DECLARED_s * (1.0 + 0.1 * way_of(label)))
+        delay_s = max(time_s + way_of(label) * lag_half_s(axis), 0.0)
+        poles_s = 0.1 * way_of(label) * DECLARED_s.sum()
+        assert rest_delay_s(corner) - rest_delay_s(nominal) == pytest.approx(
+            delay_s - time_s + poles_s, abs=HELD_s
+        )
+
+
+def test_a_measured_mode_moves_by_its_interval_and_the_delay_left_by_a_tenth() -> None:
+    axis = rigged(dynamics=one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6))
+    nominal, corners = members(axis)
+    low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
+    half = 0.5 * (high_Hz - low_Hz) / 300.0
+    for label, corner in corners.items():
+        slower = 1.0 + way_of(label) * half
+        found_Hz = RATE_Hz * np.abs(np.log(corner.poles)) / (2.0 * np.pi)
+        assert found_Hz.min() == pytest.approx(300.0 / slower)
+        mode_s = 2.0 * 0.04 / (2.0 * np.pi * 300.0)
+        moved_s = mode_s * (slower - 1.0) + 0.1 * way_of(label) * (DECLARED_s.sum() + 120e-6)
+        assert rest_delay_s(corner) - rest_delay_s(nominal) == pytest.approx(moved_s, abs=HELD_s)
