@@ -134,8 +134,10 @@ def test_a_specification_without_scan_is_refused():
         "template = [1]",
         "template = [{name = 1, function = 2, frequency_Hz = 3, upper_dB = 4}]",
         "template = [{name = 'a', function = 'Syp', frequency_Hz = [[1]], upper_dB = ['b']}]",
+        "template = [{name = 'a', function = 'Syp', frequency_Hz = [1e308, -1e308], upper_dB = "
+        "[3, 3]}]",
     ],
-    ids=range(15),
+    ids=range(16),
 )
 def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
     with pytest.raises(LabFileError) as told:
