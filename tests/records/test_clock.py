@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.clock import Clock, read_clock
+from piezoid.records.clock import Clock, read_clock, stated_clock
 
 RATE_Hz = 20000.0
 TIME_s = np.arange(5000) / RATE_Hz
@@ -125,6 +125,13 @@ def test_a_clock_that_goes_backwards_is_a_break() -> None:
 def test_times_without_a_common_interval_are_refused(rng: np.random.Generator) -> None:
     with pytest.raises(RecordingError, match="time steps from"):
         clock_of(np.cumsum(rng.uniform(0, 1, 100)))
+
+
+@pytest.mark.parametrize("rate_Hz", [np.inf, np.nan, -1.0, 5e-324, 1e-308, 1e16])
+def test_a_rate_of_no_bench_is_no_clock(rate_Hz: float) -> None:
+    with pytest.raises(RecordingError, match=r"a sampling rate of .* Hz is stated"):
+        stated_clock(rate_Hz, "run.lvm")
+    assert stated_clock(1 / 5e-4, "run.lvm").sampling_rate_Hz == 2000.0
 
 
 @pytest.mark.parametrize("time_s", [np.zeros(100), np.linspace(1, 0, 100), np.array([0.0, 1.0])])
