@@ -64,6 +64,11 @@ class FitQuality:
     converged: bool
     orders: tuple[Order, ...]
 
+    def __post_init__(self) -> None:
+        for name in ("rms_m", "held_out_rms_m", "range_m", "noise_rms_m"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected zero or more")
+
     @property
     def held_out_rms_percent(self) -> float:
         """Held-out error in percent of the displacement range."""

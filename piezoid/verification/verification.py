@@ -121,6 +121,7 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         named += [row.method for row in found.spirals] + [row.method for row in found.traces]
         for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
+        _check_spirals(found)
         return found
     except (ValidationError, ValueError) as error:
         raise ParameterFileError(
@@ -128,3 +129,11 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
             needed=f"every entry of schema {SCHEMA}, of its own kind",
             remedy="Verify again with this version.",
         ) from error
+
+
+def _check_spirals(found: Verification) -> None:
+    """Raise ``ValueError`` unless every row that is compared has what only its spiral has."""
+    known = {(row.method, row.frequency_Hz) for row in found.spirals}
+    for row in found.comparison:
+        if (row.method, row.frequency_Hz) not in known:
+            raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")

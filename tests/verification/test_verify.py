@@ -61,6 +61,11 @@ def test_the_record_returns_exactly_and_a_changed_bit_is_refused(whole):
         verification_from_json(changed)
 
 
+def test_a_record_that_compares_what_it_never_ran_is_refused(whole):
+    with pytest.raises(ParameterFileError, match=r"no spiral of .* at .* Hz"):
+        verification_from_json(replace(whole, spirals=whole.spirals[1:]).to_json())
+
+
 def test_the_record_names_what_was_verified(whole):
     assert whole.parameters_digest == digest_of(stage())
     assert whole.runtime_digest == source_digest()
