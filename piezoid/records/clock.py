@@ -80,7 +80,11 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
 def stated_clock(rate_Hz: float, name: str) -> Clock:
     """Return the clock that is stated for a file without time stamps, refusing one of no bench."""
     if not 1 / _MOST_INTERVAL_s <= rate_Hz <= 1 / _LEAST_INTERVAL_s:
-        raise _no_clock(name, f"a sampling rate of {rate_Hz:.3g} Hz is stated", "that of a clock")
+        raise RecordingError(
+            f"{name}: a sampling rate of {rate_Hz:.3g} Hz is stated",
+            needed=f"one from {1 / _MOST_INTERVAL_s:.0e} to {1 / _LEAST_INTERVAL_s:.0e} Hz",
+            remedy="Correct it where it is stated, in the file's header or in lab.toml.",
+        )
     return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
 
 
