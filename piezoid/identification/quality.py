@@ -109,6 +109,12 @@ class Uncertainty:
             ("loading_half_m", 1),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        count = len(self.names)
+        if self.values.shape != (count,) or self.covariance.shape != (count, count):
+            raise ValueError(
+                f"{count} names, values of shape {self.values.shape}, covariance of shape "
+                f"{self.covariance.shape}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,6 +69,8 @@ def test_an_entry_of_another_kind_is_refused(place: str) -> None:
         ("axes x quality held_out_rms_m", -1e-30),
         ("axes x quality range_m", -1e-6),
         ("axes x quality noise_rms_m", -1e-9),
+        ("axes x uncertainty values", []),
+        ("axes x uncertainty names", []),
     ],
 )
 def test_a_number_that_no_fit_finds_is_refused(place: str, value: float) -> None:
