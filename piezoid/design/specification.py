@@ -19,7 +19,8 @@ _MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
 
-_LARGEST = 1e30  # beyond this nothing on a bench is
+_SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
+_LARGEST_dB = 1000.0
 _LAST_HARMONIC = 999
 
 
@@ -66,6 +67,8 @@ class Specification:
             raise ValueError(
                 f"voltage limits {self.voltage_min_V} and {self.voltage_max_V} V cross"
             )
+        if self.noise_limit_rms is not None and not self.noise_limit_rms > 0:
+            raise ValueError(f"noise_limit_rms is {self.noise_limit_rms}, expected > 0")
         for name in ("sensor_noise_rms", "disturbance_rms", "voltage_step_V"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0")
@@ -184,7 +187,7 @@ def _is_number(value: object) -> bool:
     """Tell whether a number of TOML, which may have thousands of digits, is one to count with."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= _LARGEST
+    return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
 
 
 def _harmonics(value: object, place: str) -> tuple[int, ...]:
@@ -197,10 +200,16 @@ def _harmonics(value: object, place: str) -> tuple[int, ...]:
 
 def _template(table: Any, place: str) -> Template:
     try:
-        return Template(**table)
+        found = Template(**table)
     except (TypeError, ValueError) as fault:
         needed = f"name, function (one of {', '.join(FUNCTIONS)}), frequency_Hz, upper_dB"
         raise _unusable(place, f"template: {fault}", needed) from fault
+    if not isinstance(found.name, str):
+        raise _unusable(place, f"template: name is {short(found.name)}", "a text")
+    if np.abs(found.upper_dB).max() > _LARGEST_dB or found.frequency_Hz[-1] > _LARGEST:
+        needed = f"within {_LARGEST_dB:.0f} dB and below {_LARGEST:.0e} Hz"
+        raise _unusable(place, f"template {short(found.name)} leaves what can be met", needed)
+    return found
 
 
 def _unusable(place: str, found: str, needed: str) -> LabFileError:

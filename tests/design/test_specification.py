@@ -125,6 +125,8 @@ def test_a_specification_without_scan_is_refused():
         "bandwidth_Hz = inf",
         "bandwidth_Hz = nan",
         "noise_limit_rms = nan",
+        "noise_limit_rms = 0",
+        "delay_margin_s = 5e-324",
         "x" * 1_000_000 + " = 1",
         "resonant_harmonics = [[]]",
         "resonant_harmonics = [1, 1.5]",
@@ -136,8 +138,12 @@ def test_a_specification_without_scan_is_refused():
         "template = [{name = 'a', function = 'Syp', frequency_Hz = [[1]], upper_dB = ['b']}]",
         "template = [{name = 'a', function = 'Syp', frequency_Hz = [1e308, -1e308], upper_dB = "
         "[3, 3]}]",
+        "template = [{name = 'a', function = 'Syp', frequency_Hz = [1, 2], upper_dB = [1e9, 3]}]",
+        "template = [{name = 'a', function = 'Syp', frequency_Hz = [1, 1e31], upper_dB = [3, 3]}]",
+        "template = [{name = 5, function = 'Syp', frequency_Hz = [1, 2], upper_dB = [3, 3]}]",
+        "template = [{name = 'a', function = 'Syp', frequency_Hz = [], upper_dB = []}]",
     ],
-    ids=range(16),
+    ids=range(22),
 )
 def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
     with pytest.raises(LabFileError) as told:
