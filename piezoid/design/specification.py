@@ -21,6 +21,7 @@ _CONTROL_LIMIT_dB = 20.0
 
 _SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
 _LARGEST_dB = 1000.0
+_LARGEST_rms = 1000.0  # a kilometre, or a current that changes beyond all numbers
 _LAST_HARMONIC = 999
 
 
@@ -177,6 +178,8 @@ def _asked(default: Specification, table: dict[str, Any], place: str) -> Specifi
             values[key] = _harmonics(value, place)
         elif not _is_number(value):
             raise _unusable(place, f"{key} is {short(value)}", "a number in SI units")
+        elif key.endswith("_rms") and value > _LARGEST_rms:
+            raise _unusable(place, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
     try:
         return replace(default, **values, templates=default.templates + further)
     except ValueError as fault:

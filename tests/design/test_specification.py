@@ -127,6 +127,8 @@ def test_a_specification_without_scan_is_refused():
         "noise_limit_rms = nan",
         "noise_limit_rms = 0",
         "delay_margin_s = 5e-324",
+        "sensor_noise_rms = 1e30",
+        "disturbance_rms = 1e4",
         "x" * 1_000_000 + " = 1",
         "resonant_harmonics = [[]]",
         "resonant_harmonics = [1, 1.5]",
@@ -143,7 +145,7 @@ def test_a_specification_without_scan_is_refused():
         "template = [{name = 5, function = 'Syp', frequency_Hz = [1, 2], upper_dB = [3, 3]}]",
         "template = [{name = 'a', function = 'Syp', frequency_Hz = [], upper_dB = []}]",
     ],
-    ids=range(22),
+    ids=range(24),
 )
 def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
     with pytest.raises(LabFileError) as told:
