@@ -22,7 +22,7 @@ _CONTROL_LIMIT_dB = 20.0
 _SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
 _LARGEST_dB = 1000.0
 _LARGEST_rms = 1000.0  # a kilometre, or a current that changes beyond all numbers
-_LAST_HARMONIC = 999
+_LAST_HARMONIC, _MOST_HARMONICS = 999, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,6 +198,9 @@ def _harmonics(value: object, place: str) -> tuple[int, ...]:
     if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
         found = f"resonant_harmonics is {short(value)}"
         raise _unusable(place, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
+    if len(harmonics) > _MOST_HARMONICS:
+        found = f"resonant_harmonics holds {len(harmonics)} numbers"
+        raise _unusable(place, found, f"at most {_MOST_HARMONICS}: an observer has no more states")
     return tuple(harmonics)
 
 

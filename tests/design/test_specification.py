@@ -133,6 +133,7 @@ def test_a_specification_without_scan_is_refused():
         "resonant_harmonics = [[]]",
         "resonant_harmonics = [1, 1.5]",
         "resonant_harmonics = [100000]",
+        "resonant_harmonics = [1, 2, 3, 4, 5, 6, 7, 8, 9]",
         "resonant_harmonics = 'all'",
         "template = 1",
         "template = [1]",
@@ -145,7 +146,7 @@ def test_a_specification_without_scan_is_refused():
         "template = [{name = 5, function = 'Syp', frequency_Hz = [1, 2], upper_dB = [3, 3]}]",
         "template = [{name = 'a', function = 'Syp', frequency_Hz = [], upper_dB = []}]",
     ],
-    ids=range(24),
+    ids=range(25),
 )
 def test_a_wish_that_cannot_be_is_refused_with_a_short_message(line):
     with pytest.raises(LabFileError) as told:
