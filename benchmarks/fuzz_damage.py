@@ -73,6 +73,8 @@ def mutated_json(content: bytes, rng: np.random.Generator) -> bytes:
     if not isinstance(record, dict) or not record.keys() - {"digest"}:
         return resealed(mutated_bytes(content, rng))
     for _ in range(1 + int(rng.integers(2))):
+        if not record.keys() - {"digest"}:
+            break
         holder, key = _place_in(record, rng)
         match int(rng.integers(4)):
             case 0:

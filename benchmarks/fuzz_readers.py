@@ -1,12 +1,13 @@
 """Throw damaged files at everything that reads: a result or one message of ours, nothing else.
 
-    python -m benchmarks.fuzz_readers [SECONDS [STAGE]]
+    python -m benchmarks.fuzz_readers [SECONDS [STAGE [SEED]]]
 
 Every format of recordings, lab.toml, and the sealed files are mutated, SECONDS for each; STAGE, a
-folder that `piezoid fit` wrote, adds its sealed files to those known here. A mutant of a sealed
-file is sealed again: only then is its content read at all. Mutants that are answered in a new way
-join those that are mutated further. Each target runs in a process with 2 GB more than it starts
-with, and 5 s of processor time for an input; what breaks a rule is kept in build/fuzz/.
+folder that `piezoid fit` wrote, adds its sealed files to those known here. The same SEED draws
+the same damage: another one asks new questions. A mutant of a sealed file is sealed again: only
+then is its content read at all. Mutants that are answered in a new way join those that are
+mutated further. Each target runs in a process with 2 GB more than it starts with, and 5 s of
+processor time for an input; what breaks a rule, or never ends, is kept in build/fuzz/.
 """
 
 import multiprocessing
@@ -18,7 +19,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from benchmarks.fuzz_targets import REFUSED, targets
 from piezoid.errors import PiezoidError
 
 LIMIT_s = 5.0
+LOST_s = 60.0
 ROOM_bytes = 2 << 30
 KEPT = Path("build/fuzz")
 POOL = 300
@@ -47,26 +49,25 @@ class Tally:
     broken: Counter[str] = field(default_factory=Counter)
 
 
-def attack(name: str, first: bytes, answer: Callable[[Path], str], seconds: float) -> Tally:
+def attack(
+    place: Path, first: bytes, answer: Callable[[Path], str], seconds: float, seed: int
+) -> Tally:
     """Mutate one file for some seconds; a warning that would reach the user is a fault as well."""
     warnings.simplefilter("error")
-    rng = np.random.default_rng([7, *name.encode()])
-    mutated = mutated_json if name.endswith(".json") else mutated_bytes
+    rng = np.random.default_rng([seed, *place.name.encode()])
+    mutated = mutated_json if place.name.endswith(".json") else mutated_bytes
     tally, pool, known = Tally(), [first], set()
-    with tempfile.TemporaryDirectory(dir=memory_disk()) as folder:
-        place = Path(folder) / name
-        place.write_bytes(first)
-        answer(place)  # loads what is loaded late, before time and memory are watched
-        held_bytes = used_bytes()
-        resource.setrlimit(resource.RLIMIT_AS, (held_bytes + ROOM_bytes,) * 2)
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            content = mutated(pool[int(rng.integers(len(pool)))], rng)
-            place.write_bytes(content)
-            way = tried(answer, place, content, tally)
-            if way not in known and len(pool) < POOL:
-                known.add(way)
-                pool.append(content)
+    place.write_bytes(first)
+    answer(place)  # loads what is loaded late, before time and memory are watched
+    resource.setrlimit(resource.RLIMIT_AS, (used_bytes() + ROOM_bytes,) * 2)
+    until = time.monotonic() + seconds
+    while time.monotonic() < until:
+        content = mutated(pool[int(rng.integers(len(pool)))], rng)
+        place.write_bytes(content)
+        way = tried(answer, place, content, tally)
+        if way not in known and len(pool) < POOL:
+            known.add(way)
+            pool.append(content)
     tally.peak_bytes = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     tally.ways = len(known)
     return tally
@@ -117,30 +118,45 @@ def used_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
-def _send(pipe: Any, name: str, task: Mapping[str, Any], seconds: float) -> None:
-    first, answer = task[name]
-    pipe.send(attack(name, first, answer, seconds))
+def _send(pipe: Any, *asked: Any) -> None:
+    pipe.send(attack(*asked))
+
+
+def attacked(
+    name: str, first: bytes, answer: Callable[[Path], str], seconds: float, seed: int
+) -> Tally:
+    """Attack one target in a process of its own, and end the process where it does not."""
+    fork = multiprocessing.get_context("fork")
+    here, there = fork.Pipe(duplex=False)
+    with tempfile.TemporaryDirectory(dir=memory_disk()) as folder:
+        place = Path(folder) / name
+        child = fork.Process(target=_send, args=(there, place, first, answer, seconds, seed))
+        child.start()
+        there.close()
+        tally, what = Tally(), f"an input without end, {LOST_s:.0f} s too late"
+        try:
+            if here.poll(seconds + LOST_s):
+                what = "the process died"
+                return here.recv()
+        except EOFError:
+            pass
+        finally:
+            child.kill()
+            child.join()
+        _keep(name, place.read_bytes(), tally, what)
+    return tally
 
 
 def main() -> None:
     """Print a row for each target; end with status 1 where a rule was broken."""
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 60.0
     given = Path(sys.argv[2]) if len(sys.argv) > 2 else None
-    fork = multiprocessing.get_context("fork")
+    seed = int(sys.argv[3]) if len(sys.argv) > 3 else 7
     inputs, is_broken, began = 0, False, time.monotonic()
     print(f"{'':16}{'inputs':>9}{'refused':>9}{'answers':>9}{'slowest':>10}{'peak':>9}")
     with tempfile.TemporaryDirectory() as folder:
-        tasks = targets(Path(folder), given)
-        for name in tasks:
-            here, there = fork.Pipe(duplex=False)
-            child = fork.Process(target=_send, args=(there, name, tasks, seconds))
-            child.start()
-            there.close()
-            try:
-                tally = here.recv()
-            except EOFError:
-                tally = Tally(broken=Counter({"the process died": 1}))
-            child.join()
+        for name, (first, answer) in targets(Path(folder), given).items():
+            tally = attacked(name, first, answer, seconds, seed)
             inputs += tally.inputs
             is_broken |= bool(tally.broken)
             print(

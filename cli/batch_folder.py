@@ -10,6 +10,7 @@ import typer
 from piezoid.errors import PiezoidError, RecordingError
 from piezoid.provenance import digest_of_file
 from piezoid_cli.output_folder import write_file, write_folder
+from piezoid_cli.stage_files import content_of
 from piezoid_cli.stage_task import LAB, StageDone, StageTask
 from piezoid_reports.fleet.chapters import PLACE
 from piezoid_reports.fleet.records import CRASHED, FleetStage, stage_from_json
@@ -109,7 +110,7 @@ def _check_ours(out: Path, *, force: bool) -> None:
 def _kept(place: Path) -> FleetStage | None:
     """Return what is kept of a stage; None where nothing usable is."""
     try:
-        return stage_from_json((place / RECORD).read_bytes(), str(place / RECORD))
+        return stage_from_json(content_of(place / RECORD), str(place / RECORD))
     except (OSError, PiezoidError):
         return None
 

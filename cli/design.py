@@ -43,10 +43,10 @@ def design(
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
-    from piezoid_cli.stage_files import lab_of, text_of
+    from piezoid_cli.stage_files import content_of, lab_of, text_of
     from piezoid_reports.render import render_design
 
-    content = (stage / "model.json").read_bytes()
+    content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
     asked = None if spec is None else Asked(text=text_of(spec), place=spec.name)
     with shown(quiet=quiet) as told:

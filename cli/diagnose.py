@@ -92,12 +92,13 @@ def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
     from json import loads
 
     from piezoid.identification.store import read_model
+    from piezoid_cli.stage_files import content_of
 
     if files[0].suffix.lower() != ".json":
         return None, files
     if len(files) == 1:
         raise typer.BadParameter(f"{files[0]} is a model; name recordings behind it")
-    content = files[0].read_bytes()
+    content = content_of(files[0])
     return (read_model(content, str(files[0])), str(loads(content)["digest"])), files[1:]
 
 

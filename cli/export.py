@@ -32,11 +32,11 @@ def export(
     from piezoid.export.stage import export_stage
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
-    from piezoid_cli.stage_files import lab_of, same_model
+    from piezoid_cli.stage_files import content_of, lab_of, same_model
 
-    content = (stage / "design.json").read_bytes()
+    content = content_of(stage / "design.json")
     design = design_from_json(content, str(stage / "design.json"))
-    model_content = (stage / "model.json").read_bytes()
+    model_content = content_of(stage / "model.json")
     model = read_model(model_content, str(stage / "model.json"))
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]

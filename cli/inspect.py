@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     from piezoid.records.inspection import ColumnSummary, Inspection
 
+_LONGEST = 600  # a damaged file's heading fills a hundred screens
+
 
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Recordings in any format piezoid reads.")],
@@ -68,7 +70,10 @@ def _parts(inspection: "Inspection") -> "list[RenderableType]":
         parts.append(_table(inspection.columns))
     if inspection.axis is not None:
         parts.append(plain(_clock_line(inspection)))
-    parts += [plain(f"  {p.kind} ({p.place}): {p.text}", "yellow") for p in inspection.problems]
+    parts += [
+        plain(f"  {p.kind} ({_cut(p.place)}): {_cut(p.text)}", "yellow")
+        for p in inspection.problems
+    ]
     if inspection.refusal is not None:
         parts.append(plain(f"  no recording: {inspection.refusal}", style="red"))
     return parts
@@ -110,8 +115,12 @@ def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
             _quantity(column.step or None, column.si_unit),
             _state(column),
         )
-        table.add_row(*(plain(cell) for cell in cells))
+        table.add_row(*(plain(_cut(cell)) for cell in cells))
     return table
+
+
+def _cut(said: str) -> str:
+    return said if len(said) <= _LONGEST else f"{said[:_LONGEST]} ..."
 
 
 def _quantity(value: float | None, unit: str) -> str:

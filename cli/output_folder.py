@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 import typer
 
@@ -92,7 +93,7 @@ def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = T
             _write(target, contents)
 
 
-def _write(target: Path, contents: Mapping[str, bytes]) -> None:
+def _write(target: Path, contents: Mapping[str, bytes | Path]) -> None:
     _clear_away(target)
     fresh = Path(
         tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
@@ -102,7 +103,7 @@ def _write(target: Path, contents: Mapping[str, bytes]) -> None:
             place = fresh / name
             place.parent.mkdir(parents=True, exist_ok=True)
             with place.open("wb") as stream:
-                stream.write(content)
+                _fill(stream, content)
                 stream.flush()
                 os.fsync(stream.fileno())
         fresh.chmod(0o755)
@@ -172,11 +173,20 @@ def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
     target = Path(os.path.realpath(folder))
     with _named(folder), _alone_in(target.parent):
         held = {
-            place.relative_to(target).as_posix(): place.read_bytes()
+            place.relative_to(target).as_posix(): place
             for place in sorted(target.rglob("*"))
             if place.is_file()
         }
         _write(target, {**held, **contents})
+
+
+def _fill(stream: BinaryIO, content: bytes | Path) -> None:
+    """Write bytes, or what a file holds: recordings among them may not fit into memory."""
+    if isinstance(content, bytes):
+        stream.write(content)
+        return
+    with content.open("rb") as held:
+        shutil.copyfileobj(held, stream)
 
 
 def _put(fresh: Path, target: Path) -> None:

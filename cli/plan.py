@@ -115,9 +115,10 @@ def _read(stage: Path, axis: str | None) -> _Known:
     """Read model and diagnosis of a stage; the diagnosis of its first axis if none is named."""
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
     from piezoid.identification.store import read_model
+    from piezoid_cli.stage_files import content_of
 
-    model_json = (stage / "model.json").read_bytes()
-    diagnosis_json = (stage / "diagnosis.json").read_bytes()
+    model_json = content_of(stage / "model.json")
+    diagnosis_json = content_of(stage / "diagnosis.json")
     diagnoses = read_diagnoses(diagnosis_json, str(stage / "diagnosis.json"))
     found = next((one for one in diagnoses if axis in (None, one.axis)), None)
     if found is None:

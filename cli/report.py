@@ -41,11 +41,12 @@ def report(
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
+    from piezoid_cli.stage_files import content_of
 
     with shown(quiet=quiet) as told:
         told("reading the folder")
-        held = {name: (stage / name).read_bytes() for name in SEALED if (stage / name).exists()}
-        content = (stage / "model.json").read_bytes()
+        held = {name: content_of(stage / name) for name in SEALED if (stage / name).exists()}
+        content = content_of(stage / "model.json")
         model = read_model(content, str(stage / "model.json"))
         recorded = _recorded(model, files or (), stage, lab)
         told("drawing")

@@ -10,6 +10,22 @@ if TYPE_CHECKING:
     from piezoid.records.lab import Lab
 
 LAB = "lab.toml"
+_MOST_bytes = 1 << 27  # a hundred times what a stage of many recordings takes
+
+
+def content_of(place: Path) -> bytes:
+    """Return what a file of ours holds; ``OSError`` for a pipe or a device, which never ends."""
+    from piezoid.records.readers.source import regular_size
+
+    size = regular_size(place)
+    if size > _MOST_bytes:
+        raise ParameterFileError(
+            f"{place} has {size} bytes",
+            needed=f"at most {_MOST_bytes}: it is none that piezoid wrote",
+            remedy="Take the original, or write it again from the recordings.",
+        )
+    with place.open("rb") as stream:
+        return stream.read(size)
 
 
 def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None:
@@ -29,9 +45,8 @@ def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None
 
 def text_of(place: Path) -> str:
     """Read a text file that somebody wrote by hand."""
-    content = place.read_bytes()
     try:
-        return content.decode("utf-8-sig")
+        return content_of(place).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise LabFileError(
             f"{place}: {error}",

@@ -58,10 +58,10 @@ def verify(
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
-    from piezoid_cli.stage_files import lab_of, same_model, text_of
+    from piezoid_cli.stage_files import content_of, lab_of, same_model, text_of
 
-    file = from_json((stage / "params.json").read_bytes(), str(stage / "params.json"))
-    content = (stage / "model.json").read_bytes()
+    file = from_json(content_of(stage / "params.json"), str(stage / "params.json"))
+    content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)

@@ -14,6 +14,7 @@ from typing import Any
 from piezoid.errors import ParameterFileError
 
 _ZEROS = "0" * 64
+_MOST_DIGITS = 20  # of 64 bits
 _DIGEST = re.compile(rb'"digest": "sha256:([0-9a-f]{64})"')
 
 
@@ -63,7 +64,7 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
             remedy="Take the original, or write it again from the recordings.",
         )
     try:
-        record = json.loads(content)
+        record = json.loads(content, parse_int=_whole)
         # No NaN, no infinity, no half of a character: nothing that ``seal`` would not write.
         json.dumps(record, allow_nan=False, ensure_ascii=False).encode()
     except (ValueError, RecursionError) as error:  # sealed all the same: not by piezoid
@@ -73,6 +74,13 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
             remedy="Write the file again from the recordings.",
         ) from error
     return _of_schema(record, schema, place)
+
+
+def _whole(digits: str) -> int:
+    """Read a whole number of no more digits than are counted here, which a float can take."""
+    if len(digits) > _MOST_DIGITS:
+        raise ValueError(f"a whole number of {len(digits)} digits")
+    return int(digits)
 
 
 def _of_schema(record: Any, schema: str, place: str) -> dict[str, Any]:

@@ -53,7 +53,7 @@ def _shape_limit_m(found: Verification) -> float:
 
 def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: float) -> list[Layer]:
     """Draw a curve in shades, by the parts of the limit its error reaches."""
-    edges_m = limit_m * np.array(list(SHADES.values()))
+    edges_m = [limit_m * share if np.isfinite(share) else np.inf for share in SHADES.values()]
     shade = np.searchsorted(edges_m, error_m)
     layers = []
     for place, (role, share) in enumerate(SHADES.items()):

@@ -109,6 +109,10 @@ class LoopDesign:
     def __post_init__(self) -> None:
         if self.method not in METHODS:
             raise ValueError(f"method is {self.method!r}, expected one of {METHODS}")
+        if not self.members or len(self.margins) != len(self.members):
+            raise ValueError(
+                f"{len(self.margins)} margins of {len(self.members)} members, expected one of each"
+            )
         for name in ("R", "S", "T", "A_0"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
 

@@ -37,6 +37,9 @@ class DisturbanceModel:
     def __post_init__(self) -> None:
         object.__setattr__(self, "transition", frozen(self.transition, "transition", ndim=2))
         object.__setattr__(self, "output", frozen(self.output, "output"))
+        states = len(self.output)
+        if not states or self.transition.shape != (states, states):
+            raise ValueError(f"{states} outputs of a transition of shape {self.transition.shape}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,6 +76,12 @@ class DisturbanceObserver:
         object.__setattr__(self, "A", frozen(self.A, "A", ndim=2))
         for name in ("B", "C", "state_gain", "disturbance_gain", "feedback_gain"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
+        order, states = len(self.A), len(self.disturbance.output)
+        wanted = dict.fromkeys(("B", "C", "state_gain", "feedback_gain"), order)
+        for name, length in {**wanted, "disturbance_gain": states}.items():
+            found = len(getattr(self, name))
+            if found != length:
+                raise ValueError(f"{name} has {found} values, expected {length}")
 
 
 def disturbance_model(

@@ -19,8 +19,10 @@ _MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
 
-_LARGEST = 1e30  # beyond this nothing on a bench is
-_LAST_HARMONIC = 999
+_SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
+_LARGEST_dB = 1000.0
+_LARGEST_rms = 1000.0  # a kilometre, or a current that changes beyond all numbers
+_LAST_HARMONIC, _MOST_HARMONICS = 999, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,6 +68,8 @@ class Specification:
             raise ValueError(
                 f"voltage limits {self.voltage_min_V} and {self.voltage_max_V} V cross"
             )
+        if self.noise_limit_rms is not None and not self.noise_limit_rms > 0:
+            raise ValueError(f"noise_limit_rms is {self.noise_limit_rms}, expected > 0")
         for name in ("sensor_noise_rms", "disturbance_rms", "voltage_step_V"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0")
@@ -174,6 +178,8 @@ def _asked(default: Specification, table: dict[str, Any], place: str) -> Specifi
             values[key] = _harmonics(value, place)
         elif not _is_number(value):
             raise _unusable(place, f"{key} is {short(value)}", "a number in SI units")
+        elif key.endswith("_rms") and value > _LARGEST_rms:
+            raise _unusable(place, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
     try:
         return replace(default, **values, templates=default.templates + further)
     except ValueError as fault:
@@ -184,7 +190,7 @@ def _is_number(value: object) -> bool:
     """Tell whether a number of TOML, which may have thousands of digits, is one to count with."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= _LARGEST
+    return value == 0 or _SMALLEST <= abs(value) <= _LARGEST
 
 
 def _harmonics(value: object, place: str) -> tuple[int, ...]:
@@ -192,15 +198,24 @@ def _harmonics(value: object, place: str) -> tuple[int, ...]:
     if not all(type(h) is int and 0 < h <= _LAST_HARMONIC for h in harmonics):
         found = f"resonant_harmonics is {short(value)}"
         raise _unusable(place, found, f"a list of whole numbers from 1 to {_LAST_HARMONIC}")
+    if len(harmonics) > _MOST_HARMONICS:
+        found = f"resonant_harmonics holds {len(harmonics)} numbers"
+        raise _unusable(place, found, f"at most {_MOST_HARMONICS}: an observer has no more states")
     return tuple(harmonics)
 
 
 def _template(table: Any, place: str) -> Template:
     try:
-        return Template(**table)
+        found = Template(**table)
     except (TypeError, ValueError) as fault:
         needed = f"name, function (one of {', '.join(FUNCTIONS)}), frequency_Hz, upper_dB"
         raise _unusable(place, f"template: {fault}", needed) from fault
+    if not isinstance(found.name, str):
+        raise _unusable(place, f"template: name is {short(found.name)}", "a text")
+    if np.abs(found.upper_dB).max() > _LARGEST_dB or found.frequency_Hz[-1] > _LARGEST:
+        needed = f"within {_LARGEST_dB:.0f} dB and below {_LARGEST:.0e} Hz"
+        raise _unusable(place, f"template {short(found.name)} leaves what can be met", needed)
+    return found
 
 
 def _unusable(place: str, found: str, needed: str) -> LabFileError:

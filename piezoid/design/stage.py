@@ -17,6 +17,7 @@ from piezoid.identification.model import ActuatorModel
 from piezoid.records.lab import Lab
 
 _ROUNDED = 1e-6  # of a range: a recorded voltage may pass a converter's end by its own rounding
+_SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +228,12 @@ def _rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
             needed="the rate at which the controller will run",
             remedy="Write sampling_rate_Hz under [acquisition] in lab.toml and fit again, or give "
             "the rate to the design.",
+        )
+    if not _SLOWEST_Hz <= rate_Hz <= _FASTEST_Hz:
+        raise DesignError(
+            f"{model.stage}: the controller is to run at {rate_Hz:g} Hz",
+            needed=f"a rate from {_SLOWEST_Hz:.0f} to {_FASTEST_Hz:.0f} Hz, which its code takes",
+            remedy="Correct sampling_rate_Hz in lab.toml and fit again, or --rate.",
         )
     return rate_Hz
 

@@ -37,6 +37,8 @@ class Template:
             object.__setattr__(self, field, frozen(getattr(self, field), field))
         same_length([("frequency_Hz", self.frequency_Hz), ("upper_dB", self.upper_dB)])
         strictly_increasing(self.frequency_Hz, "frequency_Hz")
+        if not len(self.frequency_Hz):
+            raise ValueError(f"template {self.name}: it has no frequencies")
         if not self.frequency_Hz[0] > 0:
             raise ValueError(f"template {self.name}: frequencies must be > 0")
 

@@ -88,7 +88,8 @@ def _round_of(drive: Array) -> Turns:
     crossed = at_end[1:][above[1:] != above[:-1]]  # where it comes to the other end
     if len(crossed) < 2 * ROUNDS or crossed[1] * (len(crossed) - 1) > 2.0 * SAME * crossed[-1]:
         return ()
-    return (high, low) if above[0] else (low, high)
+    began_there = at_end[0] == 0
+    return (high, low) if above[0] != began_there else (low, high)
 
 
 def _led(turns: Turns, lead: Turns) -> Turns:

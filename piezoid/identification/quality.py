@@ -64,6 +64,11 @@ class FitQuality:
     converged: bool
     orders: tuple[Order, ...]
 
+    def __post_init__(self) -> None:
+        for name in ("rms_m", "held_out_rms_m", "range_m", "noise_rms_m"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, expected zero or more")
+
     @property
     def held_out_rms_percent(self) -> float:
         """Held-out error in percent of the displacement range."""
@@ -104,6 +109,12 @@ class Uncertainty:
             ("loading_half_m", 1),
         ):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        count = len(self.names)
+        if self.values.shape != (count,) or self.covariance.shape != (count, count):
+            raise ValueError(
+                f"{count} names, values of shape {self.values.shape}, covariance of shape "
+                f"{self.covariance.shape}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

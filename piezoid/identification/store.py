@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from msgspec import ValidationError, convert
@@ -162,7 +162,7 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
     hysteresis = record["hysteresis"]
     return AxisModel(
         axis=convert(record["axis"], str),
-        polarity=convert(record["polarity"], int),
+        polarity=convert(record["polarity"], Literal[-1, 1]),
         hysteresis=ModifiedPrandtlIshlinskii(
             plays=PrandtlIshlinskii(
                 threshold=np.array(hysteresis["play_threshold_V"]),

@@ -37,9 +37,9 @@ def same_length(named: Sequence[tuple[str, Array]]) -> None:
 
 def strictly_increasing(array: Array, name: str) -> None:
     """Raise ``ValueError`` naming the first place where ``array`` does not increase."""
-    steps = np.diff(array)
-    if not (steps > 0).all():
-        place = int(np.flatnonzero(steps <= 0)[0])
+    grows = array[1:] > array[:-1]  # compared, for the difference of large numbers is none
+    if not grows.all():
+        place = int(np.flatnonzero(~grows)[0])
         raise ValueError(
             f"{name} does not increase: [{place}] = {array[place]}, [{place + 1}] = "
             f"{array[place + 1]}"

@@ -25,7 +25,9 @@ _COUNTABLE = 1e12
 _RARE = 0.01
 
 
-_LEAST_INTERVAL_s = 1e-15  # no converter is as fast; below, rates leave the range of numbers
+# No converter is as fast or as slow; beyond, rates and durations leave the range of numbers.
+_LEAST_INTERVAL_s = 1e-15
+_MOST_INTERVAL_s = 1e30
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +75,17 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
             jitter_rms_s=0.0,
         )
     return _faulty_clock(time_s, resolution_s, name, place)
+
+
+def stated_clock(rate_Hz: float, name: str) -> Clock:
+    """Return the clock that is stated for a file without time stamps, refusing one of no bench."""
+    if not 1 / _MOST_INTERVAL_s <= rate_Hz <= 1 / _LEAST_INTERVAL_s:
+        raise RecordingError(
+            f"{name}: a sampling rate of {rate_Hz:.3g} Hz is stated",
+            needed=f"one from {1 / _MOST_INTERVAL_s:.0e} to {1 / _LEAST_INTERVAL_s:.0e} Hz",
+            remedy="Correct it where it is stated, in the file's header or in lab.toml.",
+        )
+    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
 
 
 def plain_rate_Hz(rate_Hz: float, uncertainty: float = 0.0) -> float:

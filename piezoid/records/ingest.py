@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.assignment import Assignment, assign
-from piezoid.records.clock import Clock, plain_rate_Hz, read_clock
+from piezoid.records.clock import Clock, read_clock, stated_clock
 from piezoid.records.conversion import Assigned
 from piezoid.records.faults import faults_of
 from piezoid.records.lab import Lab, RecordingEntry
@@ -166,8 +166,6 @@ def _counted(rows: Rows, kept: Rows) -> tuple[int, ...]:
 def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock:
     """The clock of a table without time column: the format's, the entry's, the laboratory's."""
     stated_Hz = table.sampling_rate_Hz
-    if stated_Hz is not None and declared_Hz is not None:
-        _check_rate(table, lab, declared_Hz, stated_Hz)
     rate_Hz = stated_Hz or declared_Hz or lab.acquisition.sampling_rate_Hz
     if rate_Hz is None:
         raise UnitError(
@@ -176,7 +174,10 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
             f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
         )
-    return Clock(sampling_rate_Hz=plain_rate_Hz(rate_Hz), jitter_rms_s=0.0)
+    clock = stated_clock(rate_Hz, table.name)
+    if stated_Hz is not None and declared_Hz is not None:
+        _check_rate(table, lab, declared_Hz, stated_Hz)
+    return clock
 
 
 def _check_rate(table: RawTable, lab: Lab, declared_Hz: float, found_Hz: float) -> None:

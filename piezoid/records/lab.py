@@ -53,6 +53,10 @@ __all__ = (
 )
 
 
+_MOST_bytes = 1 << 22  # entries about fifty thousand files
+_MOST_PARTS = 256  # each is read and judged by itself
+
+
 class _Contents(Table, frozen=True, kw_only=True):
     rig: RigName = RigName()
     amplifier: Amplifier = Amplifier()
@@ -115,14 +119,21 @@ class Lab:
         # Other than Path.resolve, this goes through links that lead back to themselves.
         wanted = realpath(path)
         held = [e for e in self.recordings if realpath(self.folder / e.file) == wanted]
-        return tuple(held or [e for e in self.recordings if Path(e.file).name == path.name])
+        held = held or [e for e in self.recordings if Path(e.file).name == path.name]
+        if len(held) > _MOST_PARTS:
+            found, needed = f"{len(held)} entries are about {path.name}", "parts of one file"
+            raise refusal(self.folder / self.place, found, f"at most {_MOST_PARTS} {needed}")
+        return tuple(held)
 
 
 def read_lab(path: Path) -> Lab:
     """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
     try:
-        regular_size(path)
-        content = path.read_bytes()
+        size = regular_size(path)
+        if size > _MOST_bytes:
+            raise refusal(path, f"it has {size} bytes", f"at most {_MOST_bytes}")
+        with path.open("rb") as stream:
+            content = stream.read(size)
         record = read_toml(content.decode("utf-8-sig"))
     except OSError as error:
         raise refusal(path, error.strerror or str(error), "a file that can be read") from error

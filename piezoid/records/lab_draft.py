@@ -81,7 +81,9 @@ def draft_lab(paths: Sequence[Path], folder: Path) -> LabDraft:
     """
     parts, incomplete = [HEAD], []
     for path in paths:
-        name = Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
+        # Other than Path.resolve, this goes through links that lead back to themselves.
+        whole, start = os.path.realpath(path), os.path.realpath(folder)
+        name = Path(os.path.relpath(whole, start)).as_posix()
         text, is_usable = _about(path, name)
         parts.append(text)
         if not is_usable:

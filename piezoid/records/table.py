@@ -14,6 +14,13 @@ from piezoid.records.units import Heading, heading_of, unit_of
 
 # Instruments write 9.9e37 (SCPI) or 1e308 for a reading out of range; neither is a number.
 LARGEST = 9e36
+_SHORTEST_s, _LONGEST_s = 1e-30, 1e30  # beyond, the rate leaves the range of numbers
+
+
+def rate_of(interval_s: float | None) -> float | None:
+    """Return the sampling rate of a stated interval, None where it is none that makes one."""
+    is_one = interval_s is not None and _SHORTEST_s <= interval_s <= _LONGEST_s
+    return 1 / interval_s if interval_s is not None and is_one else None
 
 
 def _as_found(values: ArrayLike) -> Array:

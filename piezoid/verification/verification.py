@@ -14,6 +14,8 @@ from piezoid.verification.proof import Proof
 from piezoid.verification.trace import SpiralTrace
 
 SCHEMA = "piezoid.verification/1"
+_LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
+_SLOWEST_Hz, _FASTEST_Hz = 1e-9, 1e9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +123,8 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         named += [row.method for row in found.spirals] + [row.method for row in found.traces]
         for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
+        _check_spirals(found)
+        _check_pictures(found)
         return found
     except (ValidationError, ValueError) as error:
         raise ParameterFileError(
@@ -128,3 +132,30 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
             needed=f"every entry of schema {SCHEMA}, of its own kind",
             remedy="Verify again with this version.",
         ) from error
+
+
+def _check_spirals(found: Verification) -> None:
+    """Raise ``ValueError`` unless every row that is compared has what only its spiral has."""
+    known = {(row.method, row.frequency_Hz) for row in found.spirals}
+    for row in found.comparison:
+        if (row.method, row.frequency_Hz) not in known:
+            raise ValueError(f"no spiral of {row.method} at {row.frequency_Hz} Hz")
+
+
+def _check_pictures(found: Verification) -> None:
+    """Raise ``ValueError`` for numbers that no stage has and no picture can show."""
+    frequencies_Hz = [row.frequency_Hz for row in found.comparison]
+    for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in found.traces)):
+        if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
+            raise ValueError(f"frequency_Hz is {frequency_Hz}")
+    sizes_m = [abs(row.aligned_rms_m) for row in found.comparison]
+    for trace in found.traces:
+        if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
+            raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")
+        sizes_m += map(abs, (*trace.x_m, *trace.y_m, *trace.shape_error_m))
+    if found.traces and not found.radius_m >= _SMALLEST_m:
+        raise ValueError(f"radius_m is {found.radius_m}")
+    if max([found.radius_m, *sizes_m]) > _LARGEST_m:
+        raise ValueError(f"a spiral reaches {max([found.radius_m, *sizes_m])} m")
+    if max((abs(verdict.limit) for verdict in found.verdicts), default=0.0) > _FASTEST_Hz:
+        raise ValueError("a limit is larger than anything that is judged")

@@ -196,3 +196,14 @@ def test_a_link_to_itself_is_told_as_what_the_disk_says(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="loop"):
         write_folder(tmp_path / "loop", NEW)
     assert os.listdir(tmp_path) == ["loop"]
+
+
+def test_what_stays_in_a_folder_is_copied_and_never_held_as_a_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_folder(tmp_path / "stage", {"sub/night.csv": b"1,2\n" * 1000, "report.html": b"old"})
+    monkeypatch.setattr(Path, "read_bytes", pytest.fail)
+    add_to_folder(tmp_path / "stage", {"report.html": b"new"})
+    monkeypatch.undo()
+    found = held(tmp_path / "stage")
+    assert found == {"sub/night.csv": b"1,2\n" * 1000, "report.html": b"new"}

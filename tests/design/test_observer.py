@@ -34,6 +34,19 @@ def example(gain: float = 1.0, delay_s: float = 0.0) -> tuple[Plant, Disturbance
     return plant, place_observer(plant, feedback_poles=feedback, observer_poles=observer)
 
 
+@pytest.mark.parametrize("name", ["B", "C", "state_gain", "disturbance_gain", "feedback_gain"])
+def test_an_observer_of_gains_that_do_not_fit_together_is_refused(name: str):
+    _, observer = example()
+    with pytest.raises(ValueError, match=f"{name} has 9 values"):
+        replace(observer, **{name: np.ones(9)})
+
+
+@pytest.mark.parametrize("output", [[], [1.0, 0.0]])
+def test_a_disturbance_of_other_states_than_its_output_is_refused(output: list[float]):
+    with pytest.raises(ValueError, match="outputs of a transition"):
+        replace(disturbance_model(1000.0), output=np.array(output))
+
+
 def test_the_worked_example_has_its_printed_coefficients():
     plant, observer = example()
     c = linear_controller(observer)

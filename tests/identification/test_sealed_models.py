@@ -60,6 +60,24 @@ def test_an_entry_of_another_kind_is_refused(place: str) -> None:
             read_model(with_entry(place, WRONG[kind]))
 
 
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        ("axes x polarity", 0),
+        ("axes x polarity", 2),
+        ("axes x quality rms_m", -1e-9),
+        ("axes x quality held_out_rms_m", -1e-30),
+        ("axes x quality range_m", -1e-6),
+        ("axes x quality noise_rms_m", -1e-9),
+        ("axes x uncertainty values", []),
+        ("axes x uncertainty names", []),
+    ],
+)
+def test_a_number_that_no_fit_finds_is_refused(place: str, value: float) -> None:
+    with pytest.raises(ParameterFileError, match="of its own kind"):
+        read_model(with_entry(place, value))
+
+
 def test_a_whole_number_stands_for_a_measured_one_and_comes_back() -> None:
     model = read_model(with_entry("axes x lag time_s", 0))
     assert write_model(read_model(write_model(model))) == write_model(model)

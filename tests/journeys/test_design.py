@@ -116,6 +116,13 @@ def test_the_rate_may_be_given_where_the_model_has_none(stage: Path) -> None:
     assert found.axis("x").recommended.members[0].sampling_rate_Hz == 10e3
 
 
+@pytest.mark.parametrize("rate", ["0", "1e-300", "1e300", "inf"])
+def test_a_rate_at_which_no_controller_runs_is_refused(stage: Path, rate: str) -> None:
+    _, _, error = run(stage, "--rate", rate)
+    assert isinstance(error, DesignError)
+    assert "Hz, which its code takes" in str(error)
+
+
 def test_a_report_without_controllers_says_why() -> None:
     page = render(stage_model(axis_model()), [recording()], undesigned="no pole is declared")
     assert "Not designed: no pole is declared" in page

@@ -121,3 +121,11 @@ def test_no_line_of_a_name_escapes_its_comment() -> None:
     text = commented("one\ntwo\r[rig]\u2028three\x0bfour\x00")
     assert all(line.startswith("# ") for line in text.split("\n")[:-1])
     assert tomllib.loads(text) == {}
+
+
+def test_a_link_to_itself_becomes_an_entry_to_complete(tmp_path: Path) -> None:
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    draft = draft_lab([loop], tmp_path)
+    assert draft.incomplete == ("loop.csv",)
+    assert "levels of symbolic links" in draft.text

@@ -56,6 +56,13 @@ def test_every_file_is_shown_even_behind_one_that_is_refused(folder: Path) -> No
     assert "good.csv: text table" in shown
 
 
+def test_a_name_without_end_does_not_fill_the_screen(folder: Path) -> None:
+    np.savez(folder / "long.npz", **{"n" * 60_000: np.arange(9.0), "m" * 60_000: np.arange(3.0)})
+    status, shown = run(folder / "long.npz")
+    assert status == 3
+    assert len(shown) < 20_000
+
+
 def test_lab_toml_makes_a_recording_of_what_was_refused(folder: Path) -> None:
     lab = folder / "lab.toml"
     lab.write_text(

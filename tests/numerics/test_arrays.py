@@ -26,6 +26,7 @@ def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:
     with pytest.raises(ValueError, match=r"\[1\] = 2.0, \[2\] = 2.0"):
         strictly_increasing(np.array([1.0, 2.0, 2.0, 1.0]), "x")
     strictly_increasing(np.array([1.0, 1.0 + 1e-15]), "x")
+    strictly_increasing(np.array([-1e308, 1e308]), "x")
     with pytest.raises(ValueError, match="c has 1 values, a has 2"):
         same_length([("a", np.ones(2)), ("b", np.ones(2)), ("c", np.ones(1))])
 

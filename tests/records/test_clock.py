@@ -5,7 +5,8 @@ import pytest
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
-from piezoid.records.clock import Clock, read_clock
+from piezoid.records.clock import Clock, read_clock, stated_clock
+from piezoid.records.table import rate_of
 
 RATE_Hz = 20000.0
 TIME_s = np.arange(5000) / RATE_Hz
@@ -125,6 +126,19 @@ def test_a_clock_that_goes_backwards_is_a_break() -> None:
 def test_times_without_a_common_interval_are_refused(rng: np.random.Generator) -> None:
     with pytest.raises(RecordingError, match="time steps from"):
         clock_of(np.cumsum(rng.uniform(0, 1, 100)))
+
+
+@pytest.mark.parametrize("rate_Hz", [np.inf, np.nan, -1.0, 5e-324, 1e-308, 1e16])
+def test_a_rate_of_no_bench_is_no_clock(rate_Hz: float) -> None:
+    with pytest.raises(RecordingError, match=r"a sampling rate of .* Hz is stated"):
+        stated_clock(rate_Hz, "run.lvm")
+    assert stated_clock(1 / 5e-4, "run.lvm").sampling_rate_Hz == 2000.0
+
+
+@pytest.mark.parametrize("interval_s", [None, 0.0, -1.0, np.nan, np.inf, 5e-324, 1e308])
+def test_an_interval_of_which_no_rate_can_be_made_states_none(interval_s: float | None) -> None:
+    assert rate_of(interval_s) is None
+    assert rate_of(5e-4) == 2000.0
 
 
 @pytest.mark.parametrize("time_s", [np.zeros(100), np.linspace(1, 0, 100), np.array([0.0, 1.0])])

@@ -59,3 +59,21 @@ def test_an_entry_about_a_file_that_cannot_be_is_about_no_file(name: str, tmp_pa
     (tmp_path / "lab.toml").write_text(f'[[recording]]\nfile = "{name}"\n')
     (inspection,) = inspect_file(tmp_path / "run.csv", read_lab(tmp_path / "lab.toml"))
     assert inspection.refusal is None
+
+
+def test_a_file_in_more_parts_than_anybody_names_is_refused_by_their_number(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "lab.toml").write_text(ENTRY * 257)
+    with pytest.raises(LabFileError, match=r"257 entries are about run.csv.*at most 256 parts"):
+        read_lab(tmp_path / "lab.toml").entries_of(tmp_path / "run.csv")
+    (tmp_path / "lab.toml").write_text(ENTRY * 256)
+    assert len(read_lab(tmp_path / "lab.toml").entries_of(tmp_path / "run.csv")) == 256
+
+
+def test_a_lab_file_larger_than_anybody_writes_is_refused_unread(tmp_path: Path) -> None:
+    place = tmp_path / "lab.toml"
+    with place.open("wb") as stream:
+        stream.truncate(3 << 30)
+    with pytest.raises(LabFileError, match="it has 3221225472 bytes; needed is at most 4194304"):
+        read_lab(place)

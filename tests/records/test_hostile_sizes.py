@@ -8,6 +8,8 @@ import pytest
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table
+from piezoid.records.readers import source as source_module
+from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.source import open_source
 from tests.records.tables import said
 
@@ -55,6 +57,27 @@ def test_a_comment_may_be_as_wide_as_it_likes(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     path.write_text("# {" + "'key': 1, " * 40_000 + "}\n" + HEADED + ROWS)
     assert read_table(path).rows == 60
+
+
+def test_a_reader_short_of_memory_is_named_and_no_reason_made_up(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(HEADED + ROWS)
+    source = open_source(tmp_path / "run.csv")
+    expected = pytest.raises(UnreadableFileError, match="stopped with MemoryError; a whole npy")
+    with expected, reading(source, "npy"):
+        raise MemoryError
+
+
+def test_a_file_too_large_or_empty_is_refused_before_anybody_reads_through_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text(HEADED + ROWS)
+    (tmp_path / "empty.csv").touch()
+    monkeypatch.setattr(source_module, "digest_of_file", pytest.fail)
+    with pytest.raises(UnreadableFileError, match="at most 99 bytes"):
+        open_source(path, limit=99)
+    with pytest.raises(UnreadableFileError, match="the file is empty"):
+        open_source(tmp_path / "empty.csv")
 
 
 def test_a_pipe_a_device_and_a_link_to_itself_are_no_recordings(tmp_path: Path) -> None:

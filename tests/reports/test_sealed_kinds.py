@@ -46,3 +46,11 @@ def test_a_table_in_place_of_a_number_or_a_text_is_refused(name: str) -> None:
         holder[key] = before
         tried += 1
     assert tried > 5
+
+
+def test_a_loop_without_members_or_their_margins_is_refused() -> None:
+    for entry in ("members", "margins"):
+        record = json.loads(_kept("design.json"))
+        record["axes"][0]["loops"][0][entry] = []
+        with pytest.raises(ParameterFileError, match="expected one of each"):
+            design_from_json(_sealed(record), "design.json")

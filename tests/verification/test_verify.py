@@ -64,6 +64,34 @@ def test_the_record_returns_exactly_and_a_changed_bit_is_refused(whole):
         verification_from_json(changed)
 
 
+def test_a_record_that_compares_what_it_never_ran_is_refused(whole):
+    with pytest.raises(ParameterFileError, match=r"no spiral of .* at .* Hz"):
+        verification_from_json(replace(whole, spirals=whole.spirals[1:]).to_json())
+
+
+@pytest.mark.parametrize(
+    ("changed", "found"),
+    [
+        ({"radius_m": 1e30}, "a spiral reaches"),
+        ({"radius_m": 0.0}, "radius_m is 0.0"),
+        ({"radius_m": -1.0}, "radius_m is -1.0"),
+        ({"trace": {"frequency_Hz": 0.0}}, "frequency_Hz is 0.0"),
+        ({"trace": {"x_m": (1e308,)}}, "1 places of a spiral"),
+        ({"trace": {"x_m": (), "y_m": (), "shape_error_m": ()}}, "0 places of a spiral"),
+        ({"verdict": {"limit": 1e300}}, "a limit is larger"),
+    ],
+)
+def test_numbers_that_no_picture_can_show_are_refused(whole, changed, found):
+    first = {
+        "trace": lambda c: {"traces": (replace(whole.traces[0], **c), *whole.traces[1:])},
+        "verdict": lambda c: {"verdicts": (replace(whole.verdicts[0], **c),)},
+    }
+    for key, make in first.items():
+        changed = make(changed[key]) if key in changed else changed
+    with pytest.raises(ParameterFileError, match=found):
+        verification_from_json(replace(whole, **changed).to_json())
+
+
 def test_the_record_names_what_was_verified(whole):
     assert whole.parameters_digest == digest_of(stage())
     assert whole.runtime_digest == source_digest()

@@ -33,9 +33,10 @@ def reading(source: Source, format_name: str) -> Iterator[None]:
             remedy="Run: pip install 'piezoid[io]'",
         ) from error
     except (Exception, MemoryError) as error:
+        reason = f": {str(error)[:200]}" if str(error) else ""  # short of memory, it says nothing
         raise unreadable(
             source.name,
-            f"the {format_name} reader stopped with {type(error).__name__}: {str(error)[:200]}",
+            f"the {format_name} reader stopped with {type(error).__name__}{reason}",
             needed=f"a whole {format_name} file",
             remedy="Copy the file again from where it was written, or export it as CSV.",
         ) from error

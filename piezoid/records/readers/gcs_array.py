@@ -9,7 +9,7 @@ import re
 from piezoid.records.readers.block import Layout, count_of, number_of, parse_block
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.table import Column, RawTable
+from piezoid.records.table import Column, RawTable, rate_of
 
 _KEY = re.compile(r"\s*#\s*([A-Z_]+\d*)\s*")
 
@@ -48,7 +48,7 @@ def read(source: Source) -> RawTable:
             Column(number=k + 1, label=pairs.get(f"NAME{k}", ""), values=values)
             for k, values in enumerate(block.columns)
         ),
-        sampling_rate_Hz=1 / interval_s if interval_s is not None and interval_s > 0 else None,
+        sampling_rate_Hz=rate_of(interval_s),
         first_line=end + 2,
         metadata=pairs,
         problems=block.problems,

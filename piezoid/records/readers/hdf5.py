@@ -3,18 +3,19 @@
 from typing import Any
 
 from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.hdf5_trees import SIGNATURE, check_trees
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import MOST_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 32  # groups; the library takes minutes to walk through some thousand
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
 
 
 def check_datasets(source: Source) -> None:
-    """Refuse a file whose data would not fit into memory, before any of it is read."""
+    """Refuse a file without end, or too large for the memory, before any of it is read."""
     with source.open() as stream:
+        check_trees(stream)
         check_growth(source, 8 * sum(dataset.size for dataset in _datasets(stream).values()))
 
 

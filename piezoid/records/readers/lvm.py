@@ -16,7 +16,7 @@ from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
 from piezoid.records.readers.text_table import metadata_of
 from piezoid.records.recording import Problem
-from piezoid.records.table import Column, RawTable
+from piezoid.records.table import Column, RawTable, rate_of
 
 _END = "***End_of_Header***"
 
@@ -128,7 +128,7 @@ def _joined(source: Source, header: dict[str, str], segments: list[_Segment]) ->
         digest=source.digest,
         format="LabVIEW measurement",
         columns=_columns(segments, written),
-        sampling_rate_Hz=1 / interval_s if interval_s > 0 and not written else None,
+        sampling_rate_Hz=None if written else rate_of(interval_s),
         sampling_start_s=_number(first.header.get("X0", []), header) if not written else 0.0,
         segment_starts=_segment_starts(segments, lengths, clocked=bool(written)),
         first_line=first.line if len(segments) == 1 else 0,

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from piezoid.records.readers.foreign import reading, table_of
-from piezoid.records.readers.hdf5 import SIGNATURE, check_datasets
+from piezoid.records.readers.hdf5 import check_datasets
+from piezoid.records.readers.hdf5_trees import SIGNATURE
 from piezoid.records.readers.matlab_growth import check_matlab_growth
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable

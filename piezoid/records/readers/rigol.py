@@ -4,7 +4,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.readers.block import Layout, number_of, parse_block, split
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, text_of, unreadable
-from piezoid.records.table import Column, RawTable
+from piezoid.records.table import Column, RawTable, rate_of
 
 
 def recognises(source: Source) -> bool:
@@ -46,7 +46,7 @@ def read(source: Source) -> RawTable:
         digest=source.digest,
         format="Rigol oscilloscope",
         columns=_columns(channels, second if has_units else [], block.columns, clocked),
-        sampling_rate_Hz=None if increment_s is None else 1 / increment_s,
+        sampling_rate_Hz=rate_of(increment_s),
         sampling_start_s=start_s,
         first_line=skipped + 1,
         problems=block.problems,

@@ -84,9 +84,12 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
     """
     try:
         size = regular_size(path)
+        if whole:
+            check_size(path.name, size, limit)
         with path.open("rb") as stream:
-            head = stream.read(HEAD_SIZE)
-        digest = digest_of_file(path)
+            # What the system itself writes is empty by its size, and may never end.
+            head = stream.read(min(size, HEAD_SIZE))
+        digest = digest_of_file(path) if head else ""
     except OSError as error:
         raise unreadable(
             str(path),
@@ -95,8 +98,6 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
             remedy="Check the name and the permissions.",
         ) from error
     unpacked, packed = None, head.startswith(b"\x1f\x8b")
-    if whole:
-        check_size(path.name, size, limit)
     if packed:
         unpacked = _unpack(
             path, min(limit, growth_limit(size)) if whole else HEAD_SIZE, whole=whole

@@ -5,7 +5,7 @@ from typing import Any
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
-from piezoid.records.table import RawTable
+from piezoid.records.table import RawTable, rate_of
 
 
 def read(source: Source) -> RawTable:
@@ -59,7 +59,7 @@ def stated_rate_Hz(source: Source, channels: list[Any]) -> float | None:
             needed="one clock for all channels",
             remedy="Write the channels of each rate into a file of their own.",
         )
-    return 1 / intervals.pop() if intervals else None
+    return rate_of(intervals.pop()) if intervals else None
 
 
 def _is_clocked(channel: Any) -> bool:

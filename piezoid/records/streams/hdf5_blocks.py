@@ -6,6 +6,7 @@ from typing import Any
 
 from piezoid.records.readers import hdf5
 from piezoid.records.readers.foreign import reading
+from piezoid.records.readers.hdf5_trees import check_trees
 from piezoid.records.readers.source import Source, check_growth
 from piezoid.records.streams.format import Arrays, BlockFormat, recut, tables_of
 from piezoid.records.table import RawTable
@@ -14,6 +15,7 @@ from piezoid.records.table import RawTable
 def blocks(source: Source, rows: int) -> Iterator[RawTable]:
     """Yield the numeric datasets of most rows' length, block by block; others are no columns."""
     with reading(source, "HDF5"), source.open() as stream:
+        check_trees(stream)
         held = hdf5.named_datasets(stream)
         lengths = Counter(max(item.shape, default=0) for item in held.values() if item.size > 1)
         length = max(sorted(lengths), key=lengths.__getitem__, default=0)

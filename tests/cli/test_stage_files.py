@@ -1,0 +1,41 @@
+"""The files of a stage are read whole, and only where they can be such files."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from piezoid.errors import LabFileError, ParameterFileError
+from piezoid_cli import stage_files
+from piezoid_cli.stage_files import content_of, text_of
+
+
+def test_a_pipe_in_the_place_of_a_sealed_file_is_refused_and_not_waited_for(
+    tmp_path: Path,
+) -> None:
+    os.mkfifo(tmp_path / "model.json")
+    (tmp_path / "params.json").symlink_to("/dev/zero")
+    for name in ("model.json", "params.json"):
+        with pytest.raises(OSError, match="a pipe or a device"):
+            content_of(tmp_path / name)
+
+
+def test_a_file_larger_than_any_of_ours_is_refused_by_its_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place = tmp_path / "model.json"
+    place.write_bytes(b"x" * 100)
+    monkeypatch.setattr(stage_files, "_MOST_bytes", 100)
+    assert content_of(place) == b"x" * 100
+    monkeypatch.setattr(stage_files, "_MOST_bytes", 99)
+    with pytest.raises(ParameterFileError, match=r"model\.json has 100 bytes; at most 99"):
+        content_of(place)
+
+
+def test_a_text_by_hand_may_begin_with_a_mark_and_must_be_text(tmp_path: Path) -> None:
+    place = tmp_path / "design.toml"
+    place.write_bytes("\ufeffgrün".encode())
+    assert text_of(place) == "grün"
+    place.write_bytes(b"\xff\xfe")
+    with pytest.raises(LabFileError, match="text in UTF-8"):
+        text_of(place)
