@@ -3,7 +3,7 @@
 from math import sqrt
 
 from piezoid.diagnosis.diagnosis import NotDetected
-from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.screening import Screened
 from piezoid.diagnosis.search import Outcome
 from piezoid.readable import told
@@ -14,7 +14,7 @@ POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 
 def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     """Return what is known of an effect that is not among the causes."""
-    found = outcome.screened.get(effect.name)
+    found = _sought(effect, outcome)
     why = effect.untestable(outcome.final) or ("" if found is None or found.apart else WIDTH)
     if why or (found is None and effect.fault is None):
         return NotDetected(
@@ -35,6 +35,13 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
             next_experiment=effect.experiment,
         )
     return _bounded(found, outcome)
+
+
+def _sought(effect: Effect, outcome: Outcome) -> Screened | None:
+    """Return where the effect was sought: of two ways, the one in which more may be hidden."""
+    ways = (effect.name, f"{effect.name} {BETWEEN}")
+    sought = [outcome.screened[way] for way in ways if way in outcome.screened]
+    return max(sought, key=lambda one: one.veiled * one.bound, default=None)
 
 
 def _bounded(found: Screened, outcome: Outcome) -> NotDetected:

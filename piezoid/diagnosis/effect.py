@@ -86,6 +86,9 @@ class Fault:
         )
 
 
+BETWEEN = "between recordings"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """One effect.

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.candidates import Beside, best_of, refitted
-from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.elsewhere import placed_elsewhere
 from piezoid.diagnosis.extended import Accepted, extended
@@ -44,7 +44,7 @@ class Grown:
     clean     the view of repaired tracks, with the pasts and the knee that were taken in
     accepted  effects, in the order in which they were found
     faults    of the data, by effect
-    screened  the last word on each effect that was not accepted
+    screened  the last word on each effect that was not accepted, and where it comes ``BETWEEN``
     """
 
     clean: View
@@ -148,19 +148,14 @@ def _slipped(far: Grown, slips: Instead, fault: Fault, accepted: tuple[Accepted,
 def _screened_all(view: View, named: set[str], hands: Hands) -> dict[str, Screened]:
     def screened(effect: Effect) -> Screened | None:
         hands.say(f"testing {effect.name.replace('_', ' ')}")
-        found = screen(effect, view)
-        return _better(found, screen(effect.between, view)) if effect.between else found
+        return screen(effect, view)
 
     others = [e for e in EFFECTS if e.against is None and e.name not in named]
-    found = hands.each(screened, [effect for effect in others if not effect.untestable(view)])
-    return {one.effect.name: one for one in found if one is not None}
-
-
-def _better(one: Screened | None, other: Screened | None) -> Screened | None:
-    """Return what takes off more beside its null, if physics allows it."""
-    if one is None or other is None or not other.sound:
-        return one or other
-    return other if other.held.gain > one.held.gain else one
+    others = [effect for effect in others if not effect.untestable(view)]
+    between = {f"{e.name} {BETWEEN}": e.between for e in others if e.between is not None}
+    asked = {**{effect.name: effect for effect in others}, **between}
+    found = zip(asked, hands.each(screened, asked.values()), strict=True)
+    return {name: one for name, one in found if one is not None}
 
 
 def _settled(clean: View, accepted: Sequence[Accepted]) -> tuple[Accepted, ...]:

@@ -63,8 +63,11 @@ def late(static: Array, place: Places, samples: int) -> Array:
     return np.asarray(static[np.clip(place - samples, 0, len(static) - 1)] - static[place])
 
 
-def beside(view: View) -> Null:
-    """Return the view's null with all else that looks like a delay, and what others move."""
+def beside(view: View, *, others: bool = False) -> Null:
+    """Return the view's null with everything else that looks like a delay.
+
+    others  with what other axes' drives could add as well
+    """
     speed = [
         _slope(static, max(1, len(static) // SMOOTH)) * track.rate_Hz
         for static, track in zip(view.static, view.tracks, strict=True)
@@ -75,10 +78,9 @@ def beside(view: View) -> Null:
     columns += [view.rows(twice), view.rows(thrice)]
     columns += [view.rows([np.sign(v) * np.abs(v) ** power for v in speed]) for power in (0.5, 2)]
     columns += [_relaxation(view, time_s) for time_s in RELAXATIONS_s]
+    columns += [answers_of_others(view)] if others else []
     return Null(
-        columns=np.column_stack(
-            [view.null.every, answers_of_others(view), *(c for c in columns if np.any(c))]
-        ),
+        columns=np.column_stack([view.null.every, *(c for c in columns if np.any(c))]),
         response=view.response,
         block=view.block,
     )

@@ -8,8 +8,8 @@ import pytest
 from piezoid.diagnosis.absence import absent
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import NotDetected
-from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import lag, slew_limit, thermal_drift
+from piezoid.diagnosis.effect import BETWEEN, Effect
+from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
 from piezoid.diagnosis.signals import with_displacement
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -17,6 +17,7 @@ from .bench import recorded
 
 DRIFT = thermal_drift.EFFECT
 DRIFT_m = 1e-8  # at the end, of 46 um
+STROKE_m = 1e-5
 
 
 def reason(
@@ -40,24 +41,42 @@ def drift(
     held: bool = False,
     veiled: float = 1.0,
 ) -> NotDetected:
-    found = SimpleNamespace(
-        effect=DRIFT,
+    found = seen(DRIFT, gain=gain, z=z, veiled=veiled, sound=sound)
+    return absent(DRIFT, outcome_of({DRIFT.name: found}, causes, held=held))
+
+
+def seen(
+    effect: Effect,
+    *,
+    bound: float = 0.002,
+    gain: float = 0.0,
+    z: float = 0.0,
+    veiled: float = 1.0,
+    sound: bool = True,
+) -> SimpleNamespace:
+    return SimpleNamespace(
+        effect=effect,
         held=SimpleNamespace(gain=gain, z=z),
         twin=None,
         share=0.001,
-        bound=0.002,
+        bound=bound,
         floor=0.0,
         veiled=veiled,
         sound=sound,
         apart=True,
     )
-    outcome = SimpleNamespace(
-        screened={DRIFT.name: found},
-        final=SimpleNamespace(stroke_m=1e-5, rms=0.01, tracks=(SimpleNamespace(duration_s=1e3),)),
+
+
+def outcome_of(
+    screened: dict[str, SimpleNamespace], causes: tuple[Effect, ...] = (), *, held: bool = False
+) -> SimpleNamespace:
+    tracks = (SimpleNamespace(duration_s=1e3),)
+    return SimpleNamespace(
+        screened=screened,
+        final=SimpleNamespace(stroke_m=STROKE_m, rms=0.01, tracks=tracks),
         causes=[SimpleNamespace(effect=effect) for effect in causes],
         held_back=(DRIFT.name,) if held else (),
     )
-    return absent(DRIFT, outcome)
 
 
 def test_what_physics_does_not_allow_is_said_to_be_unsound() -> None:
@@ -101,3 +120,11 @@ def test_a_drift_beside_a_single_sweep_is_bounded_as_it_is_and_not_as_it_shows()
     assert found.names == ()
     bound_m = next(n.upper_bound_m for n in found.not_detected if n.effect == DRIFT.name)
     assert float(np.std(slow_m)) < bound_m < 3.0 * float(np.std(slow_m))
+
+
+def test_of_two_ways_of_an_effect_the_one_that_may_hide_more_is_told() -> None:
+    gain = gain_change.EFFECT
+    ways = {gain.name: 0.001, f"{gain.name} {BETWEEN}": 0.004}
+    for names in (ways, dict(reversed(ways.items()))):
+        told = absent(gain, outcome_of({n: seen(gain, bound=b) for n, b in names.items()}))
+        assert told.upper_bound_m == pytest.approx(0.004 * 2.0 * STROKE_m)

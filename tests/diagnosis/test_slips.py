@@ -28,7 +28,7 @@ from piezoid.diagnosis.slips_instead import (
 from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
-from piezoid.records.recording import Problem
+from piezoid.records.recording import Channel, Problem, Quantity
 
 from .play_stage import (
     NOISE_m,
@@ -201,3 +201,20 @@ def test_slips_that_explain_much_of_one_block_only_are_no_evidence(p_value, stan
     fault = Fault(tracks=(), value=2.0, spread=0.4, p_value=p_value)
     slips = Instead(clean=view, view=SimpleNamespace(rms=0.6), fault=fault)
     assert stand_better(slips, view, None) is stands
+
+
+@pytest.mark.parametrize("is_driven", [True, False], ids=["driven so", "at rest"])
+def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -> None:
+    reading_m = clean("walk")[2]
+    late_m = slipped(reading_m, 4000, 10)
+    other = Channel(
+        quantity=Quantity.VOLTAGE,
+        axis="y",
+        values=(late_m - reading_m) / STROKE_m if is_driven else np.zeros(len(late_m)),
+        label="other drive",
+    )
+    walk = recording("walk", late_m)
+    coupled = replace(walk, channels=(*walk.channels, other))
+    view = view_on([recording("sweep"), coupled, recording("waves")], axis="x", lab=Lab())
+    fault = timestamp_fault.EFFECT.fault(view)
+    assert fault is None if is_driven else within(fault, 10)

@@ -31,7 +31,7 @@ PER_DECADE = 2
 FASTEST_s = 0.01
 DECAY_s = 30.0  # of what began before a track: the rest of it is in its zero
 LONGER = 10.0  # slowest time constant over the longest track
-ALLOWED = (0.0, 0.2)  # share of a step for each decade
+ALLOWED = (0.0, 0.1)  # share of a step for each decade
 LEAST_s = 2.0  # a shorter record shows no slow motion
 
 

@@ -91,7 +91,7 @@ EFFECT = Effect(
     inject=inject,
     extend=extend,
     shows_at=4e-3,
-    least=2e-4,
+    least=4e-5,
     sure=3.5,
     worth=0.045,  # slow errors of structure are smooth as well
 )

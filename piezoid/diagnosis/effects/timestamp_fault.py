@@ -101,9 +101,17 @@ def _next(view: View, again: bool) -> Judged | None:
             if abs(length) > longest(len(view.tracks[slip.track].drive)):
                 continue
             judged = judged_of(view, null, placed(view, replace(slip, samples=length), fixed=True))
-        if judged is not None and judged.speaks(again=again):
+        if judged is not None and judged.speaks(again=again) and _alone(view, judged, again=again):
             return judged
     return None
+
+
+def _alone(view: View, judged: Judged, *, again: bool) -> bool:
+    """Tell whether a slip speaks beside what other axes may move as well."""
+    if not any(track.others for track in view.tracks):
+        return True
+    there = judged_of(view, beside(view, others=True), judged.slip)
+    return there is not None and there.speaks(again=again)
 
 
 def inject(recording: Recording, share: float) -> Recording:
