@@ -20,6 +20,8 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
+FORGOTTEN = 7.0  # time constants of declared poles, to a thousandth,
+BEGINNING = 32  # samples for those that nobody declared
 TURN = 0.03  # of half the drive's range: how far a branch is still reversible,
 LONGEST = 4000  # samples that may take it
 MOST_TURNS = 60  # or twice as many, of one track
@@ -121,6 +123,7 @@ def tracks_of(
         bridged = np.array(recording.bridged, dtype=int) - first
         bridged = bridged[(bridged >= 0) & (bridged < len(piece.drive))]
         place = np.setdiff1d(rows_between(len(piece.drive), share), bridged)
+        place = place[place >= _settled(piece, rig)]
         command, drive = _reaching(piece, plain, rig, clock_Hz)
         tracks.append(
             Track(
@@ -137,6 +140,18 @@ def tracks_of(
             )
         )
     return tuple(tracks)
+
+
+def _settled(piece: Piece, rig: Rig) -> int:
+    """Return from which sample on filters have forgotten how fast the drive was before the first.
+
+    They begin as if it had rested, and it may have run already.
+    """
+    poles_Hz = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
+    slowest_s = sum(1.0 / (2.0 * np.pi * pole_Hz) for pole_Hz in poles_Hz if pole_Hz)
+    declared = int(np.ceil(FORGOTTEN * slowest_s * piece.sampling_rate_Hz))
+    samples = len(piece.drive)
+    return min(max(declared, min(BEGINNING, samples // 100)), samples // 10)
 
 
 def _reaching(piece: Piece, asked: Piece, rig: Rig, clock_Hz: float | None) -> tuple[Array, Array]:
