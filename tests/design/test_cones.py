@@ -1,9 +1,18 @@
 """The convex problem around a loop: at that loop itself, all it asks is what the loop reaches."""
 
+import cvxpy as cp
 import numpy as np
 import pytest
 
-from piezoid.design.cones import _LEAST_REAL, Reached, _excess, _solved, cones_around
+from piezoid.design.cones import (
+    _LEAST_REAL,
+    _SLACK_PRICE,
+    Cones,
+    Reached,
+    _excess,
+    _solved,
+    cones_around,
+)
 from piezoid.design.family_grid import FamilyGrid, family_grid
 from piezoid.design.plant import PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST
@@ -74,3 +83,29 @@ def test_a_solution_of_all_rows_misses_none_and_uses_what_it_may():
     assert found.slack < SOLVED
     present = np.max(functions(grid())[0] * np.nan_to_num(1.0 / cones.slope))
     assert found.gamma < 0.9 * present
+
+
+def modelled(cones: Cones, reserve: float) -> float:
+    """Return the least cost of the program as a modelling language puts it together."""
+    x, gamma, slack = cp.Variable(2 * TAPS - 1), cp.Variable(), cp.Variable(nonneg=True)
+    real = cones.real[0] @ x + cones.real[1]
+    sizes = [cp.abs(rows @ x + constant) for rows, constant in cones.limited]
+    asked = [real >= _LEAST_REAL * cones.reference]
+    for size, limit in zip(sizes, cones.limits[:3], strict=True):
+        held = np.isfinite(limit)
+        room = real[held] + slack * cones.reference[held]
+        asked.append(size[held] <= cp.multiply(reserve * limit[held], room))
+    band = np.isfinite(cones.slope)
+    asked.append(sizes[0][band] <= gamma * (cones.slope * cones.reference)[band])
+    asked.append(real[band] >= cones.reference[band])
+    cost = cp.Minimize(gamma + _SLACK_PRICE * slack)
+    return float(cp.Problem(cost, asked).solve(cp.CLARABEL))
+
+
+@pytest.mark.parametrize("reserve", [0.9, 0.4], ids=["met", "met with a slack only"])
+def test_a_modelling_language_puts_a_program_of_the_same_cost_together(reserve):
+    cones = cones_around(grid(), SCALE, R, S, TAPS)
+    found = _solved(cones, TAPS, reserve)
+    assert found.gamma + _SLACK_PRICE * found.slack == pytest.approx(
+        modelled(cones, reserve), rel=3e-4
+    )
