@@ -20,8 +20,7 @@ from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
 BLOCKS = 15  # of one track
-FORGOTTEN = 7.0  # time constants of declared poles, to a thousandth,
-BEGINNING = 32  # samples for those that nobody declared
+FORGOTTEN = 7.0  # time constants of declared poles, to a thousandth
 TURN = 0.03  # of half the drive's range: how far a branch is still reversible,
 LONGEST = 4000  # samples that may take it
 MOST_TURNS = 60  # or twice as many, of one track
@@ -143,15 +142,14 @@ def tracks_of(
 
 
 def _settled(piece: Piece, rig: Rig) -> int:
-    """Return from which sample on filters have forgotten how fast the drive was before the first.
+    """Return from which sample on poles have forgotten how fast the drive was before the first.
 
     They begin as if it had rested, and it may have run already.
     """
     poles_Hz = (rig.amplifier_bandwidth_Hz, rig.sensor_bandwidth_Hz)
     slowest_s = sum(1.0 / (2.0 * np.pi * pole_Hz) for pole_Hz in poles_Hz if pole_Hz)
-    declared = int(np.ceil(FORGOTTEN * slowest_s * piece.sampling_rate_Hz))
-    samples = len(piece.drive)
-    return min(max(declared, min(BEGINNING, samples // 100)), samples // 10)
+    samples = int(np.ceil(FORGOTTEN * slowest_s * piece.sampling_rate_Hz))
+    return min(samples, len(piece.drive) // 10)
 
 
 def _reaching(piece: Piece, asked: Piece, rig: Rig, clock_Hz: float | None) -> tuple[Array, Array]:

@@ -91,7 +91,7 @@ EFFECT = Effect(
     inject=inject,
     extend=extend,
     shows_at=4e-3,
-    least=4e-5,
-    sure=3.5,
+    least=6e-5,
+    sure=4.0,
     worth=0.045,  # slow errors of structure are smooth as well
 )
