@@ -83,6 +83,7 @@ def diagnose(
         hand_over(content)
     elif not quiet:
         _show(found, out)
+        _tell_unused(recordings, found.axis)
         if change is not None:
             say(change.sentence)
 
@@ -122,6 +123,19 @@ def _changed(
 
     known, digest = model
     return change_since(known[axis], moving(recordings, axis), digest=digest, progress=told)
+
+
+def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
+    """Say which recordings tell nothing of an axis: somebody may have meant them to."""
+    from piezoid.identification.fit import moving
+
+    used = {recording.name for recording in moving(recordings, axis)}
+    unused = [recording.name for recording in recordings if recording.name not in used]
+    if unused:
+        say(
+            f"not used, for axis {axis} rests there or has no displacement: {', '.join(unused)}; "
+            "piezoid inspect says what they hold, --axis takes another"
+        )
 
 
 def _show(found: "Diagnosis", out: Path) -> None:

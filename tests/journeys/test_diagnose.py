@@ -96,6 +96,20 @@ def test_without_a_model_the_causes_are_drawn_on_a_quick_fit_of_the_recordings(
     assert not page.all("p", "alarm")
 
 
+def test_recordings_that_tell_nothing_of_the_axis_are_named(
+    sweeps: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(engine, "diagnose", lambda *_, **__: diagnosed(finding("creep")))
+    files, lab = [str(sweeps / f"{axis}.csv") for axis in "xy"], str(sweeps / "lab.toml")
+    said = []
+    for chosen in (files, files[:1]):
+        out = str(sweeps / f"diag{len(chosen)}")
+        done = CliRunner().invoke(app, ["diagnose", *chosen, "--lab", lab, "--out", out])
+        said.append(" ".join(done.output.split()))
+    assert "not used, for axis x rests there or has no displacement: y.csv;" in said[0]
+    assert "not used" not in said[1]
+
+
 def test_a_model_without_recordings_is_a_wrong_use(tmp_path: Path) -> None:
     (tmp_path / "model.json").write_bytes(write_model(stage_model(axis_model())))
     done = CliRunner().invoke(
