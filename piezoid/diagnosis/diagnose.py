@@ -26,6 +26,8 @@ from piezoid.records.recording import Recording
 
 Progress = Callable[[str], None]
 
+MOST_PLACES = 5  # that are told of a fault
+
 
 def diagnose(
     recordings: Sequence[Recording],
@@ -130,7 +132,7 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
         not_separable_from=fault.alike,
-        explanation=_first_words(effect),
+        explanation=_first_words(effect) + (f" {_seen_in(fault)}" if fault.where else ""),
         next_experiment=effect.experiment,
         parameters={},
     )
@@ -194,6 +196,12 @@ def _gain(before: float, after: float) -> float:
 def _first_words(effect: Effect) -> str:
     """Return the sentence the effect's explanation begins with."""
     return " ".join(effect.explanation.partition("\n\n")[0].split())
+
+
+def _seen_in(fault: Fault) -> str:
+    more = len(fault.where) - MOST_PLACES
+    rest = f" and {more} places more" if more > 0 else ""
+    return f"It is in {', '.join(fault.where[:MOST_PLACES])}{rest}."
 
 
 def _named(name: str) -> Effect:

@@ -64,6 +64,7 @@ class Fault:
     spread   its standard error
     p_value  of such evidence where there is no fault
     alike    effects that these recordings do not tell from it
+    where    recordings that have it, with places, for people
     """
 
     tracks: tuple[Track, ...]
@@ -71,6 +72,7 @@ class Fault:
     spread: float
     p_value: float
     alike: tuple[str, ...] = ()
+    where: tuple[str, ...] = ()
 
     def after(self, earlier: "Fault | None") -> "Fault":
         """Return this fault with what was found of it before: the larger size, the surer p."""
@@ -83,6 +85,7 @@ class Fault:
             spread=larger.spread,
             p_value=min(earlier.p_value, self.p_value),
             alike=tuple(dict.fromkeys((*earlier.alike, *self.alike))),
+            where=tuple(dict.fromkeys((*earlier.where, *self.where))),
         )
 
 

@@ -15,6 +15,7 @@ once. A slip that is one has beta near one.
 Source: Rao (1948) for the score; Page, Biometrika 41 (1954) for the running sums.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,7 @@ import numpy as np
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.other_axes import answers_of_others
 from piezoid.diagnosis.signals import relaxed
-from piezoid.diagnosis.tracks import Places
+from piezoid.diagnosis.tracks import Places, Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
@@ -51,6 +52,12 @@ class Slip:
     instant: int
     samples: float
     gain: float
+
+
+def places_of(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ...]:
+    """Return from when on which recordings are out of step, for people."""
+    slipped = [(tracks[slip.track], slip.instant) for slip in slips]
+    return tuple(f"{track.name} from {at / track.rate_Hz:.4g} s on" for track, at in slipped)
 
 
 def longest(samples: int) -> int:

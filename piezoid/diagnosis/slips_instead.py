@@ -22,7 +22,7 @@ from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.slip_placing import placed, tracks_without
-from piezoid.diagnosis.slips import Slip, beside, late, strongest
+from piezoid.diagnosis.slips import Slip, beside, late, places_of, strongest
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -154,6 +154,7 @@ def _fault(without: View, slips: Sequence[Slip], clean: View) -> Fault:
         value=first.samples,
         spread=float(np.hypot(spread, ROUNDED)),
         p_value=without.null.held(column[:, None]).p_value,
+        where=places_of(slips, without.tracks),
     )
 
 

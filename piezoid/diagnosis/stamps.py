@@ -26,12 +26,14 @@ def with_stamps(outcome: Outcome, recordings: Sequence[Recording]) -> Outcome:
     if not any(told):
         return outcome
     slip = outcome.faults.get(NAME)
+    where = [r.name for r in recordings if any(p.kind in KINDS for p in r.problems)]
     fault = Fault(
         tracks=outcome.clean.tracks if slip is None else slip.tracks,
         value=float(sum(told)) + (abs(slip.value) if slip else 0.0),
         # each number is rounded to whole samples
         spread=hypot(sqrt(len(told) / 12.0), slip.spread if slip else 0.0),
         p_value=READ,
+        where=tuple(dict.fromkeys([*where, *(slip.where if slip else ())])),
     )
     return replace(outcome, faults={NAME: fault, **_but(outcome.faults)})
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.blocks import surely
-from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.diagnose import _seen_in, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
     delay,
@@ -50,6 +50,9 @@ def test_a_slip_is_found_sized_and_undone(kind, samples):
     assert fault is not None
     assert within(fault, samples)
     assert fault.p_value < 0.01
+    name, _, since_s, *_ = fault.where[0].split()
+    assert name == kind
+    assert float(since_s) == pytest.approx(4100 / clean(kind)[0], rel=0.05)
     again = with_tracks(view, fault.tracks)
     assert again.rms < min(1.6 * healthy().rms, 0.9 * view.rms)
     assert timestamp_fault.EFFECT.fault(again) is None
@@ -218,3 +221,10 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
     view = view_on([recording("sweep"), coupled, recording("waves")], axis="x", lab=Lab())
     fault = timestamp_fault.EFFECT.fault(view)
     assert fault is None if is_driven else within(fault, 10)
+
+
+def test_where_a_fault_is_is_told_of_five_places_and_the_rest_is_counted():
+    fault = Fault(tracks=(), value=1.0, spread=0.1, p_value=0.0, where=tuple("abcdefg"))
+    assert _seen_in(fault) == "It is in a, b, c, d, e and 2 places more."
+    assert _seen_in(replace(fault, where=("a",))) == "It is in a."
+    assert fault.after(replace(fault, where=("h", "a"))).where == ("h", *"abcdefg")

@@ -149,7 +149,7 @@ def _bridged(track: Track, wrong: Array) -> Track:
 
 
 def _fault(view: View) -> Fault | None:
-    tracks, largest, chances = [], [], []
+    tracks, largest, chances, where = [], [], [], []
     step = drive_step(view)
     for track, static in zip(view.tracks, view.static, strict=True):
         wrong, chance = spikes(track, static, step)
@@ -160,6 +160,7 @@ def _fault(view: View) -> Fault | None:
         size = np.abs(track.response - bridged.response)
         largest.append((float(size.max()), white_noise_rms(bridged.response)))
         chances.append(chance)
+        where.append(f"{track.name} ({int(wrong.sum())})")
         tracks.append(bridged)
     if not largest:
         return None
@@ -170,6 +171,7 @@ def _fault(view: View) -> Fault | None:
         value=1e9 * view.stroke_m * height,
         spread=1e9 * view.stroke_m * float(np.hypot(noise * np.sqrt(1.5), 0.01 * height)),
         p_value=max(chances),
+        where=tuple(where),
     )
 
 

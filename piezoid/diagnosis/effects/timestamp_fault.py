@@ -23,7 +23,7 @@ from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.slip_evidence import Judged, hidden, judged_of
 from piezoid.diagnosis.slip_placing import in_step, placed, undone, width_of
-from piezoid.diagnosis.slips import Slip, beside, longest, strongest
+from piezoid.diagnosis.slips import Slip, beside, longest, places_of, strongest
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.records.recording import Recording
 
@@ -64,6 +64,7 @@ def _fault(view: View) -> Fault | None:
         value=sum(one.slip.samples for one in same),
         spread=float(np.hypot(last.deviation, last.step - last.slip.samples)),
         p_value=min(one.p_value for one in found),
+        where=places_of([one.slip for one in found], view.tracks),
     )
 
 
