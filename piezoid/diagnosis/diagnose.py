@@ -201,7 +201,7 @@ def _first_words(effect: Effect) -> str:
 def _seen_in(fault: Fault) -> str:
     more = len(fault.where) - MOST_PLACES
     rest = f" and {more} places more" if more > 0 else ""
-    return f"It is in {', '.join(fault.where[:MOST_PLACES])}{rest}."
+    return f"Seen in {', '.join(fault.where[:MOST_PLACES])}{rest}."
 
 
 def _named(name: str) -> Effect:

@@ -55,9 +55,17 @@ class Slip:
 
 
 def places_of(slips: Sequence[Slip], tracks: Sequence[Track]) -> tuple[str, ...]:
-    """Return from when on which recordings are out of step, for people."""
-    slipped = [(tracks[slip.track], slip.instant) for slip in slips]
-    return tuple(f"{track.name} from {at / track.rate_Hz:.4g} s on" for track, at in slipped)
+    """Return from when on which recordings are out of step, for people.
+
+    Of a recording in several parts only its name is told: a part does not know when it began.
+    """
+    names = [track.name for track in tracks]
+    found = []
+    for slip in slips:
+        track = tracks[slip.track]
+        since = f" from {slip.instant / track.rate_Hz:.4g} s on"
+        found.append(track.name + (since if names.count(track.name) == 1 else ""))
+    return tuple(found)
 
 
 def longest(samples: int) -> int:

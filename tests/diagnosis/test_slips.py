@@ -17,7 +17,7 @@ from piezoid.diagnosis.extended import Accepted
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
-from piezoid.diagnosis.slips import beside, strongest
+from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
 from piezoid.diagnosis.slips_instead import (
     SURE,
     SURE_AGAIN,
@@ -225,6 +225,12 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
 
 def test_where_a_fault_is_is_told_of_five_places_and_the_rest_is_counted():
     fault = Fault(tracks=(), value=1.0, spread=0.1, p_value=0.0, where=tuple("abcdefg"))
-    assert _seen_in(fault) == "It is in a, b, c, d, e and 2 places more."
-    assert _seen_in(replace(fault, where=("a",))) == "It is in a."
+    assert _seen_in(fault) == "Seen in a, b, c, d, e and 2 places more."
+    assert _seen_in(replace(fault, where=("a",))) == "Seen in a."
     assert fault.after(replace(fault, where=("h", "a"))).where == ("h", *"abcdefg")
+
+
+def test_a_time_is_told_only_of_recordings_that_are_whole():
+    tracks = [SimpleNamespace(name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
+    slips = [Slip(track=k, instant=250, samples=1.0, gain=0.5) for k in range(3)]
+    assert places_of(slips, tracks) == ("a from 2.5 s on", "b", "b")
