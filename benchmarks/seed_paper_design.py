@@ -102,7 +102,7 @@ def vertical_family() -> PlantFamily:
 def lateral_specification(model: Plant) -> Specification:
     """Return the default for 1 nm of sensor noise and 5 % of 7 um left by hysteresis."""
     asked = default_specification(
-        model,
+        PlantFamily(members=(model,)),
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1e-9,
@@ -114,7 +114,7 @@ def lateral_specification(model: Plant) -> Specification:
 def vertical_specification(family: PlantFamily) -> Specification:
     """Return 300 Hz, Ms <= 5.8 dB and 1.2 samples of delay for every barrier height."""
     asked = default_specification(
-        family.nominal,
+        family,
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1.8e-3,

@@ -10,10 +10,12 @@ if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.model import ActuatorModel
     from piezoid.records.lab import Lab
+    from piezoid.verification.shipping import Shipping
     from piezoid.verification.verification import Verification
     from piezoid_cli.stage_jobs import Designed
 
 Told = Callable[[str], None]
+REFUSED = "refused"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,11 +25,13 @@ class Controllers:
     reason    why it ended before anything shipped
     refused   a controller was sought for an axis, and none of it may ship
     stumbled  a fault of ours ended the way
+    failed    the axes whose own verification failed, and what it showed: for study
     """
 
     design: "Design | None" = None
     parameters: "ParameterFile | None" = None
     verification: "Verification | None" = None
+    failed: "tuple[ParameterFile, Verification] | None" = None
     reason: str = ""
     refused: bool = False
     stumbled: bool = False
@@ -44,6 +48,13 @@ class Controllers:
         if self.parameters is not None:
             return self.parameters.unshipped
         return {} if self.design is None else self.design.refused
+
+    @property
+    def shipped(self) -> frozenset[str]:
+        """The axes that ship."""
+        if self.parameters is None:
+            return frozenset()
+        return frozenset(axis.axis for axis in self.parameters.axes)
 
 
 def controllers_of(
@@ -98,19 +109,29 @@ def _verified(
 ) -> Controllers:
     """Return what ships of a design, and what its run against the stage showed."""
     from piezoid.export.stage import export_stage
-    from piezoid.verification.stage import verify_stage
+    from piezoid.verification.shipping import shipping_of
 
     told("exporting")
     design_digest = loads(design.to_json())["digest"]
     parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
     told("running the compiled controller against the stage")
-    found = verify_stage(parameters, model, lab=lab, threads=threads)
+    found = shipping_of(parameters, model, lab=lab, threads=threads)
+    reasons = "; ".join(f"axis {axis}: {reason}" for axis, reason in found.reasons.items())
     return Controllers(
         design=design,
-        parameters=parameters,
-        verification=found,
-        refused=bool(parameters.unshipped),
+        parameters=found.parameters,
+        verification=found.verification,
+        failed=failed_of(found),
+        reason="" if found.parameters is not None else reasons,
+        refused=found.parameters is None or bool(found.parameters.unshipped),
     )
+
+
+def failed_of(found: "Shipping") -> "tuple[ParameterFile, Verification] | None":
+    """Return what did not pass its own verification, and what that showed."""
+    if found.refused is None or found.refused_verification is None:
+        return None
+    return found.refused, found.refused_verification
 
 
 def files_of(made: Controllers) -> dict[str, bytes]:
@@ -127,4 +148,17 @@ def files_of(made: Controllers) -> dict[str, bytes]:
         files |= {f"bundle/{name}": text for name, text in held.items()}
     if made.verification is not None:
         files["verification.json"] = made.verification.to_json()
-    return files
+    return files | failed_files(made.failed)
+
+
+def failed_files(failed: "tuple[ParameterFile, Verification] | None") -> dict[str, bytes]:
+    """Return what stays of axes that may not ship, for study: nothing a firmware could take."""
+    from piezoid.export.parameter_file import to_json
+
+    if failed is None:
+        return {}
+    file, verification = failed
+    return {
+        f"{REFUSED}/params.json": to_json(file),
+        f"{REFUSED}/verification.json": verification.to_json(),
+    }

@@ -8,8 +8,11 @@ import typer
 from piezoid_cli.terminal import plain, say
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from rich.table import Table
 
+    from piezoid.design.certificate import Certificate
     from piezoid.design.design import Design
 
 
@@ -68,17 +71,20 @@ def design(
         raise typer.Exit(1)
 
 
-def show(found: "Design") -> None:
-    """Print what each axis reached."""
+def show(found: "Design", shipped: "Collection[str]" = ()) -> None:
+    """Print what each axis reached.
+
+    shipped  axes whose own verification passed: of no other a bound is told
+    """
     from rich.console import Console
 
     console = Console()
-    console.print(_table(found))
+    console.print(_table(found, shipped))
     for remark in found.remarks:
         console.print(plain(remark, style="dim"))
 
 
-def _table(found: "Design") -> "Table":
+def _table(found: "Design", shipped: "Collection[str]") -> "Table":
     from rich.table import Table
 
     from piezoid.readable import told
@@ -88,15 +94,23 @@ def _table(found: "Design") -> "Table":
         table.add_column(heading, justify="right")
     for axis in found.axes:
         for loop in axis.loops:
-            delay_s, proven = loop.worst_delay_margin_s, loop.certificate
+            delay_s = loop.worst_delay_margin_s
             table.add_row(
                 plain(axis.axis),
                 loop.method,
                 told(loop.bandwidth_Hz, "Hz"),
                 f"{loop.worst_modulus_margin:.3f}",
                 "any" if delay_s is None else told(delay_s, "s"),
-                told(proven.guaranteed_error_m, "m")
-                if proven is not None and proven.is_guaranteed
-                else "no bound",
+                _bound(loop.certificate, is_verified=axis.axis in shipped),
             )
     return table
+
+
+def _bound(proven: "Certificate | None", *, is_verified: bool) -> str:
+    from math import isfinite
+
+    from piezoid.readable import told
+
+    if proven is None or not proven.is_guaranteed or not isfinite(proven.guaranteed_error_m):
+        return "no bound"
+    return told(proven.guaranteed_error_m, "m") if is_verified else "not verified"

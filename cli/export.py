@@ -18,7 +18,9 @@ def export(
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
 
-    An axis that cannot ship keeps no other back: exit status 1 says that one is missing.
+    The controller is run against the identified stage first. An axis that fails there does not
+    ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
+    keeps no other back.
 
     [bold]Example[/bold]
 
@@ -31,7 +33,11 @@ def export(
     from piezoid.export.parameter_file import to_json
     from piezoid.export.stage import export_stage
     from piezoid.identification.store import read_model
+    from piezoid.verification.shipping import shipping_of
+    from piezoid_cli.controllers import REFUSED, failed_files, failed_of
     from piezoid_cli.output_folder import add_to_folder
+    from piezoid_cli.progress import shown
+    from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
 
     content = content_of(stage / "design.json")
@@ -40,16 +46,27 @@ def export(
     model = read_model(model_content, str(stage / "model.json"))
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]
-    file = export_stage(model, design, design_digest=digest, lab=lab_of(stage, lab))
-    contents = {f"bundle/{name}": text for name, text in bundle(file).files.items()}
-    add_to_folder(stage, {"params.json": to_json(file), **contents})
+    declared = lab_of(stage, lab)
+    made = export_stage(model, design, design_digest=digest, lab=declared)
+    with shown(quiet=quiet) as told:
+        told("running the controller against the stage")
+        found = shipping_of(made, model, lab=declared, threads=usable_cores())
+    contents = failed_files(failed_of(found))
+    file = found.parameters
+    if file is not None:
+        contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
+        contents["params.json"] = to_json(file)
+    contents["verification.json"] = found.verification.to_json()
+    add_to_folder(stage, contents, gone=("params.json", "bundle", REFUSED))
+    unshipped = found.reasons if file is None else file.unshipped
     if not quiet:
-        for axis in file.axes:
+        for axis in () if file is None else file.axes:
             others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
             say(f"axis {axis.axis}: {axis.method}{others}")
-        show_unshipped(file.unshipped)
-        say(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
-    if file.unshipped:
+        show_unshipped(unshipped)
+        if file is not None:
+            say(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
+    if unshipped:
         raise typer.Exit(1)
 
 

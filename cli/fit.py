@@ -131,7 +131,7 @@ def _show_controllers(made: "Controllers") -> None:
 
     console = Console()
     if made.design is not None:
-        show_design(made.design)
+        show_design(made.design, made.shipped)
     if made.reason:
         what = "no controller" if made.design is None else "not exported"
         tone = "dim" if made.passed else "bold red"

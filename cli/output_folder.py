@@ -6,7 +6,7 @@ import os
 import shutil
 import signal
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -165,10 +165,13 @@ def _undisturbed() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
+def add_to_folder(
+    folder: Path, contents: Mapping[str, bytes], *, gone: Sequence[str] = ()
+) -> None:
     """Add or replace files of a folder of results, all of them in one step.
 
     contents  as for ``write_folder``; every other file stays as it is
+    gone      files and sub-folders that do not stay, unless ``contents`` has them
     """
     target = Path(os.path.realpath(folder))
     with _named(folder), _alone_in(target.parent):
@@ -176,6 +179,8 @@ def add_to_folder(folder: Path, contents: Mapping[str, bytes]) -> None:
             place.relative_to(target).as_posix(): place
             for place in sorted(target.rglob("*"))
             if place.is_file()
+            and not {place.relative_to(target).as_posix(), place.relative_to(target).parts[0]}
+            & set(gone)
         }
         _write(target, {**held, **contents})
 

@@ -148,7 +148,7 @@ def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
 
 
 def _run_axis(job: AxisJob, told: Told) -> AxisFound:
-    from piezoid.identification.fit import fit_axis
+    from piezoid.identification.fit import fit_axis, refined
     from piezoid.records.lab import Lab
 
     def of_axis(text: str) -> None:
@@ -160,7 +160,8 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
     )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
-        model = diagnosis.model
+        of_axis("what follows from the diagnosis")
+        model = refined(diagnosis.model, job.recordings, job.lab or Lab())
     return AxisFound(
         model=model,
         diagnosis=diagnosis,

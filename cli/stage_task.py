@@ -95,7 +95,7 @@ def _reason(found: "Calibration") -> str:
 
 
 def _wrong_controllers(made: "Controllers") -> list[str]:
-    from piezoid_cli.verify import failure_of
+    from piezoid.verification.criteria import failure_of
 
     if made.passed:
         return []

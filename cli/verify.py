@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.verification.criteria import Verdict
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import Verification
 
@@ -107,6 +106,8 @@ def show(found: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and every verdict that failed."""
     from rich.console import Console
 
+    from piezoid.verification.criteria import failure_of
+
     console = Console()
     if found.comparison:
         console.print(_comparison(found))
@@ -117,19 +118,6 @@ def show(found: "Verification", file: "ParameterFile") -> None:
             console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
     passed = sum(verdict.passed for verdict in found.verdicts)
     console.print(plain(f"{passed} of {len(found.verdicts)} verdicts passed"))
-
-
-def failure_of(verdict: "Verdict") -> str:
-    """Return what was found and what is allowed, in units that are read at a glance."""
-    from piezoid.readable import significant, told
-
-    def shown(value: float) -> str:
-        if verdict.unit == "s":
-            return told(value, "s")
-        return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
-
-    found, allowed = shown(verdict.value), shown(verdict.limit)
-    return f"{verdict.name} ({verdict.scenario}): {found}, allowed {allowed}"
 
 
 def _comparison(found: "Verification") -> "Table":

@@ -15,7 +15,7 @@ from piezoid_reports.traces import Trace
 MEMORY = "initial_state"
 LAGS = ("delay", "lag")
 KINDS: Mapping[str, tuple[str, ...]] = {
-    "creep": ("creep_ladder", "creep_operator"),
+    "creep": ("creep_ladder",),
     "thermal_drift": ("thermal_drift",),
     "rate_dependence": ("rate_dependence",),
     "resonance": ("linear_mode",),

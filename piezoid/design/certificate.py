@@ -1,7 +1,7 @@
 """What is guaranteed with hysteresis in the loop: small gain, and a bound of the error."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +12,7 @@ from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.frequency import grid_Hz
+from piezoid.numerics.frequency import grid_Hz, response
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from piezoid.operators.recursive_filter import recursive_filter
 from piezoid.readable import told
@@ -35,7 +35,11 @@ class Certificate:
     hysteresis_error_m          min(||g||_1 sup|delta|, ||g/(1 - q^-1)||_1 eps sup|D v|)
     reference_error_m           ||(q^-p - H)/(1 - q^-1)||_1 sup|D r|
     converter_error_m           ||g||_1 half a converter step
-    guaranteed_error_m          the sum of the three: |r[k-p] - y[k]| never exceeds it
+    disturbance_error_m         what drift, coupling, hum and a sensor's cyclic error add: each
+                                its largest value through the loop, in the l1 norm
+    guaranteed_error_m          the sum of the four: |r[k-p] - y[k]| never exceeds it, y the
+                                position in front of the sensor
+    reference_slew_m_per_s      the fastest reference for which that holds
     noise_error_m               three standard deviations due to sensor noise; not in the sum
     worst_member                the member that decides the sum
     conditions                  what must be true, whole sentences
@@ -51,8 +55,24 @@ class Certificate:
     converter_error_m: float
     guaranteed_error_m: float
     noise_error_m: float
+    disturbance_error_m: float = 0.0
+    reference_slew_m_per_s: float = 0.0
     worst_member: str
     conditions: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Disturbances:
+    """What recordings showed beside drive and noise; by default nothing.
+
+    motions   (half range in m, fastest change in m/s) of what moves the stage beside its drive;
+              0 m/s: as fast as anything
+    readings  (frequency in Hz, largest error in m) of what the sensor shows beside the position;
+              0 Hz: at any frequency
+    """
+
+    motions: tuple[tuple[float, float], ...] = ()
+    readings: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +82,13 @@ class Operation:
     reference_slew_m_per_s  the fastest reference
     voltage_step_V          of the converter
     sensor_noise_rms_m      of one sample, white
+    disturbances            what acts beside drive and reference
     """
 
     reference_slew_m_per_s: float
     voltage_step_V: float
     sensor_noise_rms_m: float
+    disturbances: Disturbances = field(default_factory=lambda: Disturbances())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,11 +97,12 @@ class _MemberErrors:
     hysteresis_m: float
     reference_m: float
     converter_m: float
+    disturbance_m: float
     noise_m: float
 
     @property
     def total_m(self) -> float:
-        return self.hysteresis_m + self.reference_m + self.converter_m
+        return self.hysteresis_m + self.reference_m + self.converter_m + self.disturbance_m
 
 
 def certify(
@@ -127,6 +150,8 @@ def certify(
         converter_error_m=worst.converter_m,
         guaranteed_error_m=worst.total_m,
         noise_error_m=max(error.noise_m for error in errors),
+        disturbance_error_m=worst.disturbance_m,
+        reference_slew_m_per_s=operation.reference_slew_m_per_s,
         worst_member=worst.label,
         conditions=(*bounds.conditions, *_conditions(len(members), operation, bounds)),
     )
@@ -166,17 +191,18 @@ def _member_errors(
     operation: Operation,
 ) -> _MemberErrors:
     P = closed_loop_polynomial(member, R, S)
-    through = product(member.B, S)
+    through = product(member.B_position, S)
     g_sum = peak_gain(through, P)
     step_m = operation.reference_slew_m_per_s / member.sampling_rate_Hz
     by_size_m = g_sum * bounds.error_m / bounds.gain_m_per_V
-    late = total(delayed(P, preview), -product(filtered, member.B))
-    noise = float(np.sqrt((impulse_response(product(member.B, R), P) ** 2).sum()))
+    late = total(delayed(P, preview), -product(filtered, member.B_position))
+    noise = float(np.sqrt((impulse_response(product(member.B_position, R), P) ** 2).sum()))
     return _MemberErrors(
         label=member.label,
         hysteresis_m=min(by_size_m, _by_increments_m(member, R, S, filtered, P, bounds, step_m)),
         reference_m=peak_gain(without_difference(late), P) * step_m,
         converter_m=g_sum * 0.5 * operation.voltage_step_V,
+        disturbance_m=_disturbed_m(member, R, S, P, operation.disturbances),
         noise_m=_SIGMAS * noise * operation.sensor_noise_rms_m,
     )
 
@@ -196,8 +222,35 @@ def _by_increments_m(
     if amplified >= 1.0:
         return float(np.inf)
     command_step_V = peak_gain(product(filtered, member.A), P) * step_m / (1.0 - amplified)
-    integrated = peak_gain(product(member.B, without_difference(S)), P)
+    integrated = peak_gain(product(member.B_position, without_difference(S)), P)
     return integrated * eps * command_step_V
+
+
+def _disturbed_m(
+    member: Fraction, R: ArrayLike, S: ArrayLike, P: Array, disturbances: Disturbances
+) -> float:
+    """Return what disturbances recorded beside the drive do at most.
+
+    ||A S / P||_1 m, or ||A S / (P (1 - q^-1))||_1 times its change in a sample where that is
+    less; ||B R / P||_1 n of the reading, or |B R / P| n at a frequency of its own.
+    """
+    rejected = product(member.A, S)
+    total_m = 0.0
+    for half_range_m, fastest_m_per_s in disturbances.motions:
+        by_size_m = peak_gain(rejected, P) * half_range_m
+        by_speed_m = np.inf
+        if fastest_m_per_s > 0.0:
+            step_m = fastest_m_per_s / member.sampling_rate_Hz
+            by_speed_m = peak_gain(product(member.A, without_difference(S)), P) * step_m
+        total_m += min(by_size_m, by_speed_m)
+    followed = product(member.B_position, R)
+    for frequency_Hz, error_m in disturbances.readings:
+        if frequency_Hz > 0.0:
+            gain = np.abs(response(followed, P, [frequency_Hz], member.sampling_rate_Hz)[0])
+            total_m += float(gain) * error_m
+        else:
+            total_m += peak_gain(followed, P) * error_m
+    return total_m
 
 
 def _refuse_unstable(reached: Margins) -> None:
@@ -212,7 +265,10 @@ def _refuse_unstable(reached: Margins) -> None:
 
 
 def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> tuple[str, ...]:
+    disturbed = operation.disturbances.motions or operation.disturbances.readings
+    as_recorded = ("drift, coupling and hum stay as large and as fast as in the recordings",)
     return (
+        *(as_recorded if disturbed else ()),
         f"the linear plant is one of the {count} members",
         f"the reference moves at most {told(operation.reference_slew_m_per_s, 'm/s')}",
         f"the command stays within {told(bounds.reach_V, 'V')} and inside the converter's limits",

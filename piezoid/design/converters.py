@@ -14,12 +14,14 @@ class Converters:
     command_step_V  of the writing converter; 0 where its bits or range are not declared
     reading_V       (low, high) of the reading converter; None where not declared
     reading_step_V  of the reading converter; 0 likewise
+    command_slew_V_per_s  fastest command that the amplifier follows; None where not declared
     """
 
     command_V: tuple[float, float] | None
     command_step_V: float
     reading_V: tuple[float, float] | None
     reading_step_V: float
+    command_slew_V_per_s: float | None = None
 
 
 def converters_of(lab: Lab, axis: str) -> Converters:
@@ -34,6 +36,7 @@ def converters_of(lab: Lab, axis: str) -> Converters:
         command_step_V=_step_V(reach_V, declared.dac_bits),
         reading_V=reach_V,
         reading_step_V=_step_V(reach_V, declared.adc_bits),
+        command_slew_V_per_s=_slew_V_per_s(lab, axis),
     )
 
 
@@ -41,6 +44,14 @@ def _step_V(reach_V: tuple[float, float] | None, bits: int | None) -> float:
     if reach_V is None or bits is None:
         return 0.0
     return float((reach_V[1] - reach_V[0]) / 2.0**bits)
+
+
+def _slew_V_per_s(lab: Lab, axis: str) -> float | None:
+    """Return the fastest command: the amplifier's own slew rate over its gain."""
+    amplifier = lab.amplifier_of(axis)
+    if amplifier.slew_V_per_s is None or amplifier.gain_V_per_V is None:
+        return None
+    return float(amplifier.slew_V_per_s / abs(amplifier.gain_V_per_V))
 
 
 def _amplified(lab: Lab, axis: str) -> tuple[float, float] | None:

@@ -23,16 +23,23 @@ REPORTED_Hz = (1.0, 10.0, 100.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Member:
-    """One plant of the family as a fraction in q^-1, enough to recompute every margin."""
+    """One plant of the family as a fraction in q^-1, enough to recompute every margin.
+
+    B, A        from the command to the reading
+    B_position  to the position in front of the sensor, over A; empty: that is B
+    """
 
     label: str
     sampling_rate_Hz: float
     B: Array
     A: Array
+    B_position: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "B", frozen(self.B, "B"))
-        object.__setattr__(self, "A", frozen(self.A, "A"))
+        if not len(self.B_position):
+            object.__setattr__(self, "B_position", self.B)
+        for name in ("B", "A", "B_position"):
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,7 +222,13 @@ def design_from_json(content: bytes, place: str = "design.json") -> Design:
 def members_of(family: PlantFamily) -> tuple[Member, ...]:
     """Return the family as fractions."""
     return tuple(
-        Member(label=m.label, sampling_rate_Hz=m.sampling_rate_Hz, B=m.B, A=m.A)
+        Member(
+            label=m.label,
+            sampling_rate_Hz=m.sampling_rate_Hz,
+            B=m.B,
+            A=m.A,
+            B_position=m.B_position,
+        )
         for m in family.members
     )
 

@@ -9,13 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Plant, PlantFamily
+from piezoid.design.poles import LIGHT
 from piezoid.design.specification import Specification
 from piezoid.design.templates import FUNCTIONS, delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, decibel, grid_Hz, polynomial_response, unit_circle
 
 _UNSTABLE_dB = 60.0
+_WIDTHS, _LINES = 4.0, 13  # half widths on either side of a mode, and lines there
 _HARMONICS = np.array([1, 3, 5, 7])
 
 
@@ -67,7 +69,7 @@ def family_grid(
     lowest_Hz = min(1.0, specification.bandwidth_Hz / 30.0)
     f = grid_Hz(rate_Hz, lowest_Hz=lowest_Hz, count=count)
     knots = [t.frequency_Hz for t in specification.all_templates]
-    inside = np.concatenate(knots)
+    inside = np.concatenate([*knots, *(mode_lines_Hz(member) for member in family.members)])
     f = np.union1d(f, inside[(inside >= lowest_Hz) & (inside < 0.5 * rate_Hz)])
     q = unit_circle(f, rate_Hz)
     q_scan = unit_circle(_HARMONICS * specification.scan_frequency_Hz, rate_Hz)
@@ -83,6 +85,17 @@ def family_grid(
         A_scan=np.stack([polynomial_response(m.A, q_scan) for m in family.members]),
         B_scan=np.stack([polynomial_response(m.B, q_scan) for m in family.members]),
     )
+
+
+def mode_lines_Hz(plant: Plant) -> Array:
+    """Return lines about the lightly damped modes of a plant, closer than the modes are wide."""
+    s = np.log(plant.poles)
+    damping = -s.real / np.abs(s)
+    light = (damping < LIGHT) & (s.imag > 0.0)
+    natural_Hz = np.abs(s[light]) * plant.sampling_rate_Hz / (2.0 * np.pi)
+    widths = np.linspace(-_WIDTHS, _WIDTHS, _LINES)
+    lines = natural_Hz[:, None] * (1.0 + damping[light][:, None] * widths)
+    return np.asarray(lines.ravel())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ from piezoid.errors import TemplateError
 
 _BISECTIONS = 4
 _STEPS_DOWN = 20
+_GIVEN_WAY = 5  # times a default gives way before its refusal stands
 _STEP_DOWN = -0.02
 _PER_E_FOLD_dB = 20.0 / np.log(10.0)
 _LOWEST_SHARE = 0.01
@@ -108,13 +109,17 @@ def at_feasible_bandwidth(
     For defaults, which nobody asked for in particular. Raises the refusal where no bandwidth is
     feasible.
     """
-    try:
-        return design(specification)
-    except TemplateError as refusal:
-        nearest_Hz = refusal.numbers["nearest_bandwidth_Hz"]
-        if not isinstance(nearest_Hz, float):
-            raise
-    return design(replace(specification, bandwidth_Hz=nearest_Hz))
+    asked = specification
+    for _ in range(_GIVEN_WAY):
+        try:
+            return design(asked)
+        except TemplateError as refusal:
+            nearest_Hz = refusal.numbers["nearest_bandwidth_Hz"]
+            if not isinstance(nearest_Hz, float):
+                raise
+            # a search for the least error may stop where one for any solution went on
+            asked = replace(specification, bandwidth_Hz=min(nearest_Hz, 0.97 * asked.bandwidth_Hz))
+    return design(asked)
 
 
 def _rounded_down(value: float) -> float:

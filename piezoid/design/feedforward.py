@@ -55,6 +55,8 @@ def fit_reference_path(
 ) -> ReferencePath:
     """Fit the filter that makes the nominal closed loop a pure delay of p samples within a band.
 
+    The loop's output is the position, in front of the sensor, where that is known.
+
         minimise  sum_(f <= band) |F H - exp(-j w p)|^2 + small |F - 1|^2 above,   H = T B / P
 
     subject to F(1) = 1. The smallest preview within 10 % of the best error is taken.
@@ -110,16 +112,16 @@ def _tracking(member: Fraction, R: ArrayLike, S: ArrayLike, T: ArrayLike, q: Res
     closed = closed_loop_polynomial(member, R, S)
     return np.asarray(
         polynomial_response(T, q)
-        * polynomial_response(member.B, q)
+        * polynomial_response(member.B_position, q)
         / polynomial_response(closed, q)
     )
 
 
 def _rest_delay(member: Fraction, R: ArrayLike, S: ArrayLike, T: ArrayLike) -> float:
-    """Return the phase delay at rest of T B / P, in samples."""
+    """Return the phase delay at rest of T B / P to the position, in samples."""
     low_Hz = 1e-4 * member.sampling_rate_Hz
     closed = closed_loop_polynomial(member, R, S)
-    h = response(product(T, member.B), closed, [low_Hz], member.sampling_rate_Hz)[0]
+    h = response(product(T, member.B_position), closed, [low_Hz], member.sampling_rate_Hz)[0]
     return float(-np.angle(h) / (2.0 * np.pi * low_Hz) * member.sampling_rate_Hz)
 
 

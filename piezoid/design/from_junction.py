@@ -61,7 +61,7 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
     family = family_from_chains(chains[0], chains[1:])
     noise = reading_noise_A(loop.plant, lab, axis) / set_point_A(lab)
     asked = default_specification(
-        family.nominal,
+        family,
         voltage_min_V=low_V,
         voltage_max_V=high_V,
         sensor_noise_rms=noise,

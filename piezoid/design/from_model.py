@@ -1,34 +1,41 @@
 """From an identified axis to what its design starts from: plant families, bounds, a default.
 
-    y = a (v + delta[v]) behind the declared poles and what was identified
+    y = a (v + delta[v]) behind everything linear that fit and diagnosis found
 
-    a = polarity (M + m) / 2
+    a = polarity (M + m) / 2 gain now
 
 m and M are the ends of the hysteresis' slope sector. In the inverse form the same a turns the
 linearised command v into metres, so that both forms speak of the same volt.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.chain import Chain, Section, family_from_chains
-from piezoid.design.dynamics_chain import MeasuredChain, measured_chain
+from piezoid.design.certificate import Disturbances
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.lateral import with_sector
-from piezoid.design.plant import PlantFamily
+from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import Specification, default_specification
 from piezoid.errors import DesignError
+from piezoid.identification.loop_model import (
+    DECLARED_SPREAD,
+    INSTANTANEOUS,
+    LoopModel,
+    at_corner,
+    loop_model,
+    mode_half,
+)
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.zero_order_hold import fraction, sample
+from piezoid.operators.analogue import cascade, first_order
 
 FORMS = ("inverse", "affine")
-NORMAL_95 = 1.959963984540054
-DECLARED_SPREAD = 0.1  # a data sheet's bandwidth is a round number for a typical specimen
 FEWEST_REPLICATES = 20
-_LEAST_SHARE = 0.1  # of a lag whose interval reaches zero: a pole needs some time constant
 _SLOWER_THAN_RATE = 5.0  # a pole beyond so many sampling rates is instantaneous
+_MOST_BETWEEN = 7  # members between the ends of a mode's interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,11 +45,13 @@ class LateralTask:
     families       by form, ``inverse`` and ``affine``
     bounds         of the hysteresis, by form; none where a bound is not known
     specification  default, to be overruled by what is asked
+    disturbances   what recordings showed beside drive and noise
     """
 
     families: Mapping[str, PlantFamily]
     bounds: Mapping[str, HysteresisBounds]
     specification: Specification
+    disturbances: Disturbances
 
 
 def lateral_task(
@@ -55,100 +64,121 @@ def lateral_task(
     forms             wanted
     seed              of the replicates drawn from the fit's covariance
 
-    The family holds, besides the nominal plant, its four corners: the ends of the gain's 95 %
-    interval with everything slow and everything fast, declared poles and what was identified.
-
     Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
     """
-    nominal = _nominal(axis, sampling_rate_Hz)
-    inverse = family_from_chains(nominal.chain, _corners(nominal, axis))
+    inverse = plant_family(axis, sampling_rate_Hz)
     bounds = _bounds(axis, seed)
     families = {"inverse": inverse, "affine": with_sector(inverse, bounds["affine"])}
+    loop = loop_model(axis, sampling_rate_Hz)
+    low_V, high_V = loop.drive_range_V
     return LateralTask(
         families={form: family for form, family in families.items() if form in forms},
         bounds=bounds,
         specification=default_specification(
-            inverse.nominal,
-            voltage_min_V=axis.voltage_V[0],
-            voltage_max_V=axis.voltage_V[1],
+            inverse,
+            voltage_min_V=max(axis.voltage_V[0], low_V),
+            voltage_max_V=min(axis.voltage_V[1], high_V),
             sensor_noise_rms=axis.quality.noise_rms_m,
             disturbance_rms=axis.quality.held_out_rms_m,
+            voltage_slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
+        ),
+        disturbances=Disturbances(
+            motions=tuple((e.motion_m, e.motion_m_per_s) for e in loop.effects if e.motion_m > 0),
+            readings=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_m > 0),
         ),
     )
 
 
-def _nominal(axis: AxisModel, sampling_rate_Hz: float) -> MeasuredChain:
-    """The chain of declared poles with the axis' dynamics, or else with its lag."""
-    declared_Hz = [axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz]
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
-    declared = Chain(
-        label="nominal",
-        sampling_rate_Hz=sampling_rate_Hz,
-        gain=axis.polarity * 0.5 * (least + greatest),
+def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
+    """Return the plant of an axis and what it may really be.
+
+    Besides the nominal plant its corners: both ends of the gain's interval, with everything slow
+    and everything fast, with modes at their least and at their most damping; where the interval
+    of a mode's frequency is wider than the mode, members between its ends as well. What creeps
+    over seconds, and what is irreversible and late, widens the interval of the gain.
+
+    Raises ``DesignError`` where nothing is known that would limit the speed of a loop.
+    """
+    nominal = loop_model(axis, rate_Hz)
+    _refuse_without_poles(axis, nominal, rate_Hz)
+    gain = _middle_gain(axis)
+    low, high = _gain_interval(axis, nominal)
+    members = [_plant("nominal", nominal, gain * nominal.gain, rate_Hz)]
+    for label, slower, sharper, ends in _corners(axis):
+        moved = loop_model(at_corner(axis, slower, sharper), rate_Hz)
+        for way, factor in (("low", low), ("high", high))[-ends:]:
+            label_of = f"{way} gain, {label}"
+            members.append(_plant(label_of, moved, gain * moved.gain * factor, rate_Hz))
+    return PlantFamily(members=tuple(members))
+
+
+def _corners(axis: AxisModel) -> Iterator[tuple[str, float, float, int]]:
+    """Yield label, lateness and sharpness of corners, and how many ends of the gain they have."""
+    wide = mode_half(axis)
+    if wide == 0.0:
+        yield from (("slow", 1.0, 0.0, 2), ("fast", -1.0, 0.0, 2))
+        return
+    for speed, slower in (("slow", 1.0), ("fast", -1.0)):
+        for sharp, sharper in (("sharp", 1.0), ("damped", -1.0)):
+            yield f"{speed}, {sharp}", slower, sharper, 2
+    between = min(int(wide), _MOST_BETWEEN)  # neighbours no farther apart than the mode is wide
+    for slower in np.linspace(1.0, -1.0, between + 2)[1:-1].tolist():
+        yield f"slower by {slower:.2g}, sharp", slower, 1.0, 1
+
+
+def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> Plant:
+    """Sample everything quick of an axis behind its converter's hold."""
+    stage = cascade(loop.front, loop.behind)
+    if stage.D.any():  # a sampled plant answers a sample late
+        stage = cascade(stage, first_order(INSTANTANEOUS * rate_Hz))
+    whole = cascade(stage, loop.sensor)
+    system = sample(whole.A, whole.B[:, 0] * gain_m_per_V, whole.C[0], 1.0 / rate_Hz, loop.delay_s)
+    numerator, denominator = fraction(system)
+    shown = np.concatenate([stage.C[0], np.zeros(len(loop.sensor.A))])
+    position, _ = fraction(replace(system, C=shown))
+    return Plant(
+        label=label,
+        sampling_rate_Hz=rate_Hz,
         output_unit="m",
-        sections=tuple(Section(frequency_Hz=f) for f in declared_Hz if f is not None),
+        state_matrix=system.A,
+        input_taps=system.taps,
+        output_vector=system.C,
+        B=numerator,
+        A=denominator,
+        B_position=position,
     )
-    if axis.dynamics is None:
-        found = MeasuredChain(chain=_with_lag(declared, axis), mode_half=0.0, gain_ratio=1.0)
-    else:
-        found = measured_chain(declared, axis.dynamics)
-    slow_Hz = _SLOWER_THAN_RATE * sampling_rate_Hz
-    if not any(section.frequency_Hz < slow_Hz for section in found.chain.sections):
+
+
+def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> None:
+    poles = np.linalg.eigvals(cascade(loop.front, loop.behind, loop.sensor).A)
+    slow_Hz = _SLOWER_THAN_RATE * rate_Hz
+    if not (np.abs(poles) < 2.0 * np.pi * slow_Hz).any():
         raise DesignError(
             f"axis {axis.axis}: no pole is declared and none was found, slow enough to matter at "
-            f"{sampling_rate_Hz:g} Hz",
+            f"{rate_Hz:g} Hz",
             needed="what limits the speed of the stage: without it any gain would look safe",
             remedy="Declare bandwidth_Hz of [amplifier] and [sensor] in lab.toml, or add a "
             "recording that excites the dynamics, and fit again.",
         )
-    return found
 
 
-def _with_lag(chain: Chain, axis: AxisModel) -> Chain:
-    if axis.lag.kind == "first_order" and axis.lag.time_s > 0.0:
-        pole = Section(frequency_Hz=1.0 / (2.0 * np.pi * axis.lag.time_s))
-        return replace(chain, sections=(*chain.sections, pole))
-    return replace(chain, delay_s=axis.lag.time_s if axis.lag.kind == "delay" else 0.0)
+def _middle_gain(axis: AxisModel) -> float:
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    return axis.polarity * 0.5 * (least + greatest)
 
 
-def _corners(nominal: MeasuredChain, axis: AxisModel) -> list[Chain]:
-    """Every combination of low and high gain with slow and fast dynamics."""
-    gain = max(relative_gain_half(axis), abs(nominal.gain_ratio - 1.0))
-    return [
-        replace(
-            _slowed(nominal, axis, slower),
-            label=f"{way} gain, {speed}",
-            gain=nominal.chain.gain * (1.0 + sign * gain),
-        )
-        for way, sign in (("low", -1.0), ("high", 1.0))
-        for speed, slower in (("slow", 1.0), ("fast", -1.0))
-    ]
+def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
+    """Return the ends of the gain relative to the nominal one.
 
-
-def _slowed(nominal: MeasuredChain, axis: AxisModel, slower: float) -> Chain:
-    """The chain at the slow end (+1) or the fast end (-1) of what is known of it.
-
-    A lag that was fitted moves to the end of its interval. One that was not still has an interval:
-    its upper end becomes delay. The delay left by dynamics is taken to be as sure as a declared
-    pole.
+    Its 95 % interval; creep adds to it, and where the irreversible part is late, a quick loop
+    feels the reversible slope alone.
     """
-    chain = nominal.chain
-    lag_s = slower * lag_half_s(axis)
-    is_lag = axis.dynamics is None and axis.lag.kind == "first_order"
-    sections = []
-    for section in chain.sections:
-        time_s = 1.0 / (2.0 * np.pi * section.frequency_Hz)
-        moved_s = time_s * (1.0 + slower * DECLARED_SPREAD)
-        if section.damping is not None:
-            moved_s = time_s * (1.0 + slower * nominal.mode_half)
-        elif is_lag and np.isclose(time_s, axis.lag.time_s, rtol=1e-9):
-            moved_s = time_s + lag_s
-        moved_Hz = 1.0 / (2.0 * np.pi * max(moved_s, _LEAST_SHARE * time_s))
-        sections.append(replace(section, frequency_Hz=float(moved_Hz)))
-    delay_s = chain.delay_s + (0.0 if is_lag else lag_s)
-    if axis.dynamics is not None:
-        delay_s = chain.delay_s * (1.0 + slower * DECLARED_SPREAD)
-    return replace(chain, sections=tuple(sections), delay_s=max(delay_s, 0.0))
+    half = relative_gain_half(axis)
+    reversible = 1.0
+    if loop.activation[0] > 0.0:
+        least, greatest = axis.hysteresis.slope_sector_m_per_V
+        reversible = least / (0.5 * (least + greatest))
+    return (1.0 - half) * reversible, (1.0 + half) * loop.slow_gain
 
 
 def relative_gain_half(axis: AxisModel) -> float:
@@ -157,16 +187,17 @@ def relative_gain_half(axis: AxisModel) -> float:
     return float(found.loading_half_m[-1] / abs(found.loading_m[-1]))
 
 
-def lag_half_s(axis: AxisModel) -> float:
-    """Return half the 95 % interval of the lag."""
-    place = axis.uncertainty.names.index("lag_s")
-    return float(NORMAL_95 * np.sqrt(axis.uncertainty.covariance[place, place]))
-
-
 def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
     """Bound both forms, the inverse one where enough draws of the fit have an inverse."""
     reach_V = axis.certificate.reach_V
-    affine = affine_bounds(axis.hysteresis, reach_V, remainder_m=axis.certificate.bound_m)
+    second = axis.discrepancy
+    steepest_m_per_V = 0.0 if second is None else second.steepest_m_per_V
+    affine = affine_bounds(
+        axis.hysteresis,
+        reach_V,
+        remainder_m=axis.certificate.bound_m,
+        remainder_m_per_V=steepest_m_per_V,
+    )
     drawn = draw_replicates(axis, np.random.default_rng(seed))
     bounds = {"affine": affine}
     if len(drawn) >= FEWEST_REPLICATES:
@@ -176,6 +207,7 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
             reach_V,
             gain_m_per_V=affine.gain_m_per_V,
             remainder_m=axis.certificate.remainder_m,
+            remainder_m_per_V=steepest_m_per_V,
         )
     return bounds
 

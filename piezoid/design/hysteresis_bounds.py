@@ -26,6 +26,7 @@ class HysteresisBounds:
     form              ``affine`` or ``inverse``
     gain_m_per_V      a, the centre of the sector
     slope_min, slope_max   of d(u + delta)/du, relative to a; their mean is 1
+    slope_beyond      what no model of this kind explains changes the slope by, at most
     error_m           sup |a delta| up to a constant, for |u| <= reach_V
     reach_V           largest command for which the bounds hold
     conditions        what must be true for the bounds to hold, whole sentences
@@ -38,15 +39,21 @@ class HysteresisBounds:
     error_m: float
     reach_V: float
     conditions: tuple[str, ...]
+    slope_beyond: float = 0.0
 
     @property
     def increment_gain(self) -> float:
         """eps of |D delta| <= eps |D u|."""
-        return (self.slope_max - self.slope_min) / (self.slope_max + self.slope_min)
+        sector = (self.slope_max - self.slope_min) / (self.slope_max + self.slope_min)
+        return sector + self.slope_beyond
 
 
 def affine_bounds(
-    model: ModifiedPrandtlIshlinskii, reach_V: float, *, remainder_m: float
+    model: ModifiedPrandtlIshlinskii,
+    reach_V: float,
+    *,
+    remainder_m: float,
+    remainder_m_per_V: float = 0.0,
 ) -> HysteresisBounds:
     """Bound what an affine map leaves of a hysteresis model.
 
@@ -60,6 +67,7 @@ def affine_bounds(
 
     remainder_m  what the model itself leaves, for example the 99.9 % quantile of the held-out
                  residual
+    remainder_m_per_V  by how much that changes the slope, at most
     """
     least, greatest = model.slope_sector_m_per_V
     gain = 0.5 * (greatest + least)
@@ -75,6 +83,7 @@ def affine_bounds(
         gain_m_per_V=gain,
         slope_min=least / gain,
         slope_max=greatest / gain,
+        slope_beyond=remainder_m_per_V / gain,
         error_m=error,
         reach_V=reach_V,
         conditions=(
@@ -92,6 +101,7 @@ def inverse_bounds(
     *,
     gain_m_per_V: float,
     remainder_m: float,
+    remainder_m_per_V: float = 0.0,
     confidence: float = 0.95,
 ) -> HysteresisBounds:
     """Bound what exact inversion of a model leaves, from models refitted to resampled data.
@@ -107,6 +117,7 @@ def inverse_bounds(
 
     gain_m_per_V  a of the linear design, the unit of the command
     remainder_m   rho_max: bounded part that no model of this kind explains
+    remainder_m_per_V  by how much that part changes the slope, at most
     """
     reference = model.regauged()
     truths = [replicate.regauged() for replicate in replicates]
@@ -120,6 +131,7 @@ def inverse_bounds(
         gain_m_per_V=gain_m_per_V * centre,
         slope_min=low / centre,
         slope_max=high / centre,
+        slope_beyond=remainder_m_per_V / (gain_m_per_V * centre),
         error_m=float(np.quantile(errors, confidence)) + remainder_m,
         reach_V=reach_V,
         conditions=(

@@ -7,7 +7,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from piezoid.design.certificate import Certificate, Operation, certify
+from piezoid.design.certificate import Certificate, Disturbances, Operation, certify
 from piezoid.design.design import (
     AxisDesign,
     Candidate,
@@ -29,6 +29,8 @@ from piezoid.design.templates import Violation
 from piezoid.design.tuning import METHODS, TunedObserver, tune_observer
 from piezoid.errors import TemplateError
 
+NO_DISTURBANCES = Disturbances()
+SLEW_SHARE = 0.5  # of what the amplifier follows: the rest is the feedback's
 _LOOP_OF_FORM = {"inverse": "mpi_dob", "affine": "dob"}
 
 
@@ -40,6 +42,7 @@ def design_lateral(
     model: Plant | None = None,
     bounds: Mapping[str, HysteresisBounds] | None = None,
     reference_slew_m_per_s: float | None = None,
+    disturbances: Disturbances = NO_DISTURBANCES,
 ) -> AxisDesign:
     """Design the disturbance observer of one lateral axis, in every form asked for.
 
@@ -49,7 +52,9 @@ def design_lateral(
     model     what the observer computes with; a nominal member by default
     bounds    by form, for the certificate; a form without has none
     reference_slew_m_per_s  of the fastest reference; by default a sine at the scan frequency
-              whose amplitude uses the drive for which the bounds hold
+              whose amplitude uses the drive for which the bounds hold, or what the
+              amplifier follows, if that is less
+    disturbances  what recordings showed beside drive and noise, for the certificate
 
     Raises ``TemplateError`` where the first form (the inverse one, if asked for) cannot meet the
     specification. A further form that cannot is designed at its nearest feasible bandwidth, for
@@ -65,6 +70,7 @@ def design_lateral(
             model=model,
             bounds=(bounds or {}).get(form),
             reference_slew_m_per_s=reference_slew_m_per_s,
+            disturbances=disturbances,
         )
         if not loops:
             loops.append(_lateral_loop(request, specification))
@@ -104,6 +110,7 @@ class _Request:
     model: Plant | None
     bounds: HysteresisBounds | None
     reference_slew_m_per_s: float | None
+    disturbances: Disturbances
 
 
 def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
@@ -211,6 +218,9 @@ def _certified(
     span_V = min(half_V, request.bounds.reach_V)
     amplitude_m = span_V * abs(request.family.nominal.gain)
     fastest_m_per_s = 2.0 * np.pi * specification.scan_frequency_Hz * amplitude_m
+    if specification.voltage_slew_V_per_s is not None:
+        followed_m_per_s = specification.voltage_slew_V_per_s * abs(request.family.nominal.gain)
+        fastest_m_per_s = min(fastest_m_per_s, SLEW_SHARE * followed_m_per_s)
     return certify(
         request.family.members,
         controller.R,
@@ -222,5 +232,6 @@ def _certified(
             reference_slew_m_per_s=request.reference_slew_m_per_s or float(fastest_m_per_s),
             voltage_step_V=specification.voltage_step_V,
             sensor_noise_rms_m=specification.sensor_noise_rms,
+            disturbances=request.disturbances,
         ),
     )

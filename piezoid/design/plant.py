@@ -1,6 +1,6 @@
 """What is controlled: a sampled linear plant, and the family it may really be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol
 
@@ -31,6 +31,10 @@ class Fraction(Protocol):
     def A(self) -> Array:
         """Denominator, monic."""
 
+    @property
+    def B_position(self) -> Array:
+        """Numerator to where the stage is, in front of the sensor; B where that is not known."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plant:
@@ -45,6 +49,7 @@ class Plant:
     input_taps        (n, m)  the newest input first; leading zero columns are whole delays
     output_vector     (n,)
     B, A              coefficients in q^-1; A monic, b_0 = 0, the delay stands in B
+    B_position        likewise to the position in front of the sensor; empty: that is B
     """
 
     label: str
@@ -55,11 +60,14 @@ class Plant:
     output_vector: Array
     B: Array
     A: Array
+    B_position: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
+        if not len(self.B_position):
+            object.__setattr__(self, "B_position", self.B)
         for name, axes in (("state_matrix", 2), ("input_taps", 2), ("output_vector", 1)):
             object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=axes))
-        for name in ("B", "A"):
+        for name in ("B", "A", "B_position"):
             object.__setattr__(self, name, frozen(getattr(self, name), name))
         if not self.sampling_rate_Hz > 0:
             raise ValueError(f"sampling_rate_Hz is {self.sampling_rate_Hz}, expected > 0")

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.design.plant import Plant
+from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.templates import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
@@ -36,6 +36,7 @@ class Specification:
     templates           further upper limits of Syp, Sup, Syb, Syv
     voltage_min_V, voltage_max_V   limits of the command
     voltage_step_V      of the converter; 0 leaves it out of the error
+    voltage_slew_V_per_s  fastest command that the amplifier follows; None: any
     sensor_noise_rms    of one sample, white; output unit
     noise_limit_rms     what sensor noise and converter steps may do to the output; None: no limit
     scan_frequency_Hz   of the planned trajectory
@@ -51,6 +52,7 @@ class Specification:
     voltage_min_V: float
     voltage_max_V: float
     voltage_step_V: float = 0.0
+    voltage_slew_V_per_s: float | None = None
     sensor_noise_rms: float
     noise_limit_rms: float | None = None
     scan_frequency_Hz: float
@@ -68,8 +70,10 @@ class Specification:
             raise ValueError(
                 f"voltage limits {self.voltage_min_V} and {self.voltage_max_V} V cross"
             )
-        if self.noise_limit_rms is not None and not self.noise_limit_rms > 0:
-            raise ValueError(f"noise_limit_rms is {self.noise_limit_rms}, expected > 0")
+        for name in ("noise_limit_rms", "voltage_slew_V_per_s"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ValueError(f"{name} is {value}, expected > 0")
         for name in ("sensor_noise_rms", "disturbance_rms", "voltage_step_V"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected >= 0")
@@ -86,24 +90,28 @@ class Specification:
 
 
 def default_specification(
-    plant: Plant,
+    family: PlantFamily,
     *,
     voltage_min_V: float,
     voltage_max_V: float,
     sensor_noise_rms: float,
     disturbance_rms: float,
+    voltage_slew_V_per_s: float | None = None,
 ) -> Specification:
-    """Return what can sensibly be asked of this plant.
+    """Return what can sensibly be asked of a plant and its family.
 
     bandwidth          0.15 of the slowest pole or mode, or 0.03 / delay, whichever is less; the
                        delay is the plant's phase delay at rest
     margins            modulus 0.5, delay one sample
-    control            |Sup| <= 20 dB relative to 1/gain: the loop may not spend more than ten
-                       times the static drive on any disturbance
+    control            |Sup| <= 20 dB relative to 1/gain of the least sensitive member: the loop
+                       may not spend more than ten times the static drive on any disturbance. An
+                       integrator makes |Sup| = 1/gain at rest, so that a limit below is never met
     scan               a tenth of the bandwidth
     """
+    plant = family.nominal
     bandwidth_Hz = min(_MODE_SHARE * slowest_Hz(plant), _DELAY_SHARE / rest_delay_s(plant))
-    ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(plant.gain))
+    least_gain = min(abs(member.gain) for member in family.members)
+    ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(least_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz
     control = Template(
         name="control effort",
@@ -117,6 +125,7 @@ def default_specification(
         templates=(control,),
         voltage_min_V=voltage_min_V,
         voltage_max_V=voltage_max_V,
+        voltage_slew_V_per_s=voltage_slew_V_per_s,
         sensor_noise_rms=sensor_noise_rms,
         scan_frequency_Hz=bandwidth_Hz / 10.0,
         disturbance_rms=disturbance_rms,

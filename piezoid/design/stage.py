@@ -192,7 +192,12 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
     not those at the converter.
     """
     converters = converters_of(lab, name)
-    stepped = replace(default, voltage_step_V=converters.command_step_V)
+    known = [v for v in (default.voltage_slew_V_per_s, converters.command_slew_V_per_s) if v]
+    stepped = replace(
+        default,
+        voltage_step_V=converters.command_step_V,
+        voltage_slew_V_per_s=min(known, default=None),
+    )
     if converters.command_V is None:
         return stepped
     low_V, high_V = converters.command_V
@@ -239,4 +244,10 @@ def _rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
 
 
 def _lateral(name: str, task: LateralTask, specification: Specification) -> AxisDesign:
-    return design_lateral(name, task.families, specification, bounds=task.bounds)
+    return design_lateral(
+        name,
+        task.families,
+        specification,
+        bounds=task.bounds,
+        disturbances=task.disturbances,
+    )

@@ -1,7 +1,7 @@
 """The automatic choice of an observer's poles or noise variances over a plant family."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,14 @@ from piezoid.design.kalman import kalman_gain
 from piezoid.design.observer import DisturbanceObserver, ObserverFrame, disturbance_model
 from piezoid.design.observer_loop import feedback_polynomials
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
+from piezoid.design.poles import (
+    LIGHT,
+    PoleChoice,
+    feedback_poles,
+    light_modes,
+    observer_poles,
+    slowest_damping,
+)
 from piezoid.design.search import search
 from piezoid.design.specification import Specification, slowest_Hz
 from piezoid.errors import DesignError
@@ -119,26 +126,54 @@ def _placed_choices(plant: Plant) -> tuple[Choice, ...]:
     """Return the poles to choose, as multiples of the slowest pole of the plant.
 
     The starts are a quick, a moderate and a slow observer: a slow one is not the most robust
-    with a lightly damped mode.
+    with a lightly damped mode. With such a mode a fourth leaves it nearly as it is.
     """
     f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
+    least = _least_damping(plant)
+    gentle = 1 if least < LIGHT else 0
+    light = 3.0 * least
+    own, none = (1.0,) * gentle, (light,) * gentle
     return (
-        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 1.0, 0.6)),
-        Choice(name="feedback_damping", lowest=0.5, highest=1.6, starts=(0.9, 0.9, 1.0)),
-        _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9)),
-        Choice(name="observer_damping", lowest=0.5, highest=1.6, starts=(0.8, 0.8, 1.0)),
-        _frequency("disturbance_Hz", f, highest, (1.27, 0.5, 0.3)),
+        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 1.0, 0.6, *own)),
+        _damping("feedback_damping", least, (0.9, 0.9, 1.0, *none)),
+        _frequency("observer_Hz", f, highest, (1.9, 1.2, 0.9, *own)),
+        _damping("observer_damping", least, (0.8, 0.8, 1.0, *none)),
+        _frequency("disturbance_Hz", f, highest, (1.27, 0.5, 0.3, *(0.2,) * gentle)),
+        *_mode_choices(plant, ("mode_damping", "mode_observer_damping"), 3 + gentle),
     )
 
 
 def _kalman_choices(plant: Plant) -> tuple[Choice, ...]:
     f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
+    least = _least_damping(plant)
+    gentle = 1 if least < LIGHT else 0
     return (
-        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 0.6)),
-        Choice(name="feedback_damping", lowest=0.5, highest=1.6, starts=(0.9, 1.0)),
-        Choice(name="drift_ratio", lowest=1e-8, highest=1e4, starts=(0.1, 1e-3)),
-        Choice(name="input_ratio", lowest=1e-8, highest=1e4, starts=(1.0, 0.1)),
+        _frequency("feedback_Hz", f, 0.5 * highest, (1.0, 0.6, *(1.0,) * gentle)),
+        _damping("feedback_damping", least, (0.9, 1.0, *(3.0 * least,) * gentle)),
+        _variance("drift_ratio", (0.1, 1e-3, *(1e-4,) * gentle)),
+        _variance("input_ratio", (1.0, 0.1, *(1e-3,) * gentle)),
+        *_mode_choices(plant, ("mode_damping",), 2 + gentle),
     )
+
+
+def _mode_choices(plant: Plant, names: tuple[str, ...], starts: int) -> tuple[Choice, ...]:
+    """Return the dampings that further modes are given, where the plant has any."""
+    if not light_modes(plant).size:
+        return ()
+    values = tuple(np.geomspace(0.3, 0.02, starts).tolist())
+    return tuple(Choice(name=name, lowest=1e-3, highest=1.0, starts=values) for name in names)
+
+
+def _least_damping(plant: Plant) -> float:
+    return min(slowest_damping(plant), LIGHT)
+
+
+def _damping(name: str, least: float, starts: tuple[float, ...]) -> Choice:
+    return Choice(name=name, lowest=least, highest=1.6, starts=starts)
+
+
+def _variance(name: str, starts: tuple[float, ...]) -> Choice:
+    return Choice(name=name, lowest=1e-8, highest=1e4, starts=starts)
 
 
 def _frequency(name: str, f: float, highest: float, multiples: tuple[float, ...]) -> Choice:
@@ -153,11 +188,20 @@ def _observer(
     """Build one candidate from named parameters."""
     plant = frame.plant
     feedback = Section(frequency_Hz=chosen["feedback_Hz"], damping=chosen["feedback_damping"])
-    poles = feedback_poles(plant, feedback)
+    choice = PoleChoice(
+        feedback=feedback,
+        observer=feedback,
+        disturbance_Hz=feedback.frequency_Hz,
+        mode_damping=chosen.get("mode_damping", 0.0),
+    )
+    poles = feedback_poles(plant, choice)
     if method == "placed":
         observer = Section(frequency_Hz=chosen["observer_Hz"], damping=chosen["observer_damping"])
-        choice = PoleChoice(
-            feedback=feedback, observer=observer, disturbance_Hz=chosen["disturbance_Hz"]
+        choice = replace(
+            choice,
+            observer=observer,
+            disturbance_Hz=chosen["disturbance_Hz"],
+            mode_observer_damping=chosen.get("mode_observer_damping", 0.0),
         )
         wanted = observer_poles(plant, choice, specification.oscillation_Hz)
         return frame.placed(feedback_poles=poles, observer_poles=wanted)

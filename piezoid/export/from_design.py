@@ -22,6 +22,9 @@ from piezoid.runtime.values import complete
 
 # A measurement this much beyond the reachable range, as a part of it, is not believed.
 _DISBELIEF = 0.25
+# A reference may cross the reachable range in this time at the fastest: a jump in one sample asks
+# the amplifier for what no amplifier gives, and strikes every mode of the stage.
+_FULL_RANGE_s = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +140,11 @@ def _same_direction(model: AxisModel, design: AxisDesign) -> None:
 
 def _limits(design: AxisDesign) -> Given:
     asked = design.specification
+    rate_Hz = design.recommended.members[0].sampling_rate_Hz
+    slew_V_per_s = asked.voltage_slew_V_per_s or 0.0
     return {
-        "sampling_rate_Hz": design.recommended.members[0].sampling_rate_Hz,
+        "sampling_rate_Hz": rate_Hz,
+        "voltage_step_V": slew_V_per_s / rate_Hz,
         "voltage_minimum_V": asked.voltage_min_V,
         "voltage_maximum_V": asked.voltage_max_V,
         "lsb_V": asked.voltage_step_V,
@@ -154,7 +160,13 @@ def _range(model: AxisModel, design: AxisDesign) -> Given:
     reached = offset + model.polarity * (moved - offset)
     low, high = float(reached.min()), float(reached.max())
     margin = _DISBELIEF * (high - low)
+    rate_Hz = design.recommended.members[0].sampling_rate_Hz
+    fastest_m_per_s = (high - low) / _FULL_RANGE_s
+    if asked.voltage_slew_V_per_s is not None:
+        followed_m_per_s = (high - low) * asked.voltage_slew_V_per_s / float(np.ptp(ends))
+        fastest_m_per_s = min(fastest_m_per_s, followed_m_per_s)
     return {
+        "reference_step_m": fastest_m_per_s / rate_Hz,
         "reference_minimum_m": low,
         "reference_maximum_m": high,
         "displacement_minimum_m": low - margin,

@@ -8,7 +8,8 @@ from functools import partial
 import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
-from piezoid.identification.dynamics.axis_dynamics import with_dynamics
+from piezoid.identification.discrepancy import with_discrepancy
+from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
 from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
@@ -88,20 +89,46 @@ def fit_axis(
 ) -> AxisModel:
     """Fit one axis: its hysteresis, then its dynamics where a recording excites them.
 
-    recordings  any; those without drive and displacement of the axis are passed over
+    recordings  any; those without drive and displacement of the axis are passed over, and those
+                that a mode shapes tell the dynamics only, where there are others
     elsewhere   the trials of ``trials_of``, where somebody else has made them meanwhile
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
-    held = moving(recordings, axis)
     rig = rig_of(lab, axis)
-    fitted = estimate_axis(held, axis, rig, elsewhere=elsewhere, progress=progress)
-    return with_dynamics(fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz)
+    calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
+    fitted = estimate_axis(calm, axis, rig, elsewhere=elsewhere, progress=progress)
+    found = with_dynamics(fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz)
+    return with_discrepancy(_remarked(found, shaped), calm)
+
+
+def refined(axis: AxisModel, recordings: Sequence[Recording], lab: Lab) -> AxisModel:
+    """Return an axis that a diagnosis extended, with all that follows from its hysteresis.
+
+    Dynamics that could not be told behind the hysteresis of before may be now; what the class
+    leaves of the recordings has changed.
+    """
+    found = axis
+    if axis.dynamics is None:
+        stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
+        found = with_dynamics(axis, recordings, stated_Hz=stated_Hz)
+    return with_discrepancy(found, moving(recordings, axis.axis))
 
 
 def trials_of(recordings: Sequence[Recording], axis: str, lab: Lab) -> tuple[Trial, ...]:
     """Return those trials of ``fit_axis`` that need nothing of the others."""
-    return bent_trials(moving(recordings, axis), axis, rig_of(lab, axis))
+    rig = rig_of(lab, axis)
+    return bent_trials(quasi_static(moving(recordings, axis), axis, rig)[0], axis, rig)
+
+
+def _remarked(axis: AxisModel, shaped: Sequence[Recording]) -> AxisModel:
+    """Return the axis with a remark on recordings that told its dynamics only."""
+    if not shaped:
+        return axis
+    names = ", ".join(recording.name for recording in shaped)
+    remark = f"{names}: a mode shapes the motion; it tells the dynamics, not the hysteresis"
+    remarks = (remark, *axis.verdict.remarks)
+    return replace(axis, verdict=replace(axis.verdict, remarks=remarks))
 
 
 def _of_axis(progress: Callable[[str], None], axis: str, text: str) -> None:

@@ -56,6 +56,33 @@ class PieceStart:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Discrepancy:
+    """A second hysteresis that stands for what the model class does not follow.
+
+        d[u] = sum_i sum_n weight_(n, i) (z_i / reach)^n,   z_i plays of u - centre
+
+    threshold_V  (plays,)
+    weight_m     (powers, plays)
+    steepest_m_per_V  by how much it changes the slope of the response, at most
+    """
+
+    centre_V: float
+    reach_V: float
+    threshold_V: Array
+    weight_m: Array
+    steepest_m_per_V: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "threshold_V", frozen(self.threshold_V, "threshold_V"))
+        object.__setattr__(self, "weight_m", frozen(self.weight_m, "weight_m", ndim=2))
+        if self.weight_m.shape[1] != len(self.threshold_V) or not self.reach_V > 0:
+            raise ValueError(
+                f"{len(self.threshold_V)} thresholds, weights of shape {self.weight_m.shape}, "
+                f"reach {self.reach_V} V"
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AxisModel:
     """One axis of a stage.
 
@@ -72,6 +99,8 @@ class AxisModel:
     bandwidth    what limits the stage first, a pole or a resonance; None where no recording
                  excites dynamics and no bandwidth is stated
     extensions   what a diagnosis added, in the order in which they act
+    discrepancy  what this class leaves of the recordings, for verification; None: not known
+    dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     """
 
     axis: str
@@ -89,6 +118,8 @@ class AxisModel:
     joint: JointFit | None = None
     bandwidth: BandwidthVerdict | None = None
     extensions: tuple[Extension, ...] = ()
+    discrepancy: Discrepancy | None = None
+    dynamics_remarks: tuple[str, ...] = ()
 
     @property
     def virgin_memory_V(self) -> Array:

@@ -13,7 +13,14 @@ from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import SCHEMA, ActuatorModel, AxisModel, Lag, PieceStart
+from piezoid.identification.model import (
+    SCHEMA,
+    ActuatorModel,
+    AxisModel,
+    Discrepancy,
+    Lag,
+    PieceStart,
+)
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.dead_zone import DeadZones
@@ -102,7 +109,33 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         "certificate": dataclasses.asdict(axis.certificate),
         "extensions": [extension.to_json() for extension in axis.extensions],
         "starts": [_start_to_json(start) for start in axis.starts],
+        "dynamics_remarks": list(axis.dynamics_remarks),
+        "discrepancy": _discrepancy_to_json(axis.discrepancy),
     }
+
+
+def _discrepancy_to_json(found: Discrepancy | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    return {
+        "centre_V": found.centre_V,
+        "reach_V": found.reach_V,
+        "threshold_V": found.threshold_V.tolist(),
+        "weight_m": found.weight_m.tolist(),
+        "steepest_m_per_V": found.steepest_m_per_V,
+    }
+
+
+def _discrepancy_from_json(record: Mapping[str, Any] | None) -> Discrepancy | None:
+    if record is None:
+        return None
+    return Discrepancy(
+        centre_V=convert(record["centre_V"], float),
+        reach_V=convert(record["reach_V"], float),
+        threshold_V=np.array(record["threshold_V"]),
+        weight_m=np.array(record["weight_m"]),
+        steepest_m_per_V=convert(record["steepest_m_per_V"], float),
+    )
 
 
 def _hysteresis_to_json(hysteresis: ModifiedPrandtlIshlinskii) -> dict[str, Any]:
@@ -192,6 +225,8 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         # Files of before there were any have no such entries.
         bandwidth=_bandwidth_from_json(record.get("bandwidth")),
         extensions=tuple(extension_from_json(e) for e in record.get("extensions", ())),
+        discrepancy=_discrepancy_from_json(record.get("discrepancy")),
+        dynamics_remarks=convert(record.get("dynamics_remarks", ()), tuple[str, ...]),
     )
 
 

@@ -6,6 +6,9 @@ from scipy.special import ndtri, stdtrit
 
 from piezoid.numerics.arrays import Array
 
+NORMAL_95 = 1.959963984540054
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
+
 
 def normal_quantile(probability: ArrayLike) -> Array:
     """Return the values below which a standard normal one lies with these probabilities."""

@@ -1,4 +1,4 @@
-"""Operators with a limit: a largest speed, and relaxation beyond a threshold."""
+"""Operators with a limit: a largest speed, and barriers climbed by thermal activation."""
 
 import numpy as np
 
@@ -18,22 +18,6 @@ def slewed(signal: Array, step: float) -> Array:
     given = contiguous(signal)
     found = np.empty_like(given)
     KERNELS.pk_slew(len(given), address(given), step, address(found))
-    return found
-
-
-def crept(signal: Array, part: float, threshold: float) -> Array:
-    """Return what follows a signal slowly, and only where it is farther away than a threshold.
-
-        x[k+1] = x[k] + part max(e - r, min(e + r, 0)),  e = u[k] - x[k],  x[0] = u[0]
-
-    signal     (samples,)
-    part       scalar, 0 to 1: 1 - exp(-T / tau)
-    threshold  scalar, r >= 0, in the signal's unit
-    returned   (samples,)                                   [Krejci & Kuhnen 2001]
-    """
-    given = contiguous(signal)
-    found = np.empty_like(given)
-    KERNELS.pk_creep(len(given), address(given), part, threshold, address(found))
     return found
 
 

@@ -66,19 +66,6 @@ void pk_slew(size_t samples, const double *input, double step, double *output) {
     }
 }
 
-void pk_creep(size_t samples, const double *input, double part, double threshold, double *output) {
-    double x = samples > 0 ? input[0] : 0.0;
-    for (size_t k = 0; k < samples; ++k) {
-        output[k] = x;
-        const double away = input[k] - x;
-        if (away > threshold) {
-            x += part * (away - threshold);
-        } else if (away < -threshold) {
-            x += part * (away + threshold);
-        }
-    }
-}
-
 void pk_activated(size_t samples, const double *input, double step, double wide, double *output) {
     double worn = 0.0; /* tanh(lag / wide): by the law of sums no sample waits for a function */
     for (size_t k = 0; k < samples; ++k) {

@@ -35,10 +35,6 @@ void pk_filter(size_t samples, const double *input, size_t order, const double *
 /* A signal that goes at most `step` from sample to sample; output must not alias input. */
 void pk_slew(size_t samples, const double *input, double step, double *output);
 
-/* A state that goes by `part` of what it is farther than `threshold` from the input, one sample
- * late; output must not alias input. */
-void pk_creep(size_t samples, const double *input, double part, double threshold, double *output);
-
 /* A lag that thermal activation wears down: after every sample
  *   lag[k] = wide atanh(step tanh((lag[k-1] + x[k] - x[k-1]) / wide)),   output = x - lag */
 void pk_activated(size_t samples, const double *input, double step, double wide, double *output);

@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
+from piezoid.readable import significant, told
 from piezoid.runtime.controller import Status
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
@@ -61,6 +62,18 @@ class Verdict:
     def passed(self) -> bool:
         """Whether the value is within its limit."""
         return self.value <= self.limit
+
+
+def failure_of(verdict: Verdict) -> str:
+    """Return what was found and what is allowed, in units that are read at a glance."""
+
+    def shown(value: float) -> str:
+        if verdict.unit == "s":
+            return told(value, "s")
+        return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
+
+    found, allowed = shown(verdict.value), shown(verdict.limit)
+    return f"{verdict.name} ({verdict.scenario}): {found}, allowed {allowed}"
 
 
 def shape(scenario: str, found: Tracking, radius_m: float, limit_percent: float) -> Verdict:

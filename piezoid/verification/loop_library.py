@@ -40,7 +40,8 @@ class LoopPlant(ctypes.Structure):
     """``pl_plant``."""
 
     _fields_ = (
-        ("substeps", ctypes.c_size_t),
+        *((name, ctypes.c_size_t) for name in ("substeps", "late", "waited")),
+        ("late_V", ctypes.c_void_p),
         ("before", Linear),
         ("after", Linear),
         ("kind", ctypes.c_int64),
@@ -48,6 +49,19 @@ class LoopPlant(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("threshold_V", "weight", "play_V")),
         ("envelope", Map),
         ("zones", Map),
+        *(
+            (name, ctypes.c_double)
+            for name in ("low_V", "high_V", "activation_step", "activation_m", "irreversible_m")
+        ),
+        *((name, ctypes.c_size_t) for name in ("second_plays", "second_powers")),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("second_threshold_V", "second_weight_m", "second_play_V")
+        ),
+        *((name, ctypes.c_double) for name in ("second_centre_V", "second_reach_V")),
+        ("cyclic_orders", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("cyclic_cosine_m", "cyclic_sine_m")),
+        ("cyclic_per_m", ctypes.c_double),
         *(
             (name, ctypes.c_double)
             for name in ("polarity", "voltage_offset_V", "displacement_offset_m", "current_A")

@@ -9,9 +9,14 @@ from scipy.linalg import expm
 
 from piezoid.design.chain import Section
 from piezoid.errors import ParameterFileError
+from piezoid.identification.loop_model import rest_gain
+from piezoid.identification.model import Discrepancy
 from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import cascade as in_series
+from piezoid.operators.analogue import first_order
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.linear import ContinuousSystem, sample
+from piezoid.operators.play import play_columns
 from piezoid.verification.loop_library import (
     MAX_STATES,
     RESPOND,
@@ -59,6 +64,8 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     begun = LoopPlant(substeps=SUBSTEPS)
     begun.reading_lsb = plant.reading_step
     begun.reading_least, begun.reading_most = plant.reading_range
+    begun.late = int(plant.delay_s * plant.sampling_rate_Hz)
+    begun.late_V = kept.address(np.full(begun.late, rest_V))
     before, after = _before(plant, rate_Hz, gain, kept), _after(plant, rate_Hz, kept)
     begun.before, begun.after = before.linear, after.linear
     if isinstance(response, Junction):
@@ -66,7 +73,7 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
         disturbance += gain * rest_V
     elif isinstance(response, Hysteresis):
         begun.kind = _PLAYS
-        _fill_hysteresis(begun, response, kept, plant.measured_gain)
+        _fill_hysteresis(begun, response, kept, plant)
     else:
         begun.kind, begun.respond = _PLUGGED, RESPOND(response.begin(rest_V))
         kept.arrays.append(begun.respond)
@@ -79,20 +86,46 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     return begun
 
 
-def _fill_hysteresis(
-    begun: LoopPlant, response: Hysteresis, kept: Kept, gain_at_rest: float
-) -> None:
+def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept, plant: AxisPlant) -> None:
     operator = response.operator
     begun.plays = len(operator.plays.threshold)
     begun.threshold_V = kept.address(operator.plays.threshold)
     begun.weight = kept.address(operator.plays.weight)
-    begun.play_V = kept.address(np.array(operator.virgin_memory()))
     begun.envelope, begun.zones = (
         _map(part, kept) for part in (operator.envelope, operator.dead_zones)
     )
     begun.polarity = response.polarity
     begun.voltage_offset_V = operator.voltage_offset_V
-    begun.displacement_offset_m = operator.displacement_offset_m / gain_at_rest
+    begun.displacement_offset_m = operator.displacement_offset_m / plant.measured_gain
+    begun.low_V, begun.high_V = response.low_V, response.high_V
+    past_V = np.array([*response.history_V, plant.rest_voltage_V])
+    past_V = np.clip(past_V, response.low_V, response.high_V)
+    inner_V = operator.envelope.run(past_V - operator.voltage_offset_V)
+    memory_V = np.array(operator.virgin_memory())
+    _, states_V = operator.plays.run(inner_V, memory_V)
+    begun.play_V = kept.address(np.array(states_V))
+    if response.activation_s > 0.0:
+        instants_per_s = plant.sampling_rate_Hz * SUBSTEPS
+        begun.activation_step = float(np.exp(-1.0 / (response.activation_s * instants_per_s)))
+        begun.activation_m = response.activation_m
+        begun.irreversible_m = float(operator.plays.weight[1:] @ states_V[1:])
+    if response.discrepancy is not None:
+        _fill_discrepancy(begun, response.discrepancy, past_V, kept)
+    if plant.cyclic is not None:
+        begun.cyclic_orders = len(plant.cyclic.cosine_m)
+        begun.cyclic_per_m = 2.0 * np.pi / plant.cyclic.wavelength_m
+        begun.cyclic_cosine_m = kept.address(np.array(plant.cyclic.cosine_m))
+        begun.cyclic_sine_m = kept.address(np.array(plant.cyclic.sine_m))
+
+
+def _fill_discrepancy(begun: LoopPlant, second: Discrepancy, past_V: Array, kept: Kept) -> None:
+    begun.second_powers, begun.second_plays = second.weight_m.shape
+    begun.second_threshold_V = kept.address(second.threshold_V)
+    begun.second_weight_m = kept.address(np.ascontiguousarray(second.weight_m))
+    away_V = past_V - second.centre_V
+    _, states_V = play_columns(away_V, second.threshold_V, np.zeros(len(second.threshold_V)))
+    begun.second_play_V = kept.address(np.array(states_V))
+    begun.second_centre_V, begun.second_reach_V = second.centre_V, second.reach_V
 
 
 def _map(zones: DeadZones, kept: Kept) -> Map:
@@ -132,7 +165,8 @@ def cascade(sections: Sequence[Section]) -> tuple[Array, Array, list[int]]:
 
 
 def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: Kept) -> _Block:
-    """Return amplifier and delay behind the converter's hold."""
+    """Return amplifier and what the delay has beside whole samples, behind a held command."""
+    whole_s = int(plant.delay_s * plant.sampling_rate_Hz) / plant.sampling_rate_Hz
     sections = plant.amplifier or (Section(frequency_Hz=_QUICK * rate_Hz / (2.0 * np.pi)),)
     A, B, outputs = cascade(sections)
     system = ContinuousSystem(
@@ -140,7 +174,7 @@ def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: Kept) -> _Block
         B=B[:, None],
         C=np.eye(len(A))[outputs[-1]][None, :],
         D=np.zeros((1, 1)),
-        delay_s=plant.delay_s,
+        delay_s=max(plant.delay_s - whole_s, 0.0),
     )
     held = sample(system, rate_Hz)
     rows = np.vstack([gain * held.C, np.zeros_like(held.C)])
@@ -165,10 +199,13 @@ def _after(plant: AxisPlant, rate_Hz: float, kept: Kept) -> _Block:
 def _behind(plant: AxisPlant) -> tuple[Array, Array, Array, tuple[float, float]]:
     """Return what stands behind the response: A, B, and the rows of position and sensed."""
     if plant.measured is not None:
-        A, B = plant.measured.A, plant.measured.B[:, 0]
-        row, direct = plant.measured.C[0], float(plant.measured.D[0, 0])
-        rest = (direct - float(row @ np.linalg.solve(A, B))) / plant.measured_gain
-        return A, B, np.stack([row, row]) / rest, (direct / rest, direct / rest)
+        scale = plant.measured_gain / rest_gain(plant.measured)
+        sensor = [first_order(section.frequency_Hz) for section in plant.sensor]
+        whole = in_series(plant.measured, *sensor)
+        inner = len(whole.A) - len(plant.measured.A)
+        row = np.concatenate([plant.measured.C[0], np.zeros(inner)])
+        direct = (scale * float(plant.measured.D[0, 0]), scale * float(whole.D[0, 0]))
+        return whole.A, whole.B[:, 0], scale * np.stack([row, whole.C[0]]), direct
     A, B, outputs = cascade((*plant.mechanics, *plant.sensor))
     C, D = np.zeros((2, len(A))), [0.0, 0.0]
     for row_of, sections in enumerate((len(plant.mechanics), len(outputs))):

@@ -6,9 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.design.chain import Section
-from piezoid.identification.model import AxisModel
+from piezoid.identification.extensions.periodic_error import PeriodicError
+from piezoid.identification.loop_model import loop_model
+from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import cascade
 from piezoid.operators.linear import ContinuousSystem
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.recursive_filter import recursive_filter
@@ -18,14 +21,38 @@ Respond = Callable[[float], float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hysteresis:
-    """The identified operator as the response of a lateral axis, de-poled before every run.
+    """The identified operator as the response of a lateral axis.
 
-    operator  rising with the drive
-    polarity  -1 where the displacement falls as the drive rises
+    operator       rising with the drive
+    history_V      where the drive turned before every run, before it came to rest; none: the axis
+                   is de-poled, as a controller that knows nothing of it takes it to be
+    polarity       -1 where the displacement falls as the drive rises
+    discrepancy    a second hysteresis beside it; None: the operator is all
+    low_V, high_V  the drive is clipped to them
+    activation_s, activation_m  with which time constant its irreversible part follows, and the lag
+                   beyond which it follows faster; 0: at once
     """
 
     operator: ModifiedPrandtlIshlinskii
     polarity: int = 1
+    history_V: tuple[float, ...] = ()
+    discrepancy: Discrepancy | None = None
+    low_V: float = -np.inf
+    high_V: float = np.inf
+    activation_s: float = 0.0
+    activation_m: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """Slow motion that the drive does not cause, as far and as fast as recordings showed it.
+
+    half_range_m     m, > 0
+    fastest_m_per_s  its fastest change; 0: as fast as another axis is driven
+    """
+
+    half_range_m: float
+    fastest_m_per_s: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,15 +97,17 @@ class AxisPlant:
     delay_s           converters and computation, >= 0, any fraction of a sample
     amplifier         sections in front of the response; none: as quick as a substep
     mechanics, sensor sections behind it
-    measured          identified from drive to reading, in place of mechanics and sensor: position
-                      is then what a sensor without noise shows. Only its shape counts, its gain
-                      at rest is the response's; None: as the sections say
+    measured          a system in place of mechanics. Only its shape counts, its gain at rest is
+                      the response's; None: as the sections say
     measured_gain     by how much more it moves at rest than the response: what crept
     slew_V_per_s      fastest change of the amplifier's output; None: any
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
     reading_step      of the measuring converter, 0 rounds nothing
     reading_range     its ends
+    motions           what else moves the stage
+    hums              frequency in Hz and amplitude of lines in the reading
+    cyclic            what the sensor says of a position; None: the position
     """
 
     axis: str
@@ -97,6 +126,9 @@ class AxisPlant:
     noise_bandwidth_Hz: float | None = None
     reading_step: float = 0.0
     reading_range: tuple[float, float] = (-np.inf, np.inf)
+    motions: tuple[Motion, ...] = ()
+    hums: tuple[tuple[float, float], ...] = ()
+    cyclic: PeriodicError | None = None
 
     def __post_init__(self) -> None:
         if not self.sampling_rate_Hz > 0 or not self.delay_s >= 0 or not self.noise_rms >= 0:
@@ -104,10 +136,10 @@ class AxisPlant:
                 f"axis {self.axis}: rate {self.sampling_rate_Hz} Hz, delay {self.delay_s} s, "
                 f"noise {self.noise_rms}; expected > 0, >= 0, >= 0"
             )
-        if self.measured is not None and (self.mechanics or self.sensor or self.measured.delay_s):
+        if self.measured is not None and (self.mechanics or self.measured.delay_s):
             raise ValueError(
-                f"axis {self.axis}: measured dynamics stand in place of sections, and their delay "
-                "in delay_s"
+                f"axis {self.axis}: measured dynamics stand in place of mechanics, and their "
+                "delay in delay_s"
             )
 
     def noise(self, samples: int, rng: np.random.Generator) -> Array:
@@ -119,58 +151,78 @@ class AxisPlant:
         than half the sampling rate folds down.
         """
         white = rng.standard_normal(samples)
+        time_s = np.arange(samples) / self.sampling_rate_Hz
+        hum = np.zeros(samples)
+        for frequency_Hz, amplitude in self.hums:
+            phase = rng.uniform(0.0, 2.0 * np.pi)
+            hum += amplitude * np.sin(2.0 * np.pi * frequency_Hz * time_s + phase)
         if self.noise_bandwidth_Hz is None:
-            return np.asarray(self.noise_rms * white)
+            return np.asarray(self.noise_rms * white + hum)
         pole = float(np.exp(-2.0 * np.pi * self.noise_bandwidth_Hz / self.sampling_rate_Hz))
         kicks = np.sqrt(1.0 - pole**2) * white
         kicks[:1] = white[:1]
-        return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks))
+        return np.asarray(self.noise_rms * recursive_filter([1.0], [1.0, -pole], kicks) + hum)
+
+    def motion_m(self, samples: int, others: Array) -> Array:
+        """Return what moves the stage beside its drive, (samples,).
+
+        others  (samples,)  how another axis is driven, -1 to 1: what has no speed of its own
+                            follows it
+        """
+        time_s = np.arange(samples) / self.sampling_rate_Hz
+        moved_m = np.zeros(samples)
+        for motion in self.motions:
+            far_m = motion.half_range_m
+            if motion.fastest_m_per_s > 0.0:  # to and fro, as steep as it may be
+                turn = motion.fastest_m_per_s / far_m * time_s
+                moved_m += far_m * np.sin(turn)
+            else:
+                moved_m += far_m * others
+        return moved_m
 
 
-def lateral_plant(
-    model: AxisModel, *, sampling_rate_Hz: float, mechanics: tuple[Section, ...] = ()
-) -> AxisPlant:
+def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
     """Return the identified plant of one lateral axis, resting in the middle of its model.
 
-    mechanics  sections known from elsewhere, where the model has no dynamics of its own
-
-    Dynamics that a recording excited stand behind the hysteresis as they were identified; where
-    there are none, the declared poles and the fitted lag, a delay or a section. The noise of the
-    recordings is taken for that of every reading.
+    Everything that fit and diagnosis put into the model: ``loop_model`` says where it acts. What
+    stands behind the hysteresis is one system, so that the position is what a sensor without
+    noise shows. The noise of the recordings is taken for that of every reading.
     """
-    plant = _with_declared_poles(model, sampling_rate_Hz, mechanics)
-    if model.dynamics is None:
-        return plant
-    known = model.dynamics.path(model.axis, model.axis).realised()
-    return replace(
-        plant,
-        amplifier=(),
-        mechanics=(),
-        sensor=(),
-        delay_s=known.delay_s,
-        measured=replace(known, delay_s=0.0),
-    )
-
-
-def _with_declared_poles(
-    model: AxisModel, sampling_rate_Hz: float, mechanics: tuple[Section, ...]
-) -> AxisPlant:
-    lag = model.lag
-    own = (_of_time(lag.time_s),) if lag.kind == "first_order" and lag.time_s > 0 else ()
-    sensor_Hz = model.rig.sensor_bandwidth_Hz
-    amplifier_Hz = model.rig.amplifier_bandwidth_Hz
+    loop = loop_model(model, sampling_rate_Hz)
+    front_Hz = _poles_Hz(loop.front)
+    low_V, high_V = loop.drive_range_V
+    time_s, strain_m = loop.activation
+    readings = [e for e in model.extensions if isinstance(e, PeriodicError)]
     return AxisPlant(
         axis=model.axis,
         label="identified",
         sampling_rate_Hz=sampling_rate_Hz,
-        response=Hysteresis(operator=model.hysteresis, polarity=model.polarity),
-        rest_voltage_V=model.hysteresis.voltage_offset_V,
-        delay_s=lag.time_s if lag.kind == "delay" else 0.0,
-        amplifier=() if amplifier_Hz is None else (Section(frequency_Hz=amplifier_Hz),),
-        mechanics=(*mechanics, *own),
-        sensor=() if sensor_Hz is None else (Section(frequency_Hz=sensor_Hz),),
+        response=Hysteresis(
+            operator=model.hysteresis,
+            polarity=model.polarity,
+            history_V=_before(model),
+            discrepancy=model.discrepancy,
+            low_V=low_V,
+            high_V=high_V,
+            activation_s=time_s,
+            activation_m=strain_m,
+        ),
+        rest_voltage_V=float(np.clip(model.hysteresis.voltage_offset_V, low_V, high_V)),
+        delay_s=loop.delay_s,
+        amplifier=tuple(Section(frequency_Hz=f) for f in front_Hz),
+        sensor=tuple(Section(frequency_Hz=f) for f in _poles_Hz(loop.sensor)),
+        measured=cascade(loop.behind, loop.slow),
+        measured_gain=loop.slow_gain * loop.gain,
+        slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
         noise_rms=model.quality.noise_rms_m,
-        noise_bandwidth_Hz=sensor_Hz,
+        noise_bandwidth_Hz=model.rig.sensor_bandwidth_Hz,
+        motions=tuple(
+            Motion(half_range_m=e.motion_m, fastest_m_per_s=e.motion_m_per_s)
+            for e in loop.effects
+            if e.motion_m > 0.0
+        ),
+        hums=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_Hz > 0.0),
+        cyclic=readings[0] if readings else None,
     )
 
 
@@ -219,5 +271,16 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
     return replace(plant, response=changed, label=label)
 
 
-def _of_time(time_s: float) -> Section:
-    return Section(frequency_Hz=1.0 / (2.0 * np.pi * time_s))
+def _before(model: AxisModel) -> tuple[float, float]:
+    """Return a loop over half of the recorded range: stages are moved before they are used.
+
+    An inverse without feedback starts from a memory that is not the stage's; a plant that starts
+    where the inverse does shows an error that no stage has.
+    """
+    low_V, high_V = model.voltage_V
+    quarter_V = 0.25 * (high_V - low_V)
+    return high_V - quarter_V, low_V + quarter_V
+
+
+def _poles_Hz(declared: ContinuousSystem) -> tuple[float, ...]:
+    return tuple(-float(pole) / (2.0 * np.pi) for pole in np.diag(declared.A))

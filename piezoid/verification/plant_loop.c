@@ -42,6 +42,9 @@ typedef double (*pl_respond)(double drive);
 
 typedef struct {
     size_t substeps;
+    size_t late;    /* whole samples that a command waits before it reaches `before` */
+    size_t waited;  /* place of the oldest of them */
+    double *late_V; /* those commands */
     pl_linear before;
     pl_linear after;
     int64_t kind;
@@ -51,6 +54,22 @@ typedef struct {
     double *play_V;
     pl_map envelope;
     pl_map zones;
+    double low_V; /* the drive is clipped to these */
+    double high_V;
+    double activation_step; /* exp(-substep / tau) of the irreversible part; 0: at once */
+    double activation_m;    /* lag beyond which it follows faster; 0: none is */
+    double irreversible_m;  /* where that part is */
+    size_t second_plays;    /* a second hysteresis: powers of plays of u - centre over reach */
+    size_t second_powers;
+    const double *second_threshold_V;
+    const double *second_weight_m; /* power by power */
+    double *second_play_V;
+    double second_centre_V;
+    double second_reach_V;
+    size_t cyclic_orders; /* the reading is wrong by so many sines of the position */
+    const double *cyclic_cosine_m;
+    const double *cyclic_sine_m;
+    double cyclic_per_m; /* 2 pi over the wavelength */
     double polarity;
     double voltage_offset_V;
     double displacement_offset_m;
@@ -130,15 +149,63 @@ static double mapped(double x, const pl_map *map) {
     return y + map->slope[left] * (x - from);
 }
 
-static double plays(pl_plant *plant, double voltage_V) {
-    const double drive = mapped(voltage_V - plant->voltage_offset_V, &plant->envelope);
+/* What is irreversible climbs its barriers by thermal activation, exactly for a held target:
+ *     tanh(lag / 2s) decays by exp(-t / tau);   without s the lag itself does */
+static double activated(pl_plant *plant, double target_m) {
+    if (!(plant->activation_step > 0.0)) {
+        return target_m;
+    }
+    const double lag = target_m - plant->irreversible_m;
+    const double wide = 2.0 * plant->activation_m;
+    double left = plant->activation_step * lag;
+    if (wide > 0.0) {
+        /* tanh is 1 to the last bit beyond 19 */
+        const double part = plant->activation_step * tanh(fmax(-18.0, fmin(18.0, lag / wide)));
+        left = 0.5 * wide * log((1.0 + part) / (1.0 - part));
+    }
+    plant->irreversible_m = target_m - left;
+    return plant->irreversible_m;
+}
+
+static double second(pl_plant *plant, double voltage_V) {
+    const double drive = voltage_V - plant->second_centre_V;
     double sum = 0.0;
+    for (size_t i = 0; i < plant->second_plays; ++i) {
+        const double r = plant->second_threshold_V[i];
+        plant->second_play_V[i] = fmax(drive - r, fmin(drive + r, plant->second_play_V[i]));
+        const double z = plant->second_play_V[i] / plant->second_reach_V;
+        double power = 1.0;
+        for (size_t n = 0; n < plant->second_powers; ++n) {
+            power *= z;
+            sum += plant->second_weight_m[n * plant->second_plays + i] * power;
+        }
+    }
+    return sum;
+}
+
+/* The first play has no threshold: its part is reversible, and there at once. */
+static double plays(pl_plant *plant, double voltage_V) {
+    const double clipped = fmax(plant->low_V, fmin(plant->high_V, voltage_V));
+    const double drive = mapped(clipped - plant->voltage_offset_V, &plant->envelope);
+    double irreversible = 0.0;
     for (size_t i = 0; i < plant->plays; ++i) {
         const double r = plant->threshold_V[i];
         plant->play_V[i] = fmax(drive - r, fmin(drive + r, plant->play_V[i]));
-        sum += plant->weight[i] * plant->play_V[i];
+        irreversible += i > 0 ? plant->weight[i] * plant->play_V[i] : 0.0;
     }
-    return plant->polarity * mapped(sum, &plant->zones) + plant->displacement_offset_m;
+    const double sum = plant->weight[0] * plant->play_V[0] + activated(plant, irreversible);
+    const double moved = mapped(sum, &plant->zones) + second(plant, clipped);
+    return plant->polarity * moved + plant->displacement_offset_m;
+}
+
+static double delayed(pl_plant *plant, double command) {
+    if (plant->late == 0) {
+        return command;
+    }
+    const double oldest = plant->late_V[plant->waited];
+    plant->late_V[plant->waited] = command;
+    plant->waited = (plant->waited + 1) % plant->late;
+    return oldest;
 }
 
 static double slewed(pl_plant *plant, double wanted) {
@@ -158,6 +225,15 @@ double pl_response(pl_plant *plant, double drive, double disturbance) {
     return (plant->kind == PL_PLAYS ? plays(plant, drive) : plant->respond(drive)) + disturbance;
 }
 
+static double shown(const pl_plant *plant, double position_m) {
+    double sum = position_m;
+    for (size_t n = 1; n <= plant->cyclic_orders; ++n) {
+        const double turn = (double)n * plant->cyclic_per_m * position_m;
+        sum += plant->cyclic_cosine_m[n - 1] * cos(turn) + plant->cyclic_sine_m[n - 1] * sin(turn);
+    }
+    return sum;
+}
+
 static double converted(const pl_plant *plant, double sensed) {
     const double kept = fmax(plant->reading_least, fmin(plant->reading_most, sensed));
     return plant->reading_lsb > 0.0 ? plant->reading_lsb * nearbyint(kept / plant->reading_lsb)
@@ -175,7 +251,7 @@ static double controlled(const pl_run *run, size_t k, double measured) {
 void pl_loop(pl_plant *plant, const pl_run *run) {
     double reading = 0.0;
     for (size_t k = 0; k < run->samples; ++k) {
-        const double sensed = output(&plant->after, 1, plant->w);
+        const double sensed = shown(plant, output(&plant->after, 1, plant->w));
         run->position[k] = output(&plant->after, 0, plant->w);
         if (!(run->fault[k] > 0.0)) {
             reading = converted(plant, sensed + run->noise[k]);
@@ -184,11 +260,12 @@ void pl_loop(pl_plant *plant, const pl_run *run) {
         const double u = controlled(run, k, run->measured[k]);
         run->voltage_V[k] = u;
         run->status[k] = ((const uint32_t *)run->state)[1]; /* behind `ready` */
+        const double arrived = delayed(plant, u);
         const double slope = run->disturbance[k + 1] - run->disturbance[k];
         for (size_t j = 1; j <= plant->substeps; ++j) {
             const double part = (double)j / (double)plant->substeps;
-            advance(&plant->before, u, u);
-            const double v = slewed(plant, output(&plant->before, 0, u));
+            advance(&plant->before, arrived, arrived);
+            const double v = slewed(plant, output(&plant->before, 0, arrived));
             const double w = pl_response(plant, v, run->disturbance[k] + part * slope);
             advance(&plant->after, plant->w, w);
             plant->w = w;

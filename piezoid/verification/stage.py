@@ -16,7 +16,6 @@ from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 from piezoid.verification.criteria import Limits
-from piezoid.verification.extended_plant import extended_plant
 from piezoid.verification.limits import limits_from
 from piezoid.verification.plant import (
     AxisPlant,
@@ -91,7 +90,7 @@ def _lateral(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
     """Return the plant of a lateral axis; its readings come in steps of the declared converter."""
     rate_Hz = float(axis.values["sampling_rate_Hz"])
     known = model[axis.axis]
-    plant = extended_plant(lateral_plant(known, sampling_rate_Hz=rate_Hz), known)
+    plant = lateral_plant(known, sampling_rate_Hz=rate_Hz)
     gain_V_per_m = lab.sensor_of(axis.axis).gain_V_per_m
     if gain_V_per_m is None:
         return plant

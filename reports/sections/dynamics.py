@@ -10,10 +10,11 @@ from piezoid.identification.dynamics.behind_hysteresis import (
 from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
 from piezoid.identification.dynamics.hammerstein_record import JointFit
-from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
+from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.readable import UNKNOWN
 from piezoid_reports.chart import Axis, Canvas, axis_over, decades_over
 from piezoid_reports.distortion_figure import distortion_parts

@@ -53,7 +53,7 @@ def test_a_search_starts_with_the_published_tuning_and_then_with_slower_observer
     first = {name: choice.starts[0] for name, choice in choices.items()}
     assert first == pytest.approx(published, rel=5e-3)
     for name in ("observer_Hz", "disturbance_Hz"):
-        assert (np.diff(choices[name].starts) < 0.0).all()
+        assert (np.diff(choices[name].starts[:3]) < 0.0).all()
     assert all(
         choice.lowest < start < choice.highest  # room to either side
         for choice in choices.values()

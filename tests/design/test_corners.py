@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.from_model import lag_half_s, lateral_task
+from piezoid.design.from_model import lateral_task
 from piezoid.design.plant import Plant
 from piezoid.design.specification import rest_delay_s
+from piezoid.identification.extensions import CreepLadder, LinearMode, RateDependence
+from piezoid.identification.loop_model import lag_half_s
 from piezoid.identification.model import AxisModel, Lag
 from tests.design.test_from_model import RIG, RATE_Hz, one_mode, rigged
 from tests.reports.known_stage import axis_model
@@ -38,7 +40,7 @@ def time_constants_s(plant: Plant) -> list[float]:
 
 
 def way_of(label: str) -> float:
-    return 1.0 if label.endswith("slow") else -1.0
+    return 1.0 if "slow" in label else -1.0
 
 
 def test_low_and_high_gain_meet_slow_and_fast_dynamics() -> None:
@@ -87,15 +89,57 @@ def test_a_delay_moves_by_the_interval_of_the_lag_and_never_ahead(
         )
 
 
-def test_a_measured_mode_moves_by_its_interval_and_the_delay_left_by_a_tenth() -> None:
+def natural_Hz(plant: Plant) -> float:
+    return float((RATE_Hz * np.abs(np.log(plant.poles)) / (2.0 * np.pi)).min())
+
+
+def damping(plant: Plant) -> float:
+    s = np.log(plant.poles)
+    return float((-s.real / np.abs(s)).min())
+
+
+def test_a_measured_mode_moves_by_its_interval_in_frequency_and_in_damping() -> None:
     axis = rigged(dynamics=one_mode(frequency_Hz=300.0, damping=0.04, delay_s=120e-6))
-    nominal, corners = members(axis)
-    low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
-    half = 0.5 * (high_Hz - low_Hz) / 300.0
+    _, corners = members(axis)
+    assert len(corners) == 8  # gain, speed and sharpness
     for label, corner in corners.items():
-        slower = 1.0 + way_of(label) * half
-        found_Hz = RATE_Hz * np.abs(np.log(corner.poles)) / (2.0 * np.pi)
-        assert found_Hz.min() == pytest.approx(300.0 / slower)
-        mode_s = 2.0 * 0.04 / (2.0 * np.pi * 300.0)
-        moved_s = mode_s * (slower - 1.0) + 0.1 * way_of(label) * (DECLARED_s.sum() + 120e-6)
-        assert rest_delay_s(corner) - rest_delay_s(nominal) == pytest.approx(moved_s, abs=HELD_s)
+        # of the frequency 1.96 % from the fit, of the damping a fifth at least
+        assert natural_Hz(corner) == pytest.approx(
+            300.0 * (1.0 - 0.0196 * way_of(label)), rel=1e-3
+        )
+        sharper = 1.0 if "sharp" in label else -1.0
+        assert damping(corner) == pytest.approx(0.04 * 1.2165**-sharper, rel=2e-2)
+
+
+def test_a_mode_that_a_diagnosis_found_is_in_every_member() -> None:
+    mode = LinearMode(frequency_Hz=640.0, quality=30.0, std=(6.4, 3.0, 0.01))
+    nominal, corners = members(rigged(extensions=(mode,)))
+    assert natural_Hz(nominal) == pytest.approx(640.0, rel=1e-6)
+    assert damping(nominal) == pytest.approx(1.0 / 60.0, rel=1e-6)
+    ends = sorted(natural_Hz(corner) for corner in corners.values())
+    assert ends[0] == pytest.approx(640.0 - 1.96 * 6.4, rel=1e-3)
+    assert ends[-1] == pytest.approx(640.0 + 1.96 * 6.4, rel=1e-3)
+
+
+def test_between_the_ends_of_a_wide_interval_members_are_no_farther_apart_than_wide() -> None:
+    mode = LinearMode(frequency_Hz=640.0, quality=30.0, std=(16.0, 3.0, 0.01))
+    _, corners = members(rigged(extensions=(mode,)))
+    sharp = sorted({round(natural_Hz(c), 3) for label, c in corners.items() if "sharp" in label})
+    assert max(np.diff(sharp)) < 2.0 * 640.0 / 30.0
+    assert len(sharp) > 2
+
+
+def test_what_creeps_and_what_is_late_widen_the_interval_of_the_gain() -> None:
+    plain, _ = members(rigged())
+    creep = CreepLadder(time_s=(0.1, 1.0), share=(0.03, 0.02))
+    _, crept = members(rigged(extensions=(creep,)))
+    _, still = members(rigged())
+    highest = max(c.gain for c in still.values())
+    assert max(c.gain for c in crept.values()) == pytest.approx(1.05 * highest)
+    late = RateDependence(time_s=1e-3)
+    _, slowed = members(rigged(extensions=(late,)))
+    least, greatest = axis_model().hysteresis.slope_sector_m_per_V
+    lowest = min(c.gain for c in still.values())
+    reversible = least / (0.5 * (least + greatest))
+    assert min(c.gain for c in slowed.values()) == pytest.approx(reversible * lowest)
+    assert plain.gain == pytest.approx(0.5 * (least + greatest))

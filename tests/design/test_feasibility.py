@@ -98,7 +98,7 @@ def test_identified_fractions_are_designed_with_their_defaults(B, A):
     ]
     family = PlantFamily(members=tuple(members))
     asked = default_specification(
-        family.nominal,
+        family,
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1e-9,

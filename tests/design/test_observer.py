@@ -90,7 +90,7 @@ def test_a_stage_without_a_mode_rests_as_exactly_as_the_runtime_asks(
     )
     o = place_observer(
         plant,
-        feedback_poles=feedback_poles(plant, choice.feedback),
+        feedback_poles=feedback_poles(plant, choice),
         observer_poles=observer_poles(plant, choice, ()),
     )
     rest = np.linalg.solve(np.eye(len(o.A)) - o.A, o.B)

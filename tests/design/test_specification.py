@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.chain import plant_from_chain
+from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import (
     Specification,
     default_specification,
@@ -35,7 +36,7 @@ def test_the_slowest_frequency_and_the_delay_are_the_chains():
 
 def asked_by_default() -> Specification:
     return default_specification(
-        plant_from_chain(lateral_chain(LATERAL_m_per_V)),
+        PlantFamily(members=(plant_from_chain(lateral_chain(LATERAL_m_per_V)),)),
         voltage_min_V=-10.0,
         voltage_max_V=10.0,
         sensor_noise_rms=1e-9,
@@ -63,7 +64,7 @@ def test_the_default_lets_no_frequency_cost_more_than_ten_times_the_static_drive
 def test_a_fast_plant_is_limited_by_its_delay():
     plant = plant_from_chain(vertical_chain())
     asked = default_specification(
-        plant,
+        PlantFamily(members=(plant,)),
         voltage_min_V=-1.0,
         voltage_max_V=1.0,
         sensor_noise_rms=1e-3,

@@ -1,4 +1,4 @@
-"""The laws of a largest speed, of relaxation beyond a threshold, and of the Bouc-Wen state."""
+"""The laws of a largest speed, of thermal activation, and of the Bouc-Wen state."""
 
 import numpy as np
 from hypothesis import given
@@ -7,11 +7,10 @@ from hypothesis import strategies as st
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.library import KERNELS, address
-from piezoid.operators.limits import activated, crept, slewed
+from piezoid.operators.limits import activated, slewed
 from tests.operators.strategies import GRID, REACH, drives
 
 SIXTEENTHS = st.integers(1, 64).map(lambda steps: steps / GRID)
-PARTS = st.floats(1e-6, 1.0)
 
 
 @given(st.integers(1, 4), drives(least=4), st.floats(-0.99, 0.99), st.integers(0, 40))
@@ -52,21 +51,6 @@ def test_a_slewed_signal_keeps_to_its_step_and_takes_all_of_it_while_behind(
     np.testing.assert_array_equal(slewed(found, step), found)
     np.testing.assert_array_equal(slewed(-drive, step), -found)
     np.testing.assert_array_equal(slewed(drive, 2 * REACH), drive)
-
-
-@given(drives(), PARTS, SIXTEENTHS)
-def test_what_creeps_comes_nearer_and_rests_within_its_threshold(
-    drive: Array, part: float, threshold: float
-) -> None:
-    found = crept(drive, part, threshold)
-    low, high = running_hull(drive)
-    assert ((low <= found) & (found <= high)).all()
-    before, after = drive[:-1] - found[:-1], drive[:-1] - found[1:]
-    assert (np.abs(after) <= np.abs(before)).all()
-    at_rest = np.abs(before) <= threshold
-    np.testing.assert_array_equal(found[1:][at_rest], found[:-1][at_rest])
-    assert (np.abs(after)[~at_rest] >= threshold * (1 - 1e-12)).all()
-    np.testing.assert_array_equal(crept(-drive, part, threshold), -found)
 
 
 @given(drives(), st.floats(1e-3, 1e3), SIXTEENTHS)

@@ -1,9 +1,9 @@
-"""A largest speed, and relaxation beyond a threshold."""
+"""A largest speed, and barriers climbed by thermal activation."""
 
 import numpy as np
 import pytest
 
-from piezoid.operators.limits import activated, crept, slewed
+from piezoid.operators.limits import activated, slewed
 
 
 def test_a_slewed_signal_never_goes_faster_than_its_step_and_arrives_if_it_has_time() -> None:
@@ -19,21 +19,10 @@ def test_what_is_slow_enough_is_not_slewed() -> None:
     np.testing.assert_allclose(slewed(signal, 0.01), signal, atol=1e-15)
 
 
-def test_creep_without_threshold_is_an_exponential_and_within_one_it_rests() -> None:
-    step = np.concatenate([np.zeros(1), np.ones(500)])
-    part = 1.0 - np.exp(-1.0 / 100.0)
-    expected = 1.0 - np.exp(-np.arange(500) / 100.0)
-    np.testing.assert_allclose(crept(step, part, 0.0)[1:], expected, atol=1e-12)
-    assert not crept(step, part, 1.0).any()
-    # Beyond a threshold it goes on until it is that far away.
-    assert crept(np.append(0.0, np.ones(5000)), part, 0.3)[-1] == pytest.approx(0.7, abs=1e-12)
-
-
 def test_of_a_signal_without_samples_none_is_read() -> None:
     """Under the sanitisers a single one would be seen."""
     nothing = np.empty(0)
     assert slewed(nothing, 0.1).shape == (0,)
-    assert crept(nothing, 0.5, 0.0).shape == (0,)
     assert activated(nothing, 0.5, 1.0, 1.0).shape == (0,)
 
 

@@ -22,7 +22,9 @@ def test_the_plant_is_the_models_own_simulation():
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
     assert plant.noise_rms == model.quality.noise_rms_m
     assert plant.rest_voltage_V == 5.0
-    assert [s.frequency_Hz for s in plant.mechanics] == [pytest.approx(1 / (2 * np.pi * 2.5e-4))]
+    assert plant.measured is not None
+    assert -plant.measured.A[0, 0] == pytest.approx(1.0 / 2.5e-4)
+    assert [s.frequency_Hz for s in plant.sensor] == [pytest.approx(8.5e3)]
     late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
     assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
 
@@ -64,13 +66,22 @@ def test_a_family_member_that_the_loop_cannot_hold_fails():
 
 
 def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
+    """What they say of the sensor is behind the position, all else in front of it."""
     known = truth(("x",))
     model = replace(fitted()["x"], dynamics=known)
     plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
     frequency_Hz = np.array([1.0, 100.0, 630.0, 2000.0])
     late = np.exp(-2j * np.pi * frequency_Hz * known.delay_s)
     found = plant.measured.response(frequency_Hz)[:, 0, 0] * late
-    assert found == pytest.approx(known.response(frequency_Hz)[:, 0, 0])
+    for section in plant.sensor:
+        found = found / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
+    relative = known.response(frequency_Hz)[:, 0, 0] / known.static_gain_m_per_V[0, 0]
+    named = [f.frequency_Hz for f in known.declared if f.name == "sensor"]
+    for pole_Hz in named:
+        relative = relative * (1.0 + 1j * frequency_Hz / pole_Hz)
+    for section in plant.sensor:
+        relative = relative / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
+    assert found == pytest.approx(relative)
     assert plant.delay_s == known.delay_s
     settled = run_axis(plant, shipped("none"), np.full(4000, 1e-5), rng=rng)
     moved, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)

@@ -79,7 +79,7 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
         for side in ("low", "high")
         if side in found.parameters
     }
-    return (AmplifierLimits(**level_V),)
+    return (AmplifierLimits(low_V=level_V.get("low_V"), high_V=level_V.get("high_V")),)
 
 
 EFFECT = Effect(

@@ -66,6 +66,7 @@ def _coupled(axis: str, setting: Setting) -> Extension:
     return CrossAxis(
         axis=axis,
         centre_V=(high + low) / 2,
+        reach_V=(high - low) / 2,
         gain_m_per_V=0.0,
         curvature_m_per_V_per_V=0.0,
         play_threshold_V=tuple(gap * (high - low) / 2 for gap in GAPS.tolist()),

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.modal import NORMAL_95, LinearDynamics
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import NORMAL_95
 
 
 @dataclass(frozen=True, kw_only=True)

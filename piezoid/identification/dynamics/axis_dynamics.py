@@ -15,6 +15,7 @@ from piezoid.identification.dynamics.bandwidth import (
 from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
     measure_behind_hysteresis,
+    measure_from_drive,
 )
 from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
@@ -23,12 +24,14 @@ from piezoid.identification.dynamics.hammerstein import fit_jointly
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.records.recording import Recording
 
 FEWEST_LINES = 20
 MOST_LINES = 150
 MOST_COST = 4.0  # over its expected value: a fit that explains less says nothing
+TOUCHED = 0.02  # of the rms: an opening of 7 to 15 % would be wrong by a quarter
 SAME_MODE = 0.1  # by how much of itself a mode may move in the joint fit
 AS_GOOD = 1.25  # a structure whose cost is within this of the least counts as equal
 STRUCTURES = (
@@ -38,6 +41,46 @@ STRUCTURES = (
     Structure(modes=2),
     Structure(modes=2, lags=1),
 )
+
+
+def quasi_static(
+    recordings: Sequence[Recording], axis: str, rig: Rig
+) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
+    """Split recordings into those that dynamics hardly touch, and those they shape.
+
+    recordings  of one axis, drive and displacement in each
+    rig         declared poles, which no recording has to tell
+
+    A linear response is fitted from drive to displacement, hysteresis and all, to the recording
+    that excites it furthest. Where it has a mode, a recording belongs to the second kind if that
+    response changes it by more than ``TOUCHED`` of its rms: plays would take ringing for loops.
+    All are of the first kind where no mode is found, or where none would be left.
+    """
+    exciting = excites_dynamics(recordings, axis)
+    if not exciting:
+        return tuple(recordings), ()
+    furthest = max(exciting, key=lambda pair: pair[1])[0]
+    try:
+        found = _best(measure_from_drive(furthest, axis), rig)
+    except (ExcitationError, IdentificationError):
+        return tuple(recordings), ()
+    if not resolved_modes(found).any():
+        return tuple(recordings), ()
+    calm = tuple(r for r in recordings if _touched(r, axis, found) <= TOUCHED)
+    if not calm:
+        return tuple(recordings), ()
+    return calm, tuple(r for r in recordings if r not in calm)
+
+
+def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
+    """Return by which part of its rms a mode changes a recorded drive, steps of delay aside."""
+    drive = recording.voltage_V(axis)
+    level = drive - drive.mean()
+    frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
+    relative = dynamics.response(frequency_Hz)[:, 0, 0] / dynamics.static_gain_m_per_V[0, 0]
+    change = np.abs(relative) - 1.0
+    power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
+    return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,14 +103,19 @@ class DynamicsFound:
 def with_dynamics(
     axis: AxisModel, recordings: Sequence[Recording], *, stated_Hz: float | None = None
 ) -> AxisModel:
-    """Return the axis with the dynamics its recordings show, and what is to be said of them."""
+    """Return the axis with the dynamics its recordings show, and what is to be said of them.
+
+    What was said before of dynamics, behind an earlier state of the hysteresis, goes.
+    """
     found = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz)
+    others = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
     return replace(
         axis,
         dynamics=found.dynamics,
+        dynamics_remarks=found.remarks,
         joint=found.joint,
         bandwidth=found.bandwidth,
-        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, *found.remarks)),
+        verdict=replace(axis.verdict, remarks=(*others, *found.remarks)),
     )
 
 
@@ -95,7 +143,7 @@ def fit_axis_dynamics(
         early_s, late_s = found.dynamics.delay_interval_s().tolist()
         delay_s = (early_s, late_s)
     verdict = decide_bandwidth(
-        measured, Declaration(filters=_declared(axis)), delay_s=delay_s, stated_Hz=stated_Hz
+        measured, Declaration(filters=_declared(axis.rig)), delay_s=delay_s, stated_Hz=stated_Hz
     )
     return _with_verdict(found, verdict)
 
@@ -118,7 +166,7 @@ def _fitted(
 ) -> DynamicsFound:
     recording, highest_Hz = exciting
     try:
-        dynamics = _best(measured, axis)
+        dynamics = _best(measured, axis.rig)
     except (ExcitationError, IdentificationError) as refusal:
         return DynamicsFound(dynamics=None, remarks=(f"no linear dynamics: {refusal}",))
     low_Hz, high_Hz = dynamics.band_Hz
@@ -166,14 +214,14 @@ def is_determined(dynamics: LinearDynamics) -> bool:
     return explained and poles_known and bool(resolved_modes(dynamics).all())
 
 
-def _best(measured: FrequencyResponse, axis: AxisModel) -> LinearDynamics:
+def _best(measured: FrequencyResponse, rig: Rig) -> LinearDynamics:
     """Fit every structure to some lines; keep the smallest that is as good as the best.
 
     Those that may be read come first: a richer one fits what little hysteresis is left with a
     term that means nothing, and must not cost the modes that are known.
     """
     lines = _some_lines(measured)
-    declaration = Declaration(filters=_declared(axis))
+    declaration = Declaration(filters=_declared(rig))
     fits = [fit_dynamics(lines, structure, declaration) for structure in _possible(lines)]
     fits = [fit for fit in fits if is_determined(fit)] or fits
     least = min(fit.cost_ratio for fit in fits)
@@ -201,9 +249,6 @@ def _some_lines(measured: FrequencyResponse) -> FrequencyResponse:
     return measured.at_lines(usable[np.unique(nearest)])
 
 
-def _declared(axis: AxisModel) -> tuple[Filter, ...]:
-    poles = (
-        ("amplifier", axis.rig.amplifier_bandwidth_Hz),
-        ("sensor", axis.rig.sensor_bandwidth_Hz),
-    )
+def _declared(rig: Rig) -> tuple[Filter, ...]:
+    poles = (("amplifier", rig.amplifier_bandwidth_Hz), ("sensor", rig.sensor_bandwidth_Hz))
     return tuple(Filter(name=name, frequency_Hz=f) for name, f in poles if f is not None)

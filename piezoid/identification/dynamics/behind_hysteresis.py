@@ -45,15 +45,23 @@ def measure_behind_hysteresis(axis: AxisModel, recording: Recording) -> Frequenc
 
     Lines that the drive did not reach or that are not coherent are marked as rejected.
     """
-    samples = recording.samples
-    segment = 2 ** int(np.log2(max(samples // WINDOWS, 2)))
+    return _measured(voltage_behind_hysteresis(axis, recording), recording, axis.axis)
+
+
+def measure_from_drive(recording: Recording, axis: str) -> FrequencyResponse:
+    """Return the response from the drive to the displacement, hysteresis and all."""
+    return _measured(recording.voltage_V(axis), recording, axis)
+
+
+def _measured(drive_V: Array, recording: Recording, axis: str) -> FrequencyResponse:
+    segment = 2 ** int(np.log2(max(recording.samples // WINDOWS, 2)))
     return estimate_response_by_coherence(
-        voltage_behind_hysteresis(axis, recording),
-        recording.displacement_m(axis.axis),
+        drive_V,
+        recording.displacement_m(axis),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         segment_samples=segment,
-        inputs=(axis.axis,),
-        outputs=(axis.axis,),
+        inputs=(axis,),
+        outputs=(axis,),
     )
 
 

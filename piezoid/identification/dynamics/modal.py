@@ -11,10 +11,9 @@ from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
 from piezoid.identification.dynamics.modal_states import for_each, lag_states, mode_states
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.operators.analogue import cascade
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
-
-NORMAL_95 = 1.959963984540054
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.identification.dynamics.modal import NORMAL_95
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.quantiles import NORMAL_95
 
 ROUNDS = 50
 SETTLED = 1e-9  # relative gain in the sum of squares at which the fit stops

@@ -7,8 +7,8 @@ A score is a whitened derivative times the whitened residual at one sample, (par
 
 import numpy as np
 
-from piezoid.identification.dynamics.modal import NORMAL_95
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
 
 NEIGHBOURS = 30  # samples over which whitened noise may still be correlated
 PARTS = 12  # of a recording

@@ -9,7 +9,6 @@ from typing import Any
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
-from piezoid.identification.extensions.creep_operator import CreepOperator
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
@@ -27,7 +26,6 @@ EXTENSIONS: tuple[type[Extension], ...] = (
     AmplifierLimits,
     RateDependence,
     CreepLadder,
-    CreepOperator,
     GainChange,
     LinearMode,
     FirstOrderLag,

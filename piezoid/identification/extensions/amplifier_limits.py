@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 FARTHEST_V = 1e5
@@ -43,6 +44,11 @@ class AmplifierLimits(Extension):
         low = -np.inf if self.low_V is None else self.low_V
         high = np.inf if self.high_V is None else self.high_V
         return np.asarray(np.clip(voltage_V, low, high))
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the range of the drive that reaches the ceramic."""
+        low = -np.inf if self.low_V is None else self.low_V
+        return LoopEffect(low_V=low, high_V=np.inf if self.high_V is None else self.high_V)
 
     def free(self) -> Free:
         """Return the limits there are."""

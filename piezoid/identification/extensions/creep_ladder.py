@@ -6,8 +6,10 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.linear import ContinuousSystem
 
 MOST = 0.5
 
@@ -57,6 +59,17 @@ class CreepLadder(Extension):
             return self.share[0]
         spacing = np.log10(self.time_s[-1] / self.time_s[0]) / (len(self.time_s) - 1)
         return float(np.mean(self.share) / spacing)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the ladder as a linear system that relaxes over seconds."""
+        rate_per_s = 1.0 / np.array(self.time_s)
+        ladder = ContinuousSystem(
+            A=-np.diag(rate_per_s),
+            B=rate_per_s[:, None],
+            C=np.array([self.share]),
+            D=np.ones((1, 1)),
+        )
+        return LoopEffect(system=ladder, is_slow=True)
 
     def free(self) -> Free:
         """Return the shares, or the one that all have."""

@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
@@ -20,6 +21,7 @@ class CrossAxis(Extension):
 
     a    gain_m_per_V        m/V
     b    curvature_m_per_V_per_V  m/V^2
+    reach_V                  V, >= 0, how far the other drive went from the centre
     r_i  play_threshold_V    (plays,)  V, > 0
     w_i  play_weight_m_per_V (plays,)  m/V
 
@@ -32,6 +34,7 @@ class CrossAxis(Extension):
     centre_V: float
     gain_m_per_V: float
     curvature_m_per_V_per_V: float
+    reach_V: float = 0.0
     play_threshold_V: tuple[float, ...] = ()
     play_weight_m_per_V: tuple[float, ...] = ()
 
@@ -43,6 +46,7 @@ class CrossAxis(Extension):
         for threshold_V in self.play_threshold_V:
             within("play_threshold_V", threshold_V, 1e-12, 1e6)
         within("centre_V", self.centre_V, -1e6, 1e6)
+        within("reach_V", self.reach_V, 0.0, 1e6)
         for value in self.free().value:
             within("cross-axis gain", float(value), -LARGEST, LARGEST)
 
@@ -55,6 +59,12 @@ class CrossAxis(Extension):
         plays, _ = play_columns(v, threshold, np.full(len(threshold), v[0]))
         return np.column_stack([v, v**2, plays])
 
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the largest answer to the other axis over the range it was recorded in."""
+        steepest = abs(self.gain_m_per_V) + float(np.abs(self.play_weight_m_per_V).sum())
+        steepest += 2.0 * abs(self.curvature_m_per_V_per_V) * self.reach_V
+        return LoopEffect(motion_m=steepest * self.reach_V)
+
     def free(self) -> Free:
         """Return all gains."""
         value = (self.gain_m_per_V, self.curvature_m_per_V_per_V, *self.play_weight_m_per_V)
@@ -66,6 +76,7 @@ class CrossAxis(Extension):
         return type(self)(
             axis=self.axis,
             centre_V=self.centre_V,
+            reach_V=self.reach_V,
             gain_m_per_V=gain,
             curvature_m_per_V_per_V=curvature,
             play_threshold_V=self.play_threshold_V,

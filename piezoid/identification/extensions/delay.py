@@ -1,11 +1,13 @@
 """A pure delay between the channels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
 
 LONGEST_s = 1.0
 MOST_SAMPLES = 100.0
@@ -38,6 +40,17 @@ class Delay(Extension):
     def response(self, moved: Array, where: Where) -> Array:
         """Return the later displacement."""
         return later(moved, self.late_s(where.rate_Hz) * where.rate_Hz)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:
+        """Return the delay."""
+        return LoopEffect(dead_time_s=self.late_s(rate_Hz))
+
+    def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
+        """Return the delay at an end of its interval."""
+        half = NORMAL_95 * (self.std[0] if self.std else 0.0)
+        if self.delay_samples > 0.0:
+            return replace(self, delay_samples=max(self.delay_samples + slower * half, 0.0))
+        return replace(self, delay_s=max(self.delay_s + slower * half, 0.0))
 
     def free(self) -> Free:
         """Return the one of the two that is not 0."""

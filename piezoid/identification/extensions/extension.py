@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.identification.extensions.loop_effect import NOTHING, LoopEffect
 from piezoid.numerics.arrays import Array, frozen
 
 Samples = NDArray[np.int_]
@@ -81,11 +82,14 @@ class Extension:
     kind       its name in model.json
     instant    whether ``response`` follows within samples: then tangents pass it as well
     in_metres  whether what ``prior`` compares are metres
+    std        standard errors of the numbers of ``free`` from the fit; empty: not fitted
     """
 
     kind: ClassVar[str] = ""
     instant: ClassVar[bool] = False
     in_metres: ClassVar[bool] = False
+
+    std: tuple[float, ...] = ()
 
     def drive(self, voltage_V: Array, rate_Hz: float) -> Array:  # noqa: ARG002
         """Return the voltage that reaches the ceramic."""
@@ -122,6 +126,18 @@ class Extension:
     def gain(self, where: Where) -> Array | float:  # noqa: ARG002
         """Return the factor by which motion is larger, (samples,) or one number."""
         return 1.0
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return what a loop of this sampling rate feels of it."""
+        return NOTHING
+
+    def at_corner(self, slower: float, sharper: float) -> "Extension":  # noqa: ARG002
+        """Return the extension at an end of what the fit allows, for a family of plants.
+
+        slower   +1: everything as late as the 95 % interval allows; -1: as early
+        sharper  +1: modes as little damped as it allows; -1: as much
+        """
+        return self
 
     def free(self) -> Free:
         """Return the numbers a fit may move."""

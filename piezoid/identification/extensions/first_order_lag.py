@@ -1,11 +1,16 @@
 """A first-order pole behind the hysteresis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
+import numpy as np
+
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import NOTHING, LoopEffect
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.operators.linear import ContinuousSystem
 
 LONGEST_s = 10.0
 
@@ -34,6 +39,19 @@ class FirstOrderLag(Extension):
     def response(self, moved: Array, where: Where) -> Array:
         """Return the displacement behind the pole."""
         return relaxed(moved, self.lag_s, where.rate_Hz)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the pole."""
+        if self.lag_s == 0.0:
+            return NOTHING
+        rate_per_s, one = 1.0 / self.lag_s, np.ones((1, 1))
+        pole = ContinuousSystem(A=-rate_per_s * one, B=rate_per_s * one, C=one, D=0.0 * one)
+        return LoopEffect(system=pole)
+
+    def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
+        """Return the lag at an end of its interval, a tenth of it at least."""
+        half_s = NORMAL_95 * (self.std[0] if self.std else 0.0)
+        return replace(self, lag_s=max(self.lag_s + slower * half_s, 0.1 * self.lag_s))
 
     def free(self) -> Free:
         """Return the lag."""

@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 
@@ -59,6 +60,10 @@ class GainChange(Extension):
         if where.recording != self.recording:
             return 0.0
         return np.asarray(self.offset_m * (where.time_s >= self.instant_s))
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the ratio: it holds from its instant on, so the stage has it now."""
+        return LoopEffect(gain=self.ratio)
 
     def free(self) -> Free:
         """Return ratio and step; the instant stays."""

@@ -1,17 +1,23 @@
 """One mechanical mode behind the hysteresis."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar, Self
 
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.extensions.signals import rung
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.operators.linear import ContinuousSystem
 
 LEAST_QUALITY, MOST_QUALITY = 0.5, 1e4
 MOST_PART = 3.0
+UNKNOWN_HALF, UNKNOWN_FACTOR = 0.05, 2.0  # of a mode that no fit gave an interval
+LEAST_HALF, LEAST_FACTOR = 0.01, 1.2  # a mode moves with load, temperature and amplitude
+MOST_FACTOR = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +52,27 @@ class LinearMode(Extension):
         ringing = rung(moved, self.frequency_Hz, self.quality, where.rate_Hz)
         return np.asarray(moved + self.participation * (ringing - moved))
 
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the mode beside what follows at once."""
+        w, part = 2.0 * pi * self.frequency_Hz, self.participation
+        return LoopEffect(
+            system=ContinuousSystem(
+                A=np.array([[0.0, w], [-w, -w / self.quality]]),
+                B=np.array([[0.0], [w]]),
+                C=np.array([[part, 0.0]]),
+                D=np.array([[1.0 - part]]),
+            )
+        )
+
+    def at_corner(self, slower: float, sharper: float) -> Self:
+        """Return the mode at an end of its intervals; of a mode without any, at a wide one."""
+        half, factor = mode_spread(self.frequency_Hz, self.quality, self.std)
+        return replace(
+            self,
+            frequency_Hz=self.frequency_Hz * (1.0 - slower * half),
+            quality=max(self.quality * factor**sharper, LEAST_QUALITY),
+        )
+
     def free(self) -> Free:
         """Return frequency, quality and participation."""
         value = np.array([self.frequency_Hz, self.quality, self.participation])
@@ -57,6 +84,20 @@ class LinearMode(Extension):
         """Return another mode."""
         f, quality, part = value.tolist()
         return type(self)(frequency_Hz=f, quality=quality, participation=part)
+
+
+def mode_spread(
+    frequency_Hz: float, quality: float, std: tuple[float, ...]
+) -> tuple[float, float]:
+    """Return how far a mode may be off: half the relative width of its frequency, factor of Q.
+
+    std  standard errors of frequency and quality, at least; empty where they are not known
+    """
+    if len(std) < 2 or not (std[0] > 0.0 and std[1] > 0.0):
+        return UNKNOWN_HALF, UNKNOWN_FACTOR
+    half = max(NORMAL_95 * std[0] / frequency_Hz, LEAST_HALF)
+    factor = max(float(np.exp(min(NORMAL_95 * std[1] / quality, 3.0))), LEAST_FACTOR)
+    return min(half, 0.5), min(factor, MOST_FACTOR)
 
 
 @dataclass(frozen=True, kw_only=True)

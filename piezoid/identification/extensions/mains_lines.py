@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.extensions.signals import hats
 from piezoid.numerics.arrays import Array
 
@@ -108,6 +109,15 @@ class MainsLines(Extension):
         parts = [np.cos(n * turn) * under for n in hum.harmonic]
         return np.hstack(parts + [np.sin(n * turn) * under for n in hum.harmonic])
 
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the loudest hum: the sensor shows it, so a loop moves the stage by it."""
+        loudest_m = 0.0
+        for hum in self.hums:
+            lines = len(hum.harmonic)
+            amplitude_m = np.hypot(hum.cosine_m, hum.sine_m).reshape(lines, -1)
+            loudest_m = max(loudest_m, float(amplitude_m.max(axis=1).sum()))
+        return LoopEffect(reading_m=loudest_m, reading_Hz=self.frequency_Hz)
+
     def free(self) -> Free:
         """Return all amplitudes."""
         value = [a for hum in self.hums for a in (*hum.cosine_m, *hum.sine_m)]
@@ -155,4 +165,6 @@ class MainsLines(Extension):
             )
             for hum in entries["hums"]
         )
-        return cls(frequency_Hz=entries["frequency_Hz"], hums=hums)
+        return cls(
+            frequency_Hz=entries["frequency_Hz"], hums=hums, std=tuple(entries.get("std", ()))
+        )

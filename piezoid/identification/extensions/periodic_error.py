@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 ROUNDS = 60
@@ -54,6 +55,10 @@ class PeriodicError(Extension):
         for _ in range(ROUNDS):
             position_m = reading_m - (self.reading(position_m) - position_m)
         return position_m
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the largest error: a loop follows the reading."""
+        return LoopEffect(reading_m=float(self.amplitude_m.sum()))
 
     def free(self) -> Free:
         """Return wavelength and amplitudes."""

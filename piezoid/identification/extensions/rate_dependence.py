@@ -1,13 +1,15 @@
 """What is irreversible needs time to follow."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.operators.limits import activated
 
 SHORTEST_s, LONGEST_s = 1e-9, 10.0
@@ -44,6 +46,15 @@ class RateDependence(Extension):
         if self.strain_m > 0.0:
             return activated(part_m, self.time_s, rate_Hz, self.strain_m)
         return relaxed(part_m, self.time_s, rate_Hz)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return how late the irreversible part comes."""
+        return LoopEffect(activation_s=self.time_s, activation_m=self.strain_m)
+
+    def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
+        """Return the time constant at an end of its interval, a tenth of it at least."""
+        half_s = NORMAL_95 * (self.std[0] if self.std else 0.0)
+        return replace(self, time_s=max(self.time_s + slower * half_s, 0.1 * self.time_s))
 
     def free(self) -> Free:
         """Return the time, and the strain where there is one."""

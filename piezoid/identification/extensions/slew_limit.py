@@ -6,6 +6,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
 
@@ -32,6 +33,10 @@ class SlewLimit(Extension):
         if float(np.abs(np.diff(voltage_V)).max(initial=0.0)) <= step_V:
             return voltage_V
         return slewed(voltage_V, step_V)
+
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return the fastest drive that reaches the ceramic."""
+        return LoopEffect(slew_V_per_s=self.limit_V_per_s)
 
     def free(self) -> Free:
         """Return the limit."""

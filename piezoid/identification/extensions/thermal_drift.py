@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
+from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 KNOTS = 6
@@ -64,6 +65,15 @@ class ThermalDrift(Extension):
             first += count
         return found
 
+    def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
+        """Return range and speed of the drift; knots lie at least a second apart."""
+        levels = [np.array([0.0, *curve.level_m]) for curve in self.curves]
+        return LoopEffect(
+            motion_m=max((0.5 * float(np.ptp(level)) for level in levels), default=0.0),
+            motion_m_per_s=max((float(np.abs(np.diff(v)).max()) for v in levels), default=0.0)
+            * ((KNOTS - 1) / LEAST_s),
+        )
+
     def free(self) -> Free:
         """Return all levels."""
         value = [level for curve in self.curves for level in curve.level_m]
@@ -94,7 +104,8 @@ class ThermalDrift(Extension):
             curves=tuple(
                 DriftCurve(**{**curve, "level_m": tuple(curve["level_m"])})
                 for curve in entries["curves"]
-            )
+            ),
+            std=tuple(entries.get("std", ())),
         )
 
 

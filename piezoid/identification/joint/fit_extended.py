@@ -103,7 +103,10 @@ def _model(model: AxisModel, parts: Sequence[Part], reached: Reached, held_m: Ar
         model,
         hysteresis=physical(state.operator, state.scales, zero_m),
         lag=Lag(kind=kind, time_s=state.operator.lag_s),
-        extensions=state.extensions,
+        extensions=tuple(
+            replace(extension, std=tuple(std.tolist()))
+            for extension, std in zip(state.extensions, _spread(reached), strict=True)
+        ),
         starts=starts,
         quality=replace(
             model.quality,

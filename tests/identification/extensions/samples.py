@@ -6,7 +6,6 @@ from piezoid.identification.extensions import (
     AmplifierLimits,
     ConverterHold,
     CreepLadder,
-    CreepOperator,
     CrossAxis,
     Delay,
     FirstOrderLag,
@@ -38,7 +37,6 @@ def one_of_each() -> tuple[Extension, ...]:
         AmplifierLimits(low_V=None, high_V=9.5),
         RateDependence(time_s=1e-3, strain_m=2e-7),
         CreepLadder(time_s=(0.1, 1.0, 10.0), share=(0.01, 0.0, 0.02)),
-        CreepOperator(time_s=(1.0, 10.0), threshold_m=(0.0, 1e-6), share=(0.01, 0.02)),
         GainChange(
             recording="sweep.csv", instant_s=4.0, ratio=1.03, offset_m=1e-8, later=("b.csv",)
         ),
@@ -49,6 +47,7 @@ def one_of_each() -> tuple[Extension, ...]:
         CrossAxis(
             axis="y",
             centre_V=5.0,
+            reach_V=4.0,
             gain_m_per_V=1e-8,
             curvature_m_per_V_per_V=1e-10,
             play_threshold_V=(1.0, 2.0),

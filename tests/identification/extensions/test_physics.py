@@ -8,7 +8,6 @@ import pytest
 from piezoid.identification.extensions import (
     AmplifierLimits,
     CreepLadder,
-    CreepOperator,
     CrossAxis,
     Delay,
     GainChange,
@@ -31,15 +30,6 @@ def test_a_ladder_creeps_by_as_much_in_every_decade() -> None:
         early, late = (int(1000 * t) for t in (decade_s, 10 * decade_s))
         assert crept[late] - crept[early] == pytest.approx(0.01, rel=0.03)
     assert ladder.per_decade == pytest.approx(0.01)
-
-
-def test_the_creep_operator_without_thresholds_is_a_ladder() -> None:
-    moved_m = 1e-6 * np.sin(2 * np.pi * 0.5 * where().time_s)
-    ladder = CreepLadder(time_s=(0.5, 5.0), share=(0.02, 0.03))
-    operator = CreepOperator(time_s=(0.5, 5.0), threshold_m=(0.0, 0.0), share=(0.02, 0.03))
-    np.testing.assert_allclose(
-        operator.response(moved_m, where()), ladder.response(moved_m, where()), atol=1e-10
-    )
 
 
 def test_a_mode_rings_at_its_frequency_with_its_quality() -> None:

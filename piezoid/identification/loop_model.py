@@ -1,0 +1,246 @@
+"""An axis as a control loop feels it: the one description behind design and verification.
+
+    u -> clip, slew -> front -> hysteresis -> behind -> slow -> position, + motion -> sensor
+
+Whatever fit and diagnosis put into a model is in here, or in the hysteresis itself.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.extensions.linear_mode import LinearMode, mode_spread
+from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.operators.analogue import cascade, first_order
+from piezoid.operators.linear import ContinuousSystem
+
+DECLARED_SPREAD = 0.1  # a data sheet's bandwidth is a round number for a typical specimen
+INSTANTANEOUS = 5.7  # sampling rates: of such a pole exp(-2 pi f / fs) is below float64's last bit
+SAME_MODE = 0.1  # modes nearer than this part of their frequency are one
+_LEAST_SHARE = 0.1  # of a lag whose interval reaches zero: a pole needs some time constant
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopModel:
+    """What lies between a drive and its reading, beside the hysteresis.
+
+    front        in front of the hysteresis; gain 1 at rest
+    behind       linear and quick, behind it; gain 1 at rest
+    slow         creep, behind that; gain 1 at once: its output is the stage's position
+    sensor       from the position to the reading; gain 1 at rest
+    delay_s      s, of everything
+    effects      of every extension, as a loop feels it
+    """
+
+    front: ContinuousSystem
+    behind: ContinuousSystem
+    slow: ContinuousSystem
+    sensor: ContinuousSystem
+    delay_s: float
+    effects: tuple[LoopEffect, ...]
+
+    @property
+    def gain(self) -> float:
+        """Factor of the displacement, now."""
+        return float(np.prod([effect.gain for effect in self.effects]))
+
+    @property
+    def slow_gain(self) -> float:
+        """Displacement after all creep over that at once."""
+        return rest_gain(self.slow)
+
+    @property
+    def drive_range_V(self) -> tuple[float, float]:
+        """Ends of the drive that reach the ceramic."""
+        lows = [effect.low_V for effect in self.effects]
+        highs = [effect.high_V for effect in self.effects]
+        return max(lows, default=-np.inf), min(highs, default=np.inf)
+
+    @property
+    def slew_V_per_s(self) -> float:
+        """Fastest drive that reaches the ceramic."""
+        return min((effect.slew_V_per_s for effect in self.effects), default=np.inf)
+
+    @property
+    def activation(self) -> tuple[float, float]:
+        """Time constant and strain with which the irreversible part follows, s and m."""
+        late = [e for e in self.effects if e.activation_s > 0.0]
+        return (late[0].activation_s, late[0].activation_m) if late else (0.0, 0.0)
+
+    @property
+    def motion_m(self) -> float:
+        """Half the range of motion that the drive does not cause."""
+        return sum(effect.motion_m for effect in self.effects)
+
+    def response(self, frequency_Hz: Array) -> Array:
+        """Return the complex response of all that is quick, gain 1 at rest, (lines,)."""
+        quick = cascade(self.front, self.behind, self.sensor).response(frequency_Hz)[:, 0, 0]
+        return np.asarray(quick * np.exp(-2j * np.pi * np.asarray(frequency_Hz) * self.delay_s))
+
+
+def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
+    """Return an axis as a loop of this sampling rate feels it.
+
+    Identified dynamics stand for everything linear that they were fitted to; of the extensions
+    then only modes outside of what the dynamics know are added.
+    """
+    effects = tuple(extension.loop_effect(rate_Hz) for extension in axis.extensions)
+    slow = [e.system for e in effects if e.system is not None and e.is_slow]
+    if axis.dynamics is None:
+        quick = [e.system for e in effects if e.system is not None and not e.is_slow]
+        front = _pole(axis.rig.amplifier_bandwidth_Hz, rate_Hz)
+        behind, delay_s = _with_lag(axis, quick)
+        delay_s += sum(effect.dead_time_s for effect in effects)
+    else:
+        front, (behind, delay_s) = through(), _of_dynamics(axis, axis.dynamics, rate_Hz)
+    return LoopModel(
+        front=front,
+        behind=behind,
+        slow=cascade(through(), *slow),
+        sensor=_pole(axis.rig.sensor_bandwidth_Hz, rate_Hz),
+        delay_s=delay_s,
+        effects=effects,
+    )
+
+
+def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
+    """Return the axis at an end of what the recordings allow, for a family of plants.
+
+    slower   +1: everything linear as late as its 95 % interval allows; -1: as early
+    sharper  +1: modes as little damped as theirs allows; -1: as much
+
+    Declared poles are known to a tenth. A lag that was fitted moves to the end of its interval;
+    of one that was not the upper end becomes delay.
+    """
+    spread = 1.0 + slower * DECLARED_SPREAD
+    poles = (axis.rig.amplifier_bandwidth_Hz, axis.rig.sensor_bandwidth_Hz)
+    amplifier_Hz, sensor_Hz = (None if f is None else f / spread for f in poles)
+    moved_s = axis.lag.time_s + slower * lag_half_s(axis)
+    kind, least_s = axis.lag.kind, 0.0
+    if kind == "none":
+        kind = "delay"
+    elif kind == "first_order":
+        least_s = _LEAST_SHARE * axis.lag.time_s
+    return replace(
+        axis,
+        rig=replace(axis.rig, amplifier_bandwidth_Hz=amplifier_Hz, sensor_bandwidth_Hz=sensor_Hz),
+        lag=Lag(kind=kind, time_s=max(moved_s, least_s)),
+        extensions=tuple(e.at_corner(slower, sharper) for e in axis.extensions),
+        dynamics=None if axis.dynamics is None else _moved(axis.dynamics, slower, sharper),
+    )
+
+
+def lag_half_s(axis: AxisModel) -> float:
+    """Return half the 95 % interval of the lag."""
+    place = axis.uncertainty.names.index("lag_s")
+    return float(NORMAL_95 * np.sqrt(axis.uncertainty.covariance[place, place]))
+
+
+def mode_half(axis: AxisModel) -> float:
+    """Return the widest half interval of a mode of the axis, relative to its frequency.
+
+    In units of the mode's own half width: above 1 the ends of the interval do not stand for what
+    lies between them.
+    """
+    found = [0.0]
+    for extension in axis.extensions:
+        if isinstance(extension, LinearMode):
+            f, quality = extension.frequency_Hz, extension.quality
+            found.append(mode_spread(f, quality, extension.std)[0] * 2.0 * quality)
+    if axis.dynamics is not None:
+        for (half, _), damping in zip(
+            _mode_spreads(axis.dynamics), axis.dynamics.mode_damping, strict=True
+        ):
+            found.append(half / float(damping))
+    return max(found)
+
+
+def rest_gain(system: ContinuousSystem) -> float:
+    """Return the gain at rest."""
+    if not len(system.A):
+        return float(system.D[0, 0])
+    return float((system.D - system.C @ np.linalg.solve(system.A, system.B))[0, 0])
+
+
+def through() -> ContinuousSystem:
+    """Return the system that changes nothing."""
+    none = np.zeros((0, 0))
+    return ContinuousSystem(A=none, B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=np.ones((1, 1)))
+
+
+def _pole(frequency_Hz: float | None, rate_Hz: float) -> ContinuousSystem:
+    """Return a declared pole; nothing where none is declared or it is instantaneous."""
+    if frequency_Hz is None or frequency_Hz > INSTANTANEOUS * rate_Hz:
+        return through()
+    return first_order(frequency_Hz)
+
+
+def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[ContinuousSystem, float]:
+    """Return what stands behind the hysteresis, the model's lag with it, and its delay."""
+    behind, lag = cascade(through(), *quick), axis.lag
+    if lag.kind == "first_order" and lag.time_s > 0.0:
+        behind = cascade(behind, first_order(1.0 / (2.0 * np.pi * lag.time_s)))
+    return behind, lag.time_s if lag.kind == "delay" else 0.0
+
+
+def _of_dynamics(
+    axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
+) -> tuple[ContinuousSystem, float]:
+    """Return identified dynamics in front of the sensor, gain 1 at rest, and their delay."""
+    declared = tuple(
+        known
+        for known in dynamics.declared
+        if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
+    )
+    path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
+    known = path.realised()
+    rest = rest_gain(replace(known, delay_s=0.0))
+    scaled = replace(known, C=known.C / rest, D=known.D / rest, delay_s=0.0)
+    further = [
+        system
+        for extension in axis.extensions
+        if isinstance(extension, LinearMode)
+        and not _is_known(dynamics, extension)
+        and (system := extension.loop_effect(rate_Hz).system) is not None
+    ]
+    return cascade(scaled, *further), known.delay_s
+
+
+def _is_known(dynamics: LinearDynamics, mode: LinearMode) -> bool:
+    apart = np.abs(np.log(dynamics.mode_frequency_Hz / mode.frequency_Hz))
+    return bool((apart < SAME_MODE).any())
+
+
+def _mode_spreads(dynamics: LinearDynamics) -> list[tuple[float, float]]:
+    """Return for every mode half its relative interval, and the factor of its quality."""
+    modes = len(dynamics.mode_frequency_Hz)
+    std = np.sqrt(np.diag(dynamics.shape_covariance))
+    return [
+        mode_spread(1.0, 1.0, (float(std[k]), float(std[modes + k])))  # of the logarithms
+        for k in range(modes)
+    ]
+
+
+def _moved(dynamics: LinearDynamics, slower: float, sharper: float) -> LinearDynamics:
+    spreads = np.array(_mode_spreads(dynamics)).reshape(-1, 2)
+    lag_Hz = dynamics.lag_frequency_Hz
+    if len(lag_Hz):
+        high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
+        lag_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
+    early_s, late_s = dynamics.delay_interval_s()
+    half_s = max(float(late_s - early_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
+    spread = 1.0 + slower * DECLARED_SPREAD
+    return replace(
+        dynamics,
+        mode_frequency_Hz=dynamics.mode_frequency_Hz * (1.0 - slower * spreads[:, 0]),
+        mode_damping=dynamics.mode_damping / spreads[:, 1] ** sharper,
+        lag_frequency_Hz=lag_Hz,
+        delay_s=max(dynamics.delay_s + slower * half_s, 0.0),
+        declared=tuple(
+            replace(known, frequency_Hz=known.frequency_Hz / spread) for known in dynamics.declared
+        ),
+    )

@@ -1,0 +1,81 @@
+"""What may ship: the axes whose own verification passes, and nothing else."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.identification.model import ActuatorModel
+from piezoid.records.lab import Lab
+from piezoid.verification.criteria import failure_of
+from piezoid.verification.stage import verify_stage
+from piezoid.verification.verification import Verification
+
+_TOLD = 3  # failed verdicts of an axis that its reason names
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shipping:
+    """What became of a parameter file that was run against the stage.
+
+    verification  of what ships; of what was refused where nothing does
+    parameters    what ships; None: nothing
+    refused       the axes that do not, with their figures for study; None: all do
+    reasons       by axis, why it does not
+    """
+
+    verification: Verification
+    parameters: ParameterFile | None = None
+    refused: ParameterFile | None = None
+    refused_verification: Verification | None = None
+    reasons: Mapping[str, str] = field(default_factory=dict)
+
+
+def shipping_of(
+    file: ParameterFile, model: ActuatorModel, *, lab: Lab | None = None, threads: int = 1
+) -> Shipping:
+    """Run a parameter file against the identified stage, and keep the axes that pass.
+
+    Where the whole file fails, every axis is run by itself: one that fails alone is refused, and
+    what is left must pass together.
+    """
+    found = verify_stage(file, model, lab=lab, threads=threads)
+    if found.passed:
+        return Shipping(verification=found, parameters=file)
+    alone = {
+        axis.axis: verify_stage(replace(file, axes=(axis,)), model, lab=lab, threads=threads)
+        for axis in (file.axes if len(file.axes) > 1 else ())
+    }
+    kept = tuple(axis for axis in file.axes if axis.axis in alone and alone[axis.axis].passed)
+    if kept and len(kept) < len(file.axes):
+        lost = tuple(axis for axis in file.axes if axis not in kept)
+        reasons = {axis.axis: _reason(alone[axis.axis]) for axis in lost}
+        rest = replace(file, axes=kept, unshipped={**file.unshipped, **reasons})
+        together = verify_stage(rest, model, lab=lab, threads=threads)
+        if together.passed:
+            return Shipping(
+                verification=together,
+                parameters=rest,
+                refused=replace(file, axes=lost),
+                refused_verification=found,
+                reasons=reasons,
+            )
+    return Shipping(
+        verification=found,
+        refused=file,
+        refused_verification=found,
+        reasons={axis.axis: _reason(alone.get(axis.axis, found)) for axis in file.axes},
+    )
+
+
+def _reason(found: Verification) -> str:
+    failed = [failure_of(verdict) for verdict in found.verdicts if not verdict.passed]
+    told = "; ".join(failed[:_TOLD])
+    more = f"; and {len(failed) - _TOLD} more" if len(failed) > _TOLD else ""
+    if not failed:
+        return "it passes alone, and not together with the other axes"
+    return (
+        f"its own verification failed, {len(failed)} of {len(found.verdicts)} verdicts: "
+        f"{told}{more}. Figures for study are in refused/; read there which scenario fails, "
+        "record what the model lacks (a chirp or multisine through the first resonance, at the "
+        "controller's rate, and slow full loops), and fit again"
+    )

@@ -1,0 +1,182 @@
+"""The plant of an extended model answers as the model's own extensions say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.from_model import lateral_task
+from piezoid.export.runtime_names import creep_values
+from piezoid.identification.extensions import (
+    AmplifierLimits,
+    ConverterHold,
+    CreepLadder,
+    Delay,
+    FirstOrderLag,
+    GainChange,
+    LinearMode,
+    PeriodicError,
+    RateDependence,
+    SlewLimit,
+)
+from piezoid.identification.extensions.extension import Where
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import Lag
+from piezoid.operators.limits import slewed
+from piezoid.runtime.schema import MAX_RELAXATIONS
+from piezoid.runtime.values import complete
+from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.loop_plant import SUBSTEPS
+from piezoid.verification.plant import lateral_plant
+from tests.identification.extensions.samples import one_of_each
+from tests.verification.known_fit import fitted, shipped
+from tests.verification.rig import RATE_Hz, lateral_parameters, operator
+
+CREEP = CreepLadder(time_s=(0.01, 0.1, 1.0), share=(0.01, 0.02, 0.03))
+
+
+def axis_with(*extensions):
+    """The known axis, as quick as its hysteresis, with a noiseless sensor."""
+    known = fitted()["x"]
+    return replace(
+        known,
+        hysteresis=operator(),
+        lag=Lag(kind="none", time_s=0.0),
+        rig=Rig(),
+        quality=replace(known.quality, noise_rms_m=0.0),
+        extensions=extensions,
+    )
+
+
+def plant_with(*extensions):
+    return lateral_plant(axis_with(*extensions), sampling_rate_Hz=RATE_Hz)
+
+
+def hold(samples=6000, height_m=1.5e-5):
+    return height_m * (np.arange(samples) > 200)
+
+
+@pytest.mark.parametrize(
+    "extension",
+    [
+        CREEP,
+        LinearMode(frequency_Hz=300.0, quality=10.0, participation=0.6),
+        FirstOrderLag(lag_s=2e-3),
+        Delay(delay_s=3.4e-4),
+    ],
+    ids=lambda extension: extension.kind,
+)
+def test_what_is_linear_follows_a_step_as_the_model_simulates_it(extension, rng):
+    parameters = lateral_parameters().for_method("mpi")
+    plant = plant_with(extension)
+    found = run_axis(plant, parameters, hold(), rng=rng)
+    rate_Hz = RATE_Hz * SUBSTEPS
+    held_V = np.repeat(found.voltage_V, SUBSTEPS)
+    moved, _ = operator().run(held_V, operator().virgin_memory())
+    where = Where(recording="r", rate_Hz=rate_Hz, samples=len(moved))
+    expected = extension.response(moved, where)[SUBSTEPS - 1 :: SUBSTEPS]
+    # Straight between instants here, held there: half an instant, for a few of them.
+    late = np.abs(found.position[1:] - expected[:-1])
+    assert np.quantile(late, 0.99) < 3e-3 * np.ptp(expected)
+    assert late[-2000:].max() < 1e-4 * np.ptp(expected)
+
+
+def test_the_voltage_of_a_slow_amplifier_is_the_one_the_model_knows(rng):
+    limit = SlewLimit(limit_V_per_s=400.0)
+    plant = plant_with(limit)
+    found = run_axis(plant, lateral_parameters().for_method("mpi"), hold(), rng=rng)
+    held_V = np.repeat(found.voltage_V, SUBSTEPS)
+    driven_V = slewed(np.concatenate([[0.0], held_V]), 400.0 / (RATE_Hz * SUBSTEPS))[1:]
+    moved, _ = operator().run(driven_V, operator().virgin_memory())
+    assert np.abs(found.position[1:] - moved[SUBSTEPS - 1 :: SUBSTEPS][:-1]).max() < 1e-12
+
+
+def test_a_clipped_drive_is_the_one_the_plant_remembers(rng):
+    limits = AmplifierLimits(low_V=-1.0, high_V=2.5)
+    found = run_axis(plant_with(limits), lateral_parameters().for_method("mpi"), hold(), rng=rng)
+    assert found.voltage_V.max() > 3.0
+    held_V = np.repeat(found.voltage_V, SUBSTEPS)
+    moved, _ = operator().run(limits.drive(held_V, RATE_Hz), operator().virgin_memory())
+    assert np.abs(found.position[1:] - moved[SUBSTEPS - 1 :: SUBSTEPS][:-1]).max() < 1e-12
+
+
+@pytest.mark.parametrize("strain_m", [0.0, 2e-7])
+def test_what_is_irreversible_comes_as_late_as_the_model_simulates_it(strain_m, rng):
+    late = RateDependence(time_s=4e-3, strain_m=strain_m)
+    found = run_axis(plant_with(late), lateral_parameters().for_method("mpi"), hold(), rng=rng)
+    rate_Hz = RATE_Hz * SUBSTEPS
+    held_V = np.repeat(np.concatenate([[0.0], found.voltage_V]), SUBSTEPS)
+    where = Where(recording="r", rate_Hz=rate_Hz, samples=len(held_V))
+    expected = axis_with(late).moved(held_V, operator().virgin_memory(), where)
+    compared = expected[2 * SUBSTEPS - 1 :: SUBSTEPS][: len(found.position) - 1]
+    assert np.abs(found.position[1:] - compared).max() < 2e-3 * np.ptp(expected)
+
+
+def test_a_cyclic_error_is_in_the_reading_and_not_in_the_position(rng):
+    wrong = PeriodicError(wavelength_m=6e-7, cosine_m=(2e-9,), sine_m=(1e-9,))
+    found = run_axis(plant_with(wrong), lateral_parameters().for_method("mpi"), hold(), rng=rng)
+    np.testing.assert_allclose(found.measured, wrong.reading(found.position), atol=1e-15)
+
+
+@pytest.mark.parametrize("extension", one_of_each(), ids=lambda extension: extension.kind)
+def test_every_extension_is_in_the_plants_of_design_certificate_and_verification(extension):
+    """One alone is in none of them: a declared hold belongs to the recordings."""
+    plain, given = fitted()["x"], replace(fitted()["x"], extensions=(extension,))
+    found = [lateral_task(axis, RATE_Hz, forms=("inverse",)) for axis in (plain, given)]
+    designed = [_of_design(task) for task in found]
+    plants = [lateral_plant(axis, sampling_rate_Hz=RATE_Hz) for axis in (plain, given)]
+    reference = 1.2e-5 + 6e-6 * np.sin(2.0 * np.pi * 40.0 * np.arange(4000) / RATE_Hz)
+    moved = [
+        run_axis(
+            plant,
+            shipped("mpi"),
+            reference,
+            rng=np.random.default_rng(1),
+            disturbance=plant.motion_m(4000, np.sin(np.arange(4000) / 200.0)),
+        ).measured
+        for plant in plants
+    ]
+    reaches_loop = not isinstance(extension, ConverterHold)
+    assert (designed[0] != designed[1]) == reaches_loop
+    assert (not np.array_equal(*moved)) == reaches_loop
+
+
+def _of_design(task):
+    """Return what design and certificate are computed from, in a form that can be compared."""
+    family, asked = task.families["inverse"], task.specification
+    fractions = tuple((*m.B.tolist(), *m.A.tolist()) for m in family.members)
+    limits = (asked.voltage_min_V, asked.voltage_max_V, asked.voltage_slew_V_per_s)
+    return fractions, limits, task.disturbances
+
+
+def test_a_changed_gain_holds_now(rng):
+    change = GainChange(recording="a", instant_s=1.0, ratio=1.04)
+    parameters = lateral_parameters().for_method("mpi")
+    before = run_axis(plant_with(), parameters, hold(), rng=rng)
+    after = run_axis(plant_with(change), parameters, hold(), rng=rng)
+    assert after.position[-1] == pytest.approx(1.04 * before.position[-1])
+
+
+def test_the_shipped_controller_compensates_the_creep_of_the_model(rng):
+    plant = plant_with(CREEP)
+    plain = lateral_parameters().for_method("mpi")
+    knowing = replace(
+        plain, values=complete({**plain.values, **creep_values(axis_with(CREEP), RATE_Hz)})
+    )
+    wanted = hold(20_000)
+    errors = [
+        run_axis(plant, given, wanted, rng=rng).position[300:] - wanted[300:]
+        for given in (plain, knowing)
+    ]
+    rms = [float(np.sqrt(np.mean(error**2))) for error in errors]
+    assert rms[1] < 0.05 * rms[0]
+
+
+def test_of_a_long_ladder_the_largest_shares_ship():
+    time_s = tuple(np.geomspace(0.01, 100.0, 12).tolist())
+    share = (*(0.01,) * MAX_RELAXATIONS, *(1e-4,) * 3, 0.0)
+    values = creep_values(axis_with(CreepLadder(time_s=time_s, share=share)), RATE_Hz)
+    assert values["relaxation_count"] == MAX_RELAXATIONS
+    np.testing.assert_allclose(values["relaxation_share"], 0.01)
+    assert (np.diff(values["relaxation_rate"]) < 0.0).all()
+    assert creep_values(axis_with(), RATE_Hz) == {}
