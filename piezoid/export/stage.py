@@ -1,7 +1,8 @@
 """export_stage: a model and a design in, the parameter file of all axes that can ship out."""
 
 from piezoid.design.design import AxisDesign, Design
-from piezoid.errors import PiezoidError
+from piezoid.design.from_junction import loop_plant_of
+from piezoid.errors import ParameterFileError, PiezoidError
 from piezoid.export.from_design import lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.tip_guards import tip_guards
@@ -12,6 +13,9 @@ from piezoid.records.lab import Lab
 # range.
 _STUCK_s = 1e-3
 _STUCK_SHARE = 0.02
+# So long the model may fly on alone: five times the loss of 20 ms that verification runs, and
+# before creep, which grows with the logarithm of time, has moved what the observer cannot see.
+_BLIND_s = 0.1
 
 
 def export_stage(
@@ -50,8 +54,16 @@ def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
     asked = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     if design.output_unit != "m":
-        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz))
+        if model.tunnelling is None:
+            raise ParameterFileError(
+                f"axis {design.axis} regulates a current, and model.json has no junction",
+                needed="the junction this controller was designed for",
+                remedy="Fit again with the recordings of the tip.",
+            )
+        loop = loop_plant_of(model.tunnelling)
+        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz, loop))
     watch = {
+        "blind_samples": max(round(_BLIND_s * rate_Hz), 1),
         "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
         "stuck_voltage_V": _STUCK_SHARE * (asked.voltage_max_V - asked.voltage_min_V),
     }

@@ -6,7 +6,8 @@
     [sensor]         bandwidth_Hz, gain_V_per_m
     [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
     [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
-                     barrier_range_eV, ceiling_A, retract_V, retract_s, lost_s
+                     barrier_range_eV, ceiling_A, retract_V, retract_m, retract_s,
+                     retract_limit, lost_s, search_m, approach_m_per_s
     [verification]   limits by name, in place of the defaults
     [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
                      expansion_m_per_K

@@ -57,12 +57,13 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     response, rest_V = plant.response, plant.rest_voltage_V
     gain = response.gain_nepers_per_V if isinstance(response, Junction) else 1.0
     begun = LoopPlant(substeps=SUBSTEPS)
-    begun.reading_lsb = plant.reading_step
+    begun.reading_zero, begun.reading_lsb = plant.reading_zero, plant.reading_step
     begun.reading_least, begun.reading_most = plant.reading_range
     before, after = _before(plant, rate_Hz, gain, kept), _after(plant, rate_Hz, kept)
     begun.before, begun.after = before.linear, after.linear
     if isinstance(response, Junction):
         begun.kind, begun.current_A = _EXPONENTIAL, response.current_A
+        begun.current_most = response.most_A or 0.0
         disturbance += gain * rest_V
     elif isinstance(response, Hysteresis):
         begun.kind = _PLAYS

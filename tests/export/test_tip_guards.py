@@ -20,7 +20,10 @@ def guards(**changed: float | None):
         name: getattr(LAB.tunnelling, name) for name in ("set_point_A", "floor_A", "ceiling_A")
     }
     return tip_guards(
-        replace(LAB, tunnelling=Tunnelling(**{**declared, **changed})), ASKED, RATE_Hz
+        replace(LAB, tunnelling=Tunnelling(**{**declared, **changed})),
+        ASKED,
+        RATE_Hz,
+        loop_plant(),
     )
 
 
