@@ -977,6 +977,11 @@ static int stays_retracted(pz_state *s, const pz_parameters *p) {
     return 0;
 }
 
+/* The same number again says nothing of where the surface is now. */
+static int is_repeated(const pz_state *s, const pz_parameters *p) {
+    return p->stuck_samples > 0 && s->unchanged >= REPEATED;
+}
+
 /* From approach to control when the current is there, and back when it is gone. */
 static void choose_mode(pz_state *s, const pz_parameters *p, pz_real wanted, pz_real shown,
                         int is_lost) {
@@ -991,7 +996,7 @@ static void choose_mode(pz_state *s, const pz_parameters *p, pz_real wanted, pz_
     }
     if (is_there) {
         s->contact += s->contact < p->contact_samples ? 1 : 0;
-        s->contact_V = s->command_V;
+        s->contact_V = is_repeated(s, p) ? s->contact_V : s->command_V;
     } else if (s->contact < p->contact_samples) {
         s->contact = 0;
     }
@@ -1033,9 +1038,7 @@ static void control_current(pz_state *s, const pz_parameters *p, pz_real wanted,
         rest_rst(s, p, shown);
         return;
     }
-    /* The same number again says nothing of where the surface is now. */
-    const int is_repeated = p->stuck_samples > 0 && s->unchanged >= REPEATED;
-    convert(s, p, is_repeated && change > approach_V ? before_V + approach_V : asked);
+    convert(s, p, is_repeated(s, p) && change > approach_V ? before_V + approach_V : asked);
     shift_in(s->rst_change_V, p->rst_S_count, s->command_V - before_V);
     shift_in(s->rst_excess_V, p->rst_A0_count, s->command_V - asked);
 }
