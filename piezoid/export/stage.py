@@ -26,12 +26,19 @@ def export_stage(
     An axis that cannot ship keeps no other back; the file says which it is and why.
 
     design_digest  of the design's file, for the chain of digests
-    lab            what guards a tip; not needed without a tunnelling axis
+    lab            that of the design, but for what guards a tip
 
-    Raises what stands in the way of the first axis where none can ship, as ``LabFileError`` with
+    Raises ``ParameterFileError`` where lab.toml declares another rig than the design was made for,
+    and what stands in the way of the first axis where none can ship, as ``LabFileError`` with
     the line to write for a tip whose guards are not declared.
     """
     declared = lab or Lab()
+    if declared.rig_digest != design.rig_digest:
+        raise ParameterFileError(
+            f"{declared.place} declares another rig than the design was made for",
+            needed="the converters, amplifiers and set point of the design",
+            remedy="Run `piezoid design` again, then everything that follows it.",
+        )
     shipped: list[AxisParameters] = []
     refused: dict[str, PiezoidError] = {}
     for axis in design.axes:
@@ -45,7 +52,12 @@ def export_stage(
     return ParameterFile(
         name=model.stage,
         axes=tuple(shipped),
-        sources={"model": design.model_digest, "design": design_digest},
+        sources={
+            "model": design.model_digest,
+            "design": design_digest,
+            "lab": declared.digest,
+            "control": declared.control_digest,
+        },
         unshipped={**design.refused, **unshipped},
     )
 

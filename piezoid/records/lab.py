@@ -23,9 +23,10 @@ from pathlib import Path
 
 import msgspec
 
-from piezoid.provenance import digest_of_bytes
+from piezoid.provenance import digest_of_bytes, digest_of_json
 from piezoid.records.lab_check import check_file_name, check_number, check_range, refusal
 from piezoid.records.lab_tables import (
+    GUARDS,
     Acquisition,
     Actuator,
     Amplifier,
@@ -99,6 +100,27 @@ class Lab:
     certificates: Certificates = field(default_factory=Certificates)
     recordings: tuple[RecordingEntry, ...] = ()
     axes: dict[str, AxisRig] = field(default_factory=dict)
+
+    @property
+    def rig_digest(self) -> str:
+        """Digest of what a design takes from here: all of the rig, no guard of the tip."""
+        return self._digest_without(GUARDS)
+
+    @property
+    def control_digest(self) -> str:
+        """Digest of what ships and its plant take from here: the rig and the guards."""
+        return self._digest_without(())
+
+    def _digest_without(self, guards: tuple[str, ...]) -> str:
+        tunnelling = msgspec.to_builtins(self.tunnelling)
+        tables = {
+            **{
+                name: msgspec.to_builtins(getattr(self, name))
+                for name in ("amplifier", "actuator", "sensor", "acquisition", "axes")
+            },
+            "tunnelling": {n: v for n, v in tunnelling.items() if n not in guards},
+        }
+        return digest_of_json(tables)
 
     def amplifier_of(self, axis: str) -> Amplifier:
         """Return the amplifier of an axis: its own table, or else the common one."""

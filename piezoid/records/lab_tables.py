@@ -87,6 +87,13 @@ class Tunnelling(Table, frozen=True, kw_only=True):
     approach_m_per_s: float | None = None
 
 
+# Of ``[tunnelling]``, what export alone takes.
+GUARDS = (
+    *("ceiling_A", "retract_V", "retract_m", "retract_s", "retract_limit"),
+    *("lost_s", "search_m", "approach_m_per_s"),
+)
+
+
 class Certificates(Table, frozen=True, kw_only=True):
     """``[uncertainty]``: what certificates and data sheets say, and no recording shows.
 

@@ -51,7 +51,8 @@ def verify_stage(
     draws    how many other stages the recordings allow are run as well
     threads  so many axes of a path run at once; what is found does not depend on it
 
-    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
+    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
+    where lab.toml declares other guards or another rig than those that ship.
     """
     rng = np.random.default_rng([seed, draws])
     plants: list[AxisPlant] = []
@@ -65,6 +66,7 @@ def verify_stage(
         else:
             drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
+    _same_control(file, declared)
     chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
     return verify(
         file,
@@ -74,7 +76,20 @@ def verify_stage(
         proofs=proofs,
         seed=seed,
         threads=threads,
+        lab_digest=declared.digest,
     )
+
+
+def _same_control(file: ParameterFile, lab: Lab) -> None:
+    """Refuse a lab.toml whose rig or guards are not those that ship."""
+    exported = file.sources.get("control")
+    if exported is not None and exported != lab.control_digest:
+        raise ParameterFileError(
+            f"{lab.place} declares another rig or other guards than params.json was exported with",
+            needed="what ships and what is verified declared by the same numbers; only "
+            "[verification] and [uncertainty] may differ",
+            remedy="Run `piezoid export` again, then verify.",
+        )
 
 
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:

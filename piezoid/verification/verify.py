@@ -35,6 +35,7 @@ def verify(
     proofs: Sequence[Proof] = (),
     seed: int = 0,
     threads: int = 1,
+    lab_digest: str = "",
 ) -> Verification:
     """Run what ships against plants, scenario by scenario, and judge it.
 
@@ -46,6 +47,8 @@ def verify(
     proofs      builds that were compared, to stand in the same record
     seed        of every noise
     threads     so many axes of a path run at once; what is found does not depend on it
+
+    lab_digest  of the lab.toml that declared plants and limits, to stand in the record
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
@@ -74,6 +77,7 @@ def verify(
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),
+        lab_digest=lab_digest,
     )
 
 
