@@ -17,7 +17,12 @@ with the largest gain, the slowest sensor and the longest delay that the identif
 import math
 
 from piezoid.design.converters import converters_of
-from piezoid.design.from_junction import junction_family, missing_line, set_point_A
+from piezoid.design.from_junction import (
+    junction_family,
+    missing_line,
+    reading_range_A,
+    set_point_A,
+)
 from piezoid.design.specification import Specification
 from piezoid.errors import LabFileError
 from piezoid.export.from_design import TunnellingGuards
@@ -123,16 +128,14 @@ def _currents(lab: Lab, loop: LoopPlant) -> tuple[float, float, float]:
             f"{declared.ceiling_A:g} A",
             "a floor below the set point and a ceiling above it",
         )
-    reading_V, ohm = converters_of(lab, loop.axis).reading_V, declared.feedback_ohm
-    if reading_V is not None and ohm is not None:
-        largest_A = max(abs(end_V) for end_V in reading_V) / ohm
-        if declared.ceiling_A >= largest_A:
-            raise _useless(
-                lab,
-                f"ceiling_A is {declared.ceiling_A:g}, and {ohm:g} ohm and a converter of "
-                f"{reading_V[0]:g} to {reading_V[1]:g} V read at most {largest_A:g} A",
-                "a ceiling that can be read, or the tip never retracts",
-            )
+    readable_A = reading_range_A(lab, loop.axis)
+    if readable_A is not None and declared.ceiling_A >= max(map(abs, readable_A)):
+        raise _useless(
+            lab,
+            f"ceiling_A is {declared.ceiling_A:g}, and {declared.feedback_ohm:g} ohm and the "
+            f"converter read at most {max(map(abs, readable_A)):g} A",
+            "a ceiling that can be read, or the tip never retracts",
+        )
     return reference_A, declared.floor_A, declared.ceiling_A
 
 

@@ -46,7 +46,7 @@ class Limits:
     ln_current: float = 0.5
     blind_s: float = 0.15
     closest_m: float = 4e-10
-    recovery_s: float = 0.5
+    recovery_s: float = 1.0
     approach_s: float = 10.0
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.design.converters import converters_of
-from piezoid.design.from_junction import junction_family
+from piezoid.design.from_junction import junction_family, reading_range_A
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.model import ActuatorModel
@@ -147,11 +147,10 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
     converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm
     if resistor_ohm is None or converters.reading_V is None:
         return rested
-    low_V, high_V = converters.reading_V
     return replace(
         rested,
         reading_step=converters.reading_step_V / resistor_ohm,
-        reading_range=(low_V / resistor_ohm, high_V / resistor_ohm),
+        reading_range=reading_range_A(lab, axis.axis) or rested.reading_range,
     )
 
 
