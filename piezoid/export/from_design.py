@@ -34,7 +34,7 @@ class TunnellingGuards:
     ceiling_A          from here on the tip is retracted at once
     retract_voltage_V  where retracting ends, and where a latched tip waits
     retract_step_V     how far one retract goes
-    retract_samples    and for how long
+    retract_samples    and for how long at first; each in a row is twice as long
     bad_samples        unusable currents in a row that retract as well
     contact_samples    at the set point in a row, after which the surface counts as found
     approach_step_V    extension in a sample while there is no current

@@ -36,7 +36,8 @@ _CONTACT = 1.0 / 3.0  # of the same: nearer to the set point the loop is trusted
 _UNHEARD_s = 1e-3  # equal readings for so long are a stuck sensor, where noise moves every one
 _CHANCE = 1e-12  # of one run of equal readings from a sound sensor; a day has 1e9 readings
 _LONGEST = 200  # samples: a sensor that rests longer than this is not watched for being stuck
-_WINDOW_s, _CYCLES = 1.0, 4.0  # a retract within the larger of a second and four cycles counts
+_WINDOW_s, _CYCLES = 1.0, 4.0  # at least a second, or the longest wait and four ways back
+_MOST_DOUBLED = 10  # of the runtime
 _MOST_SAMPLES = 1_000_000  # what the runtime counts to
 
 
@@ -71,10 +72,12 @@ def tip_guards(
     )
     extension_m_per_V = extension_of(loop)
     step_V = _step_V(lab, bound / steepest, extension_m_per_V * rate_Hz)
-    cycle_s = declared.retract_s + (declared.retract_m + declared.search_m) / (
-        step_V * extension_m_per_V * rate_Hz
+    longest_s = declared.retract_s * 2.0 ** min(declared.retract_limit, _MOST_DOUBLED)
+    way_m, speed_m_per_s = (
+        declared.retract_m + declared.search_m,
+        step_V * extension_m_per_V * rate_Hz,
     )
-    window_s = max(_WINDOW_s, _CYCLES * cycle_s)
+    window_s = max(_WINDOW_s, longest_s + _CYCLES * way_m / speed_m_per_s)
     contact_A = reference_A * math.exp(-_CONTACT * room)
     stuck_samples, stuck_current_A = _watch(lab, loop, rate_Hz, contact_A)
     bad_samples = max(round(declared.lost_s * rate_Hz), 1)

@@ -61,7 +61,7 @@ class Tunnelling(Table, frozen=True, kw_only=True):
     ceiling_A              > 0: from here on the tip is retracted at once
     retract_V              where a latched tip waits; the lowest command where it is missing
     retract_m              > 0: how far one retract goes, before the tip approaches again
-    retract_s              for how long
+    retract_s              for how long at first; each retract in a row waits twice as long
     retract_limit          so many retracts, each soon after the last, latch: an operator must look
     lost_s                 an unusable current for so long retracts as well
     search_m               > 0: how far beyond its last contact the tip looks for a lost surface.

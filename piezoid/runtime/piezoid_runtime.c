@@ -13,6 +13,7 @@
 
 #define ZERO PZ_REAL(0)
 #define ONE PZ_REAL(1)
+#define MOST_DOUBLED 10   /* times that a retract's samples, at most 1e6, are doubled */
 #define REPEATED 2        /* unchanged readings after which an extension learns nothing any more */
 #define READY 0x507A1D01u /* in state->ready: pz_start has accepted the parameters */
 
@@ -924,18 +925,20 @@ static uint32_t take_current(pz_state *s, const pz_parameters *p, pz_real wanted
 }
 
 /* Flee: a step back, or all the way where that does not help or an operator has to look. A tip
- * that is farther back than retracting goes has the rest of its drive left. */
+ * that is farther back than retracting goes has the rest of its drive left. Every retract in a row
+ * waits twice as long as the last: a fault that lasts is not mistaken for one that stays. */
 static void retract(pz_state *s, const pz_parameters *p, uint32_t why, int for_good) {
     const pz_real end_V =
         s->command_V > p->retract_voltage_V ? p->retract_voltage_V : p->voltage_minimum_V;
     pz_real target_V = end_V;
-    ++s->trips;
     s->trip_age = 0;
     s->cause = why;
     s->status |= why | PZ_STATUS_RETRACTED;
     s->mode = APPROACHES;
     s->unusable = 0;
-    s->retract_left = p->retract_samples - 1;
+    s->retract_left =
+        (p->retract_samples << (s->trips < MOST_DOUBLED ? s->trips : MOST_DOUBLED)) - 1;
+    s->trips += s->trips < INT32_MAX ? 1 : 0;
     if (for_good || (p->trip_limit > 0 && s->trips >= p->trip_limit)) {
         s->mode = LATCHED;
         s->status |= PZ_STATUS_LATCHED;

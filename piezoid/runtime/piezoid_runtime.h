@@ -26,7 +26,7 @@
  * fell below r exp(-2 c), the tip approaches: u = u + approach_step_V, nothing is integrated. When
  * the current is there, the equation starts from rest at what it shows, and its reference climbs
  * by approach_log_step to r. Whatever cannot be believed retracts the tip; trip_limit retracts,
- * each within trip_samples of the last, wait for pz_reset.
+ * each within trip_samples of the last and twice as long, wait for pz_reset.
  *
  * Floating point: one type, pz_real: double, or float when PZ_REAL_FLOAT is defined. No call of
  * the mathematical library, no contraction needed: with -ffp-contract=off every IEEE machine gives
@@ -92,7 +92,7 @@ typedef struct {
     int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
     int32_t blind_samples;           /* X, Y: unusable measurements in a row to fly on; 0: any */
     int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
-    int32_t retract_samples;         /* Z: samples to stay retracted */
+    int32_t retract_samples;         /* Z: samples of a first retract; each in a row doubles */
     int32_t contact_samples;         /* Z: samples at the set point that make a contact */
     int32_t trip_limit;              /* Z: retracts that wait for pz_reset; 0: none does */
     int32_t trip_samples;            /* Z: a retract later than this counts as the first */

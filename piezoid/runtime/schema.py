@@ -118,7 +118,7 @@ _COUNTS = (
     _integer("stuck_samples", 1e6, "equal measurements that mean a stuck sensor; 0: off"),
     _integer("blind_samples", 1e6, "X, Y: unusable measurements in a row to fly on; 0: any"),
     _integer("bad_samples", 1e6, "Z: unusable currents in a row that mean retract"),
-    _integer("retract_samples", 1e6, "Z: samples to stay retracted"),
+    _integer("retract_samples", 1e6, "Z: samples of a first retract; each in a row doubles"),
     _integer("contact_samples", 1e6, "Z: samples at the set point that make a contact"),
     _integer("trip_limit", 1e6, "Z: retracts that wait for pz_reset; 0: none does"),
     _integer("trip_samples", 1e6, "Z: a retract later than this counts as the first"),

@@ -82,9 +82,10 @@ class Tip:
 
     def flee(self, why, for_good):
         p = self.p
-        self.trips, self.since, self.cause, self.waited = self.trips + 1, 0, set(why), 0
+        self.since, self.cause, self.waited = 0, set(why), 0
         self.said |= why | {"retracted"}
-        self.mode, self.back = "approaches", p["retract_samples"] - 1
+        self.mode, self.back = "approaches", p["retract_samples"] * 2**self.trips - 1
+        self.trips += 1
         above = self.volts > p["retract_voltage_V"]
         end = p["retract_voltage_V"] if above else p["voltage_minimum_V"]
         if for_good or 0 < p["trip_limit"] <= self.trips:
