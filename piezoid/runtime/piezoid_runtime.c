@@ -985,6 +985,18 @@ static int is_repeated(const pz_state *s, const pz_parameters *p) {
     return p->stuck_samples > 0 && s->unchanged >= REPEATED;
 }
 
+/* Where the surface is. A tip that flees faster than it approaches has left it: the readings are
+ * late. */
+static void touch(pz_state *s, const pz_parameters *p) {
+    const pz_real least_V = s->contact_V - p->approach_step_V;
+    if (s->contact == 0) {
+        s->contact_V = s->command_V;
+    } else if (!is_repeated(s, p)) {
+        s->contact_V = s->command_V < least_V ? least_V : s->command_V;
+    }
+    s->contact += s->contact < p->contact_samples ? 1 : 0;
+}
+
 /* From approach to control when the current is there, and back when it is gone. */
 static void choose_mode(pz_state *s, const pz_parameters *p, pz_real wanted, pz_real shown,
                         int is_lost) {
@@ -998,8 +1010,7 @@ static void choose_mode(pz_state *s, const pz_parameters *p, pz_real wanted, pz_
         s->mode = APPROACHES;
     }
     if (is_there) {
-        s->contact += s->contact < p->contact_samples ? 1 : 0;
-        s->contact_V = is_repeated(s, p) ? s->contact_V : s->command_V;
+        touch(s, p);
     } else if (s->contact < p->contact_samples) {
         s->contact = 0;
     }

@@ -277,7 +277,7 @@ typedef struct {
     pz_real moved_V;       /* voltage when the measurement last changed */
     pz_real gain_ratio;    /* Z: set by pz_schedule */
     pz_real disturbance_V; /* d */
-    pz_real contact_V;     /* Z: voltage when the current was last at the set point */
+    pz_real contact_V;     /* Z: voltage when the surface was last there */
     pz_real climb;         /* Z: of the logarithm of the reference, what is left; <= 0 */
 
     pz_real play_V[PZ_MAX_PLAYS];                  /* z_i, forward memory, of gamma(u) */

@@ -132,8 +132,11 @@ class Tip:
         elif self.mode == "controls" and (lost or y < wanted + self.climb - 2 * p["contact_log"]):
             self.mode = "approaches"
         if there:
+            if self.in_contact == 0:
+                self.contact_V = self.volts
+            elif not repeats:
+                self.contact_V = max(self.volts, self.contact_V - p["approach_step_V"])
             self.in_contact = min(self.in_contact + 1, p["contact_samples"])
-            self.contact_V = self.contact_V if repeats else self.volts
         elif self.in_contact < p["contact_samples"]:
             self.in_contact = 0
         at_end = self.volts >= p["voltage_maximum_V"]
