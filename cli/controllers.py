@@ -84,7 +84,7 @@ def controllers_of(
         if designed is None:
             design = design_stage(model, model_digest=digest, lab=lab, progress=told)
         else:
-            design = _together(designed, digest)
+            design = _together(designed, digest, lab)
         return _verified(model, design, lab, told, threads)
     except PiezoidError as refusal:
         sought = design is not None or isinstance(refusal, TemplateError)
@@ -94,14 +94,14 @@ def controllers_of(
         return Controllers(design=design, reason=reason, stumbled=True)
 
 
-def _together(designed: "Sequence[Designed]", digest: str) -> "Design":
+def _together(designed: "Sequence[Designed]", digest: str, lab: "Lab | None") -> "Design":
     from piezoid.design.stage import design_of
 
     for one in designed:
         if one.fault is not None:
             raise one.fault
     outcomes = [outcome for one in designed for outcome in one.outcomes]
-    return design_of(outcomes, model_digest=digest)
+    return design_of(outcomes, model_digest=digest, lab=lab)
 
 
 def _verified(

@@ -173,12 +173,16 @@ class Design:
 
     axes           one per axis
     model_digest   of the model the plants were taken from
+    lab_digest     of the lab.toml that was there; empty without one
+    rig_digest     of what of it the design took, ``Lab.rig_digest``
     remarks        why too little is known of other axes of the model, whole sentences
     refused        by axis, why no controller of it meets what is asked
     """
 
     axes: tuple[AxisDesign, ...]
     model_digest: str
+    lab_digest: str = ""
+    rig_digest: str = ""
     remarks: tuple[str, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
 

@@ -131,6 +131,19 @@ def reading_noise_A(plant: JunctionPlant, lab: Lab, axis: str) -> float:
     return math.hypot(chain.shot_A(set_point_A(lab)), chain.declared_floor_A)
 
 
+def reading_range_A(lab: Lab, axis: str) -> tuple[float, float] | None:
+    """Return the currents that resistor and converter can read, or None where it is not known.
+
+    ``input_range_V`` is that of both converters; where the set point itself lies at its end or
+    beyond it, it can only be that of the drive's.
+    """
+    reading_V, resistor_ohm = converters_of(lab, axis).reading_V, lab.tunnelling.feedback_ohm
+    if reading_V is None or resistor_ohm is None:
+        return None
+    low_A, high_A = reading_V[0] / resistor_ohm, reading_V[1] / resistor_ohm
+    return (low_A, high_A) if max(-low_A, high_A) > set_point_A(lab) else None
+
+
 def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]") -> LabFileError:
     """Return the error of a fact about the tip that lab.toml does not hold."""
     return LabFileError(

@@ -87,7 +87,10 @@ def design_stage(
     )
     if not outcomes:
         raise _nothing(model)
-    return design_of(outcomes, model_digest=model_digest)
+    found = design_of(outcomes, model_digest=model_digest, lab=lab)
+    if (lab or Lab()).digest == (model.lab or ""):
+        return found
+    return replace(found, remarks=(*found.remarks, _edited(lab)))
 
 
 def design_axes(
@@ -117,8 +120,8 @@ def design_axes(
     return (*designed, *hindered)
 
 
-def design_of(outcomes: Sequence[Outcome], *, model_digest: str) -> Design:
-    """Put together what came of the axes of a stage, at least one.
+def design_of(outcomes: Sequence[Outcome], *, model_digest: str, lab: Lab | None = None) -> Design:
+    """Put together what came of the axes of a stage, at least one; ``lab`` as for each of them.
 
     Raises as ``design_stage`` does where no axis could be designed.
     """
@@ -130,8 +133,18 @@ def design_of(outcomes: Sequence[Outcome], *, model_digest: str) -> Design:
     return Design(
         axes=designed,
         model_digest=model_digest,
+        lab_digest=(lab or Lab()).digest,
+        rig_digest=(lab or Lab()).rig_digest,
         remarks=tuple(map(str, obstacles)),
         refused={name: str(refusal) for name, refusal in refused.items()},
+    )
+
+
+def _edited(lab: Lab | None) -> str:
+    now = "There is no lab.toml any more" if lab is None else f"{lab.place} is not that of the fit"
+    return (
+        f"{now}: converters, limits and guards are what it says now, poles and gains what the fit "
+        "took from it. Fit again where [amplifier], [actuator] or [sensor] changed."
     )
 
 

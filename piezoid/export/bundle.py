@@ -35,6 +35,10 @@ Nothing is allocated, printed or kept by the controller; there is one `pz_state`
 is yours. `piezoid_runtime.h` says beside each call what it does, what it costs, and when it may
 be called.
 
+Where `status` holds `PZ_STATUS_LATCHED`, an axis waits: a tip that had to flee several times
+(the other bits say from what) is retracted, X and Y without a usable sensor are held. Show it to
+somebody, and call `pz_reset` from the background when they have looked.
+
 | axis | index | method | calls per second | plays | dead zones | observer order | states, bytes |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}

@@ -1,7 +1,7 @@
 """From a model and a design to the axes of a parameter file: put together, nothing decided."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,6 +25,7 @@ _DISBELIEF = 0.25
 # A reference may cross the reachable range in this time at the fastest: a jump in one sample asks
 # the amplifier for what no amplifier gives, and strikes every mode of the stage.
 _FULL_RANGE_s = 1e-3
+_CURRENTS = ("reference_A", "floor_A", "ceiling_A")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,31 +33,48 @@ class TunnellingGuards:
     """What keeps a tip from the surface whatever the controller wants.
 
     reference_A        the logarithm is 0 here: the usual setpoint
-    floor_A            smaller currents count as this, which bounds the speed of an approach
+    floor_A            smaller currents count as this
     ceiling_A          from here on the tip is retracted at once
-    retract_voltage_V  where to
-    retract_samples    and for how long
+    retract_voltage_V  where retracting ends, and where a latched tip waits
+    retract_step_V     how far one retract goes
+    retract_samples    and for how long at first; each in a row is twice as long
     bad_samples        unusable currents in a row that retract as well
+    contact_samples    at the set point in a row, after which the surface counts as found
+    approach_step_V    extension in a sample while there is no current
+    approach_log_step  nepers in a sample, by which the reference then climbs to the set point
+    contact_log        nepers below the set point, from where on the loop regulates
+    search_voltage_V   extension beyond the last contact, in search of a lost surface
+    trip_limit         retracts in a row that wait for an operator
+    trip_samples       a retract later than this counts as the first
+    stuck_samples      equal readings that mean a stuck sensor; 0: not watched
+    stuck_voltage_V    if the drive moved so much meanwhile
+    stuck_current_A    smaller currents may rest: their noise is too small to be seen
     """
 
     reference_A: float
     floor_A: float
     ceiling_A: float
     retract_voltage_V: float
+    retract_step_V: float
     retract_samples: int
     bad_samples: int
+    contact_samples: int
+    approach_step_V: float
+    approach_log_step: float
+    contact_log: float
+    search_voltage_V: float
+    trip_limit: int
+    trip_samples: int
+    stuck_samples: int
+    stuck_voltage_V: float
+    stuck_current_A: float
 
     @property
     def values(self) -> Given:
         """The same under the runtime's names."""
-        return {
-            "current_reference_A": self.reference_A,
-            "current_floor_A": self.floor_A,
-            "current_ceiling_A": self.ceiling_A,
-            "retract_voltage_V": self.retract_voltage_V,
-            "retract_samples": self.retract_samples,
-            "bad_samples": self.bad_samples,
-        }
+        named = asdict(self)
+        currents = {f"current_{name}": named.pop(name) for name in _CURRENTS}
+        return {**currents, **named}
 
 
 def lateral_axis(

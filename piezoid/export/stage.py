@@ -1,7 +1,8 @@
 """export_stage: a model and a design in, the parameter file of all axes that can ship out."""
 
 from piezoid.design.design import AxisDesign, Design
-from piezoid.errors import PiezoidError
+from piezoid.design.from_junction import loop_plant_of
+from piezoid.errors import ParameterFileError, PiezoidError
 from piezoid.export.from_design import lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.tip_guards import tip_guards
@@ -12,6 +13,9 @@ from piezoid.records.lab import Lab
 # range.
 _STUCK_s = 1e-3
 _STUCK_SHARE = 0.02
+# So long the model may fly on alone: five times the loss of 20 ms that verification runs, and
+# before creep, which grows with the logarithm of time, has moved what the observer cannot see.
+_BLIND_s = 0.1
 
 
 def export_stage(
@@ -22,12 +26,19 @@ def export_stage(
     An axis that cannot ship keeps no other back; the file says which it is and why.
 
     design_digest  of the design's file, for the chain of digests
-    lab            what guards a tip; not needed without a tunnelling axis
+    lab            that of the design, but for what guards a tip
 
-    Raises what stands in the way of the first axis where none can ship, as ``LabFileError`` with
+    Raises ``ParameterFileError`` where lab.toml declares another rig than the design was made for,
+    and what stands in the way of the first axis where none can ship, as ``LabFileError`` with
     the line to write for a tip whose guards are not declared.
     """
     declared = lab or Lab()
+    if declared.rig_digest != design.rig_digest:
+        raise ParameterFileError(
+            f"{declared.place} declares another rig than the design was made for",
+            needed="the converters, amplifiers and set point of the design",
+            remedy="Run `piezoid design` again, then everything that follows it.",
+        )
     shipped: list[AxisParameters] = []
     refused: dict[str, PiezoidError] = {}
     for axis in design.axes:
@@ -41,7 +52,12 @@ def export_stage(
     return ParameterFile(
         name=model.stage,
         axes=tuple(shipped),
-        sources={"model": design.model_digest, "design": design_digest},
+        sources={
+            "model": design.model_digest,
+            "design": design_digest,
+            "lab": declared.digest,
+            "control": declared.control_digest,
+        },
         unshipped={**design.refused, **unshipped},
     )
 
@@ -50,8 +66,16 @@ def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:
     asked = design.specification
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
     if design.output_unit != "m":
-        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz))
+        if model.tunnelling is None:
+            raise ParameterFileError(
+                f"axis {design.axis} regulates a current, and model.json has no junction",
+                needed="the junction this controller was designed for",
+                remedy="Fit again with the recordings of the tip.",
+            )
+        loop = loop_plant_of(model.tunnelling)
+        return tunnelling_axis(design, tip_guards(lab, asked, rate_Hz, loop))
     watch = {
+        "blind_samples": max(round(_BLIND_s * rate_Hz), 1),
         "stuck_samples": max(round(_STUCK_s * rate_Hz), 1),
         "stuck_voltage_V": _STUCK_SHARE * (asked.voltage_max_V - asked.voltage_min_V),
     }

@@ -6,7 +6,8 @@
     [sensor]         bandwidth_Hz, gain_V_per_m
     [acquisition]    sampling_rate_Hz, dac_bits, adc_bits, input_range_V
     [tunnelling]     set_point_A, floor_A, bandwidth_Hz, feedback_ohm, extension_uncertainty
-                     barrier_range_eV, ceiling_A, retract_V, retract_s, lost_s
+                     barrier_range_eV, ceiling_A, retract_V, retract_m, retract_s,
+                     retract_limit, lost_s, search_m, approach_m_per_s
     [verification]   limits by name, in place of the defaults
     [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
                      expansion_m_per_K
@@ -22,9 +23,10 @@ from pathlib import Path
 
 import msgspec
 
-from piezoid.provenance import digest_of_bytes
+from piezoid.provenance import digest_of_bytes, digest_of_json
 from piezoid.records.lab_check import check_file_name, check_number, check_range, refusal
 from piezoid.records.lab_tables import (
+    GUARDS,
     Acquisition,
     Actuator,
     Amplifier,
@@ -98,6 +100,27 @@ class Lab:
     certificates: Certificates = field(default_factory=Certificates)
     recordings: tuple[RecordingEntry, ...] = ()
     axes: dict[str, AxisRig] = field(default_factory=dict)
+
+    @property
+    def rig_digest(self) -> str:
+        """Digest of what a design takes from here: all of the rig, no guard of the tip."""
+        return self._digest_without(GUARDS)
+
+    @property
+    def control_digest(self) -> str:
+        """Digest of what ships and its plant take from here: the rig and the guards."""
+        return self._digest_without(())
+
+    def _digest_without(self, guards: tuple[str, ...]) -> str:
+        tunnelling = msgspec.to_builtins(self.tunnelling)
+        tables = {
+            **{
+                name: msgspec.to_builtins(getattr(self, name))
+                for name in ("amplifier", "actuator", "sensor", "acquisition", "axes")
+            },
+            "tunnelling": {n: v for n, v in tunnelling.items() if n not in guards},
+        }
+        return digest_of_json(tables)
 
     def amplifier_of(self, axis: str) -> Amplifier:
         """Return the amplifier of an axis: its own table, or else the common one."""

@@ -15,6 +15,10 @@ _POSITIVE = (
     "barrier_eV",
     "retract_s",
     "lost_s",
+    "retract_m",
+    "retract_limit",
+    "search_m",
+    "approach_m_per_s",
     "feedback_ohm",
 )
 _NOT_NEGATIVE = (

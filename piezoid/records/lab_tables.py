@@ -59,9 +59,16 @@ class Tunnelling(Table, frozen=True, kw_only=True):
     extension_uncertainty  relative standard uncertainty of the tip's extension per volt
     barrier_range_eV       (low, high) apparent barriers to hold, beside those identified
     ceiling_A              > 0: from here on the tip is retracted at once
-    retract_V              where to; the lowest command where it is missing
-    retract_s              for how long
+    retract_V              where a latched tip waits; the lowest command where it is missing
+    retract_m              > 0: how far one retract goes, before the tip approaches again
+    retract_s              for how long at first; each retract in a row waits twice as long
+    retract_limit          so many retracts, each soon after the last, latch: an operator must look
     lost_s                 an unusable current for so long retracts as well
+    search_m               > 0: how far beyond its last contact the tip looks for a lost surface.
+                           A step down of the surface and a dead current sensor look the same:
+                           what this holds a tip finds again by itself, and is the way it goes on
+                           towards the surface when the sensor died. A gap is 0.4 to 1 nm wide
+    approach_m_per_s       slower than what the identified loop allows, which is the default
     """
 
     set_point_A: float | None = None
@@ -72,8 +79,19 @@ class Tunnelling(Table, frozen=True, kw_only=True):
     barrier_range_eV: tuple[float, float] | None = None
     ceiling_A: float | None = None
     retract_V: float | None = None
+    retract_m: float = 5e-9
     retract_s: float = 0.01
+    retract_limit: int = 5
     lost_s: float = 1e-3
+    search_m: float = 3.5e-10
+    approach_m_per_s: float | None = None
+
+
+# Of ``[tunnelling]``, what export alone takes.
+GUARDS = (
+    *("ceiling_A", "retract_V", "retract_m", "retract_s", "retract_limit"),
+    *("lost_s", "search_m", "approach_m_per_s"),
+)
 
 
 class Certificates(Table, frozen=True, kw_only=True):

@@ -29,6 +29,11 @@ class Status(IntFlag):
     RETRACTED = 256
     RESTARTED = 512
     NOT_STARTED = 1024
+    APPROACHING = 2048
+    NO_CURRENT = 4096
+    WRONG_SIGN = 8192
+    LATCHED = 16384
+    BLIND = 32768
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,6 +75,13 @@ class Controller:
         return (step, *self._addresses)
 
     @property
+    def reset_address(self) -> int:
+        """Address of ``pz_reset``, as those of ``addresses``."""
+        reset = ctypes.cast(self.library.code.pz_reset, ctypes.c_void_p).value
+        assert reset is not None
+        return reset
+
+    @property
     def status(self) -> Status:
         """Status of the last step."""
         return Status(self._state[1])
@@ -96,6 +108,10 @@ class Controller:
     def schedule(self, ratio: float) -> None:
         """Z: the plant's gain is now ``ratio`` times the one designed for."""
         self.library.code.pz_schedule(*self._addresses, ratio)
+
+    def reset(self) -> None:
+        """Let what latched go on with the next step: an operator has looked."""
+        self.library.code.pz_reset(ctypes.addressof(self._state))
 
     def step(self, reference: float, measured: float) -> float:
         """Return the voltage for one sample; reference and measured in m (Z: A)."""

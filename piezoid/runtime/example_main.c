@@ -1,4 +1,6 @@
-/* How firmware uses the runtime: two calls at power-up, one in the 20 kHz interrupt.
+/* How firmware uses the runtime: two calls at power-up, one in the 20 kHz interrupt, and
+ * pz_reset(&state[axis]) from the background, when an operator has looked at an axis whose status
+ * holds PZ_STATUS_LATCHED: until then it keeps its voltage, and the other bits say why.
  *
  * On a desk computer this program steps the controllers through golden.csv and compares, so that
  * your compiler, your flags and your precision can prove themselves before they meet a stage:

@@ -13,7 +13,11 @@
 
 #define ZERO PZ_REAL(0)
 #define ONE PZ_REAL(1)
+#define MOST_DOUBLED 10   /* times that a retract's samples, at most 1e6, are doubled */
+#define REPEATED 2        /* unchanged readings after which an extension learns nothing any more */
 #define READY 0x507A1D01u /* in state->ready: pz_start has accepted the parameters */
+
+enum { CONTROLS = 0, APPROACHES = 1, LATCHED = 2 }; /* state->mode */
 
 /* Comparisons only: NaN and infinity are on neither side. */
 static int is_finite(pz_real x) {
@@ -257,8 +261,12 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_OBSERVER_ORDER] = COUNT(observer_order, 0, PZ_MAX_ORDER),
     [PZ_PREVIEW_SAMPLES] = COUNT(preview_samples, 0, 1e6),
     [PZ_STUCK_SAMPLES] = COUNT(stuck_samples, 0, 1e6),
+    [PZ_BLIND_SAMPLES] = COUNT(blind_samples, 0, 1e6),
     [PZ_BAD_SAMPLES] = COUNT(bad_samples, 0, 1e6),
     [PZ_RETRACT_SAMPLES] = COUNT(retract_samples, 0, 1e6),
+    [PZ_CONTACT_SAMPLES] = COUNT(contact_samples, 0, 1e6),
+    [PZ_TRIP_LIMIT] = COUNT(trip_limit, 0, 1e6),
+    [PZ_TRIP_SAMPLES] = COUNT(trip_samples, 0, 1e6),
     [PZ_RST_T_COUNT] = COUNT(rst_T_count, 0, PZ_MAX_TAPS),
     [PZ_RST_R_COUNT] = COUNT(rst_R_count, 0, PZ_MAX_TAPS),
     [PZ_RST_S_COUNT] = COUNT(rst_S_count, 0, PZ_MAX_TAPS),
@@ -300,6 +308,12 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_CURRENT_FLOOR] = REAL(current_floor_A, 0, 1),
     [PZ_CURRENT_CEILING] = REAL(current_ceiling_A, 0, 1),
     [PZ_RETRACT_VOLTAGE] = REAL(retract_voltage_V, -1e4, 1e4),
+    [PZ_RETRACT_STEP] = REAL(retract_step_V, 0, 1e5),
+    [PZ_APPROACH_STEP] = REAL(approach_step_V, 0, 1e5),
+    [PZ_APPROACH_LOG_STEP] = REAL(approach_log_step, 0, 1e3),
+    [PZ_CONTACT_LOG] = REAL(contact_log, 0, 1e3),
+    [PZ_STUCK_CURRENT] = REAL(stuck_current_A, -1, 1),
+    [PZ_SEARCH_VOLTAGE] = REAL(search_voltage_V, 0, 1e5),
     [PZ_SCHEDULE_LIMIT] = REAL(schedule_limit, 1, 1e3),
     [PZ_RST_T] = REAL(rst_T_V, -1e9, 1e9),
     [PZ_RST_R] = REAL(rst_R_V, -1e9, 1e9),
@@ -522,6 +536,18 @@ static int32_t check_rst(const pz_parameters *p) {
     if (p->retract_samples < 1) {
         return PZ_RETRACT_SAMPLES;
     }
+    if (p->contact_samples < 1) {
+        return PZ_CONTACT_SAMPLES;
+    }
+    if (!(p->approach_step_V > ZERO)) {
+        return PZ_APPROACH_STEP;
+    }
+    if (!(p->approach_log_step > ZERO)) {
+        return PZ_APPROACH_LOG_STEP;
+    }
+    if (!(p->contact_log > ZERO)) {
+        return PZ_CONTACT_LOG;
+    }
     if (p->rst_T_count < 1) {
         return PZ_RST_T_COUNT;
     }
@@ -684,6 +710,10 @@ void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio
     }
 }
 
+void pz_reset(pz_state *state) {
+    state->reset_wanted = 1;
+}
+
 /* ---- real time: X and Y -------------------------------------------------------------------- */
 
 /* The reference made usable, filtered, relative to the offset. */
@@ -726,18 +756,26 @@ static int is_stuck(pz_state *s, const pz_parameters *p, pz_real measured) {
     return s->moved == 1 && s->unchanged >= p->stuck_samples;
 }
 
+/* An unusable measurement: the model flies on alone, for as long as it may. */
+static pz_real fly_blind(pz_state *s, const pz_parameters *p, uint32_t why) {
+    s->status |= why;
+    if (p->blind_samples > 0 && ++s->unusable >= p->blind_samples) {
+        s->mode = LATCHED;
+    }
+    return ZERO;
+}
+
 /* What the observer learns from the measurement; nothing from an unusable one. */
 static pz_real take_innovation(pz_state *s, const pz_parameters *p, pz_real measured) {
     if (!is_finite(measured)) {
-        s->status |= PZ_STATUS_BAD_MEASUREMENT;
-        return ZERO;
+        return fly_blind(s, p, PZ_STATUS_BAD_MEASUREMENT);
     }
     const int stuck = is_stuck(s, p, measured);
     s->measured = measured;
     if (stuck) {
-        s->status |= PZ_STATUS_STUCK_SENSOR;
-        return ZERO;
+        return fly_blind(s, p, PZ_STATUS_STUCK_SENSOR);
     }
+    s->unusable = 0;
     const pz_real kept = clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m);
     if (kept < measured || kept > measured) {
         s->status |= PZ_STATUS_MEASUREMENT_LIMITED;
@@ -774,12 +812,44 @@ static void restart_lateral(pz_state *s, const pz_parameters *p) {
     rest_lateral(s, p, y);
 }
 
+/* The voltage is held. 1: an operator has looked, and the loop starts from what the sensor shows
+ * now, which is also the reference that a step of it is counted from. */
+static int leaves_hold(pz_state *s, const pz_parameters *p, pz_real measured) {
+    if (is_finite(measured)) {
+        s->measured = measured;
+    }
+    if (s->reset_wanted == 0) {
+        s->status |= PZ_STATUS_BLIND | PZ_STATUS_LATCHED;
+        return 0;
+    }
+    s->mode = CONTROLS;
+    s->reset_wanted = 0;
+    s->unusable = 0;
+    s->unchanged = 0;
+    s->moved = 0;
+    s->moved_V = s->voltage_V;
+    s->reference_m = clamp(s->measured, p->reference_minimum_m, p->reference_maximum_m);
+    rest_lateral(
+        s, p,
+        centred(p, clamp(s->measured, p->displacement_minimum_m, p->displacement_maximum_m)));
+    return 1;
+}
+
 static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
                          pz_real measured) {
+    if (s->mode == LATCHED && !leaves_hold(s, p, measured)) {
+        return;
+    }
     const pz_real wanted = take_reference(s, p, reference);
     pz_real command = wanted - s->bias_m; /* a v: carried in metres, so that no gain rounds it */
     if (has_observer(p)) {
-        correct(s, p, take_innovation(s, p, measured));
+        const pz_real innovation = take_innovation(s, p, measured);
+        if (s->mode == LATCHED) {
+            s->reset_wanted = 0; /* of before: nobody has seen this */
+            s->status |= PZ_STATUS_BLIND | PZ_STATUS_LATCHED;
+            return;
+        }
+        correct(s, p, innovation);
         const pz_real feedback = dot(p->feedback_K_V, s->observer, p->observer_order);
         command = p->gain_m_per_V * (p->feedback_N_V_per_m * wanted - feedback - s->disturbance_V);
     }
@@ -803,49 +873,7 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
 
 /* ---- real time: Z -------------------------------------------------------------------------- */
 
-static void retract(pz_state *s, const pz_parameters *p, pz_real measured_log) {
-    s->status |= PZ_STATUS_RETRACTED;
-    s->command_V = p->retract_voltage_V;
-    s->voltage_V = to_code(p, s->command_V);
-    rest_rst(s, p, measured_log);
-}
-
-/* 1: regulate with this current; 0: the tip was held or retracted. */
-static int take_current(pz_state *s, const pz_parameters *p, pz_real current_A) {
-    if (!is_finite(current_A)) {
-        s->status |= PZ_STATUS_BAD_MEASUREMENT;
-        if (s->unusable < p->bad_samples) {
-            ++s->unusable;
-        } else {
-            s->retract_left = p->retract_samples;
-        }
-    } else {
-        const int stuck = current_A > p->current_floor_A && is_stuck(s, p, current_A);
-        s->unusable = 0;
-        s->measured = current_A;
-        if (stuck) {
-            s->status |= PZ_STATUS_STUCK_SENSOR;
-        }
-        if (current_A >= p->current_ceiling_A) {
-            s->status |= PZ_STATUS_MEASUREMENT_LIMITED;
-        }
-        if (stuck || current_A >= p->current_ceiling_A) {
-            s->retract_left = p->retract_samples;
-        } else if (current_A < p->current_floor_A) {
-            s->status |= PZ_STATUS_CURRENT_LOST;
-        }
-    }
-    if (s->retract_left > 0) {
-        --s->retract_left;
-        retract(s, p, log_current(p, s->measured));
-        s->unchanged = 0;
-        s->moved = 0;
-        s->moved_V = s->voltage_V;
-        return 0;
-    }
-    return is_finite(current_A);
-}
-
+/* ln(r / i_0) of the reference made usable. */
 static pz_real take_current_reference(pz_state *s, const pz_parameters *p, pz_real reference_A) {
     if (!is_finite(reference_A)) {
         s->status |= PZ_STATUS_BAD_REFERENCE;
@@ -856,8 +884,146 @@ static pz_real take_current_reference(pz_state *s, const pz_parameters *p, pz_re
         s->status |= PZ_STATUS_REFERENCE_LIMITED;
     }
     s->reference_m = kept;
-    return filter(p->reference_section, p->reference_section_count, s->reference_filter,
-                  log_current(p, kept));
+    return log_current(p, kept);
+}
+
+/* An unusable current is waited for, and the tip stands still: `why` from bad_samples on. */
+static uint32_t wait_for_current(pz_state *s, const pz_parameters *p, uint32_t why) {
+    s->status |= why;
+    if (s->unusable < p->bad_samples) {
+        ++s->unusable;
+        return 0;
+    }
+    return why;
+}
+
+/* Why the tip must flee from this current, as status bits; 0: it need not. */
+static uint32_t take_current(pz_state *s, const pz_parameters *p, pz_real wanted,
+                             pz_real current_A) {
+    if (!is_finite(current_A)) {
+        return wait_for_current(s, p, PZ_STATUS_BAD_MEASUREMENT);
+    }
+    const int stuck = is_stuck(s, p, current_A) && current_A > p->stuck_current_A;
+    s->measured = current_A;
+    /* Less than this may be the offset of an amplifier that has no current to show. */
+    if (current_A < -p->current_floor_A && log_current(p, -current_A) >= wanted - p->contact_log) {
+        return wait_for_current(s, p, PZ_STATUS_WRONG_SIGN);
+    }
+    uint32_t why = 0;
+    s->unusable = 0;
+    if (stuck) {
+        why |= PZ_STATUS_STUCK_SENSOR;
+    }
+    if (current_A >= p->current_ceiling_A) {
+        why |= PZ_STATUS_MEASUREMENT_LIMITED;
+    }
+    s->status |= why;
+    if (current_A < p->current_floor_A) {
+        s->status |= PZ_STATUS_CURRENT_LOST;
+    }
+    return why;
+}
+
+/* Flee: a step back, or all the way where that does not help or an operator has to look. A tip
+ * that is farther back than retracting goes has the rest of its drive left. Every retract in a row
+ * waits twice as long as the last: a fault that lasts is not mistaken for one that stays. */
+static void retract(pz_state *s, const pz_parameters *p, uint32_t why, int for_good) {
+    const pz_real end_V =
+        s->command_V > p->retract_voltage_V ? p->retract_voltage_V : p->voltage_minimum_V;
+    pz_real target_V = end_V;
+    s->trip_age = 0;
+    s->cause = why;
+    s->status |= why | PZ_STATUS_RETRACTED;
+    s->mode = APPROACHES;
+    s->unusable = 0;
+    s->retract_left =
+        (p->retract_samples << (s->trips < MOST_DOUBLED ? s->trips : MOST_DOUBLED)) - 1;
+    s->trips += s->trips < INT32_MAX ? 1 : 0;
+    if (for_good || (p->trip_limit > 0 && s->trips >= p->trip_limit)) {
+        s->mode = LATCHED;
+        s->status |= PZ_STATUS_LATCHED;
+    } else if (p->retract_step_V > ZERO && s->command_V - p->retract_step_V > end_V) {
+        target_V = s->command_V - p->retract_step_V;
+    }
+    s->command_V = target_V;
+    s->voltage_V = to_code(p, target_V);
+}
+
+/* Everything but what an operator has to say; 1: the tip stays where it was retracted to. */
+static int stays_retracted(pz_state *s, const pz_parameters *p) {
+    if (s->reset_wanted != 0) {
+        s->reset_wanted = 0;
+        s->trips = 0;
+        if (s->mode == LATCHED) {
+            s->mode = APPROACHES;
+            s->retract_left = 0;
+            s->contact = 0;
+            s->unchanged = 0;
+            s->moved = 0;
+            s->moved_V = s->voltage_V;
+        }
+    }
+    if (s->trip_age < p->trip_samples) {
+        ++s->trip_age;
+    } else {
+        s->trips = 0;
+    }
+    if (s->mode == LATCHED) {
+        s->status |= PZ_STATUS_RETRACTED | PZ_STATUS_LATCHED | s->cause;
+        return 1;
+    }
+    if (s->retract_left > 0) {
+        --s->retract_left;
+        s->status |= PZ_STATUS_RETRACTED;
+        return 1;
+    }
+    return 0;
+}
+
+/* The same number again says nothing of where the surface is now. */
+static int is_repeated(const pz_state *s, const pz_parameters *p) {
+    return p->stuck_samples > 0 && s->unchanged >= REPEATED;
+}
+
+/* Where the surface is. A tip that flees faster than it approaches has left it: the readings are
+ * late. */
+static void touch(pz_state *s, const pz_parameters *p) {
+    const pz_real least_V = s->contact_V - p->approach_step_V;
+    if (s->contact == 0) {
+        s->contact_V = s->command_V;
+    } else if (!is_repeated(s, p)) {
+        s->contact_V = s->command_V < least_V ? least_V : s->command_V;
+    }
+    s->contact += s->contact < p->contact_samples ? 1 : 0;
+}
+
+/* From approach to control when the current is there, and back when it is gone. */
+static void choose_mode(pz_state *s, const pz_parameters *p, pz_real wanted, pz_real shown,
+                        int is_lost) {
+    const int is_there = !is_lost && shown >= wanted - p->contact_log;
+    if (s->mode == APPROACHES && is_there) {
+        s->mode = CONTROLS;
+        rest_rst(s, p, shown);
+        s->climb = shown < wanted ? shown - wanted : ZERO;
+    } else if (s->mode == CONTROLS &&
+               (is_lost || shown < wanted + s->climb - PZ_REAL(2) * p->contact_log)) {
+        s->mode = APPROACHES;
+    }
+    if (is_there) {
+        touch(s, p);
+    } else if (s->contact < p->contact_samples) {
+        s->contact = 0;
+    }
+}
+
+/* A lost surface is looked for no farther than it may be gone: one that stepped away and a
+ * current that is not shown any more look the same. */
+static int searched_enough(const pz_state *s, const pz_parameters *p) {
+    if (s->mode == APPROACHES && s->command_V >= p->voltage_maximum_V) {
+        return 1;
+    }
+    return p->search_voltage_V > ZERO && s->contact >= p->contact_samples &&
+           s->command_V > s->contact_V + p->search_voltage_V;
 }
 
 static void shift_in(pz_real *history, int32_t count, pz_real newest) {
@@ -867,27 +1033,55 @@ static void shift_in(pz_real *history, int32_t count, pz_real newest) {
     history[0] = newest;
 }
 
-static void step_rst(pz_state *s, const pz_parameters *p, pz_real reference_A, pz_real current_A) {
-    if (!take_current(s, p, current_A)) {
-        return;
-    }
+static void control_current(pz_state *s, const pz_parameters *p, pz_real wanted, pz_real shown,
+                            pz_real approach_V) {
     const pz_real before_V = s->command_V;
-    shift_in(s->rst_measured, p->rst_R_count, log_current(p, current_A));
-    shift_in(s->rst_reference, p->rst_T_count, take_current_reference(s, p, reference_A));
+    s->climb = s->climb + p->approach_log_step < ZERO ? s->climb + p->approach_log_step : ZERO;
+    shift_in(s->rst_measured, p->rst_R_count, shown);
+    shift_in(s->rst_reference, p->rst_T_count,
+             filter(p->reference_section, p->reference_section_count, s->reference_filter,
+                    wanted + s->climb));
     const pz_real drive = (dot(p->rst_T_V, s->rst_reference, p->rst_T_count) -
                            dot(p->rst_R_V, s->rst_measured, p->rst_R_count)) /
                           s->gain_ratio;
     const pz_real change = drive - dot(p->rst_S + 1, s->rst_change_V, p->rst_S_count - 1) +
                            dot(p->rst_A0 + 1, s->rst_excess_V, p->rst_A0_count - 1);
-    const pz_real wanted = before_V + change;
-    if (!is_finite(wanted)) {
+    const pz_real asked = before_V + change;
+    if (!is_finite(asked)) {
         s->status |= PZ_STATUS_RESTARTED;
-        rest_rst(s, p, log_current(p, current_A));
+        rest_rst(s, p, shown);
         return;
     }
-    convert(s, p, wanted);
+    convert(s, p, is_repeated(s, p) && change > approach_V ? before_V + approach_V : asked);
     shift_in(s->rst_change_V, p->rst_S_count, s->command_V - before_V);
-    shift_in(s->rst_excess_V, p->rst_A0_count, s->command_V - wanted);
+    shift_in(s->rst_excess_V, p->rst_A0_count, s->command_V - asked);
+}
+
+static void step_rst(pz_state *s, const pz_parameters *p, pz_real reference_A, pz_real current_A) {
+    const pz_real wanted = take_current_reference(s, p, reference_A);
+    const uint32_t why = take_current(s, p, wanted, current_A);
+    if (stays_retracted(s, p)) {
+        s->unusable = 0;
+        return;
+    }
+    if (why != 0) {
+        retract(s, p, why, 0);
+        return;
+    }
+    if (s->unusable > 0) {
+        return;
+    }
+    const pz_real shown = log_current(p, current_A);
+    const pz_real approach_V = p->approach_step_V / s->gain_ratio;
+    choose_mode(s, p, wanted, shown, current_A < p->current_floor_A);
+    if (searched_enough(s, p)) {
+        retract(s, p, PZ_STATUS_NO_CURRENT, s->command_V >= p->voltage_maximum_V);
+    } else if (s->mode == APPROACHES) {
+        s->status |= PZ_STATUS_APPROACHING;
+        convert(s, p, s->command_V + approach_V);
+    } else {
+        control_current(s, p, wanted, shown, approach_V);
+    }
 }
 
 /* ---- real time ----------------------------------------------------------------------------- */

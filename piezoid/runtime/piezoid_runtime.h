@@ -22,6 +22,12 @@
  *     (1 - q^-1) S u = T ln(r / i_0) - R ln(max(i, i_floor) / i_0)
  *     and while the converter limits u: (1 - q^-1) S u_a + A_0 (u - u_a) = the same right side
  *
+ * That equation holds near the set point only. While i < r exp(-c), c = contact_log, or after it
+ * fell below r exp(-2 c), the tip approaches: u = u + approach_step_V, nothing is integrated. When
+ * the current is there, the equation starts from rest at what it shows, and its reference climbs
+ * by approach_log_step to r. Whatever cannot be believed retracts the tip; trip_limit retracts,
+ * each within trip_samples of the last and twice as long, wait for pz_reset.
+ *
  * Floating point: one type, pz_real: double, or float when PZ_REAL_FLOAT is defined. No call of
  * the mathematical library, no contraction needed: with -ffp-contract=off every IEEE machine gives
  * the same bits. Never compile this with -ffast-math (refused below).
@@ -51,7 +57,7 @@ typedef double pz_real;
 /* A literal of that type: PZ_REAL(0.5). */
 #define PZ_REAL(literal) ((pz_real)(literal))
 
-#define PZ_SCHEMA_VERSION 1
+#define PZ_SCHEMA_VERSION 2
 #define PZ_MAX_PLAYS 32
 #define PZ_MAX_KNOTS 32
 #define PZ_MAX_RELAXATIONS 8
@@ -84,8 +90,12 @@ typedef struct {
     int32_t observer_order;          /* states of x, the disturbance not counted */
     int32_t preview_samples;         /* the reference given is that of so many samples ahead */
     int32_t stuck_samples;           /* equal measurements that mean a stuck sensor; 0: off */
+    int32_t blind_samples;           /* X, Y: unusable measurements in a row to fly on; 0: any */
     int32_t bad_samples;             /* Z: unusable currents in a row that mean retract */
-    int32_t retract_samples;         /* Z: samples to stay retracted */
+    int32_t retract_samples;         /* Z: samples of a first retract; each in a row doubles */
+    int32_t contact_samples;         /* Z: samples at the set point that make a contact */
+    int32_t trip_limit;              /* Z: retracts that wait for pz_reset; 0: none does */
+    int32_t trip_samples;            /* Z: a retract later than this counts as the first */
     int32_t rst_T_count;             /* coefficients of T */
     int32_t rst_R_count;             /* coefficients of R */
     int32_t rst_S_count;             /* coefficients of S, its integrator not counted */
@@ -131,7 +141,13 @@ typedef struct {
     pz_real current_reference_A; /* i_0: the logarithm is 0 here */
     pz_real current_floor_A;     /* smaller currents count as this: bounds the approach */
     pz_real current_ceiling_A;   /* from here on retract at once */
-    pz_real retract_voltage_V;   /* where retracting goes */
+    pz_real retract_voltage_V;   /* where retracting ends */
+    pz_real retract_step_V;      /* how far a retract goes; 0: to its end at once */
+    pz_real approach_step_V;     /* extension in a sample while there is no current */
+    pz_real approach_log_step;   /* then the reference's way to the set point in a sample */
+    pz_real contact_log;         /* c: so far below the set point the current is there */
+    pz_real stuck_current_A;     /* smaller currents are not watched for being stuck */
+    pz_real search_voltage_V;    /* extension beyond the last contact; 0: to the drive's end */
     pz_real schedule_limit;      /* gain ratios stay in [1 / limit, limit]; >= 1 */
     pz_real rst_T_V[PZ_MAX_TAPS];
     pz_real rst_R_V[PZ_MAX_TAPS];
@@ -156,8 +172,12 @@ enum {
     PZ_OBSERVER_ORDER,
     PZ_PREVIEW_SAMPLES,
     PZ_STUCK_SAMPLES,
+    PZ_BLIND_SAMPLES,
     PZ_BAD_SAMPLES,
     PZ_RETRACT_SAMPLES,
+    PZ_CONTACT_SAMPLES,
+    PZ_TRIP_LIMIT,
+    PZ_TRIP_SAMPLES,
     PZ_RST_T_COUNT,
     PZ_RST_R_COUNT,
     PZ_RST_S_COUNT,
@@ -199,6 +219,12 @@ enum {
     PZ_CURRENT_FLOOR,
     PZ_CURRENT_CEILING,
     PZ_RETRACT_VOLTAGE,
+    PZ_RETRACT_STEP,
+    PZ_APPROACH_STEP,
+    PZ_APPROACH_LOG_STEP,
+    PZ_CONTACT_LOG,
+    PZ_STUCK_CURRENT,
+    PZ_SEARCH_VOLTAGE,
     PZ_SCHEDULE_LIMIT,
     PZ_RST_T,
     PZ_RST_R,
@@ -219,7 +245,12 @@ enum {
     PZ_STATUS_CURRENT_LOST = 128,      /* Z: current below its floor */
     PZ_STATUS_RETRACTED = 256,         /* Z: retracted */
     PZ_STATUS_RESTARTED = 512,         /* a number overflowed: voltage held, memory set to rest */
-    PZ_STATUS_NOT_STARTED = 1024       /* pz_start was not called, or refused */
+    PZ_STATUS_NOT_STARTED = 1024,      /* pz_start was not called, or refused */
+    PZ_STATUS_APPROACHING = 2048,      /* Z: extending slowly until the current is there */
+    PZ_STATUS_NO_CURRENT = 4096,       /* Z: none where the search or the drive ends */
+    PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current flows the wrong way */
+    PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
+    PZ_STATUS_BLIND = 32768            /* X, Y: held, no usable measurement for blind_samples */
 };
 
 /* Everything that changes from one sample to the next. One per axis. Read it, never write it. */
@@ -228,9 +259,15 @@ typedef struct {
     uint32_t status;      /* PZ_STATUS_... of the last sample */
     uint32_t status_ever; /* of all samples since pz_start */
     int32_t unchanged;    /* samples since the measurement last changed */
-    int32_t unusable;     /* Z: unusable currents in a row */
+    int32_t unusable;     /* unusable measurements in a row */
     int32_t retract_left; /* Z: samples until the next approach */
     int32_t moved;        /* 1: the voltage has moved since the measurement last changed */
+    int32_t mode;         /* 0: controls, 1: approaches, 2: waits for pz_reset */
+    int32_t reset_wanted; /* 1: pz_reset was called */
+    int32_t contact;      /* Z: samples at the set point in a row, at most contact_samples */
+    int32_t trips;        /* Z: retracts in a row */
+    int32_t trip_age;     /* Z: samples since the last, at most trip_samples */
+    uint32_t cause;       /* Z: status bits of the last retract */
 
     pz_real voltage_V;     /* u_a: the last returned */
     pz_real command_V;     /* clipped, before rounding */
@@ -240,6 +277,8 @@ typedef struct {
     pz_real moved_V;       /* voltage when the measurement last changed */
     pz_real gain_ratio;    /* Z: set by pz_schedule */
     pz_real disturbance_V; /* d */
+    pz_real contact_V;     /* Z: voltage when the surface was last there */
+    pz_real climb;         /* Z: of the logarithm of the reference, what is left; <= 0 */
 
     pz_real play_V[PZ_MAX_PLAYS];                  /* z_i, forward memory, of gamma(u) */
     pz_real relaxation_m[PZ_MAX_RELAXATIONS];      /* x_i of the creep block */
@@ -254,10 +293,10 @@ typedef struct {
 } pz_state;
 
 /* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
-#define PZ_INTEGERS 20
+#define PZ_INTEGERS 24
 #define PZ_REALS                                                                                  \
     (14 + 3 * PZ_MAX_PLAYS + 4 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
-     PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 5 + 4 * PZ_MAX_TAPS)
+     PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 11 + 4 * PZ_MAX_TAPS)
 typedef char pz_parameters_have_no_holes
     [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];
 
@@ -278,7 +317,7 @@ typedef struct {
 const pz_field *pz_describe(int32_t index);
 
 /* CRC-32 (IEEE 802.3) of all bytes behind the member `checksum`. Eight shifts for
- * each of the 3140 (float) or 6200 (double) bytes. */
+ * each of the 3180 (float) or 6264 (double) bytes. */
 uint32_t pz_checksum(const pz_parameters *parameters);
 
 /* PZ_OK, or the schema index of the first unusable parameter: other schema or size, changed bytes,
@@ -300,6 +339,11 @@ int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real volta
 /* Z: the plant's gain is now `ratio` times the one designed for; the controller's is divided by
  * it, without a bump. Kept inside the schedule limit; not finite: ignored. */
 void pz_schedule(pz_state *state, const pz_parameters *parameters, pz_real ratio);
+
+/* An operator has looked: what latched may go on with the next step. Z approaches from where it
+ * was retracted to, as far as the drive reaches. X, Y start bumpless at the voltage held, from
+ * what the sensor shows then. Also forgets retracts that are counted. One write, any time. */
+void pz_reset(pz_state *state);
 
 /* ---- real time: from the interrupt, once per sample ---------------------------------------- */
 

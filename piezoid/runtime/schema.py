@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 SCHEMA = "piezoid.params/1"
-VERSION = 1
+VERSION = 2
 
 MAX_PLAYS = 32
 MAX_KNOTS = 32
@@ -116,8 +116,12 @@ _COUNTS = (
     _integer("observer_order", MAX_ORDER, "observer states, the disturbance not counted"),
     _integer("preview_samples", 1e6, "the reference given is that of so many samples ahead"),
     _integer("stuck_samples", 1e6, "equal measurements that mean a stuck sensor; 0: off"),
+    _integer("blind_samples", 1e6, "X, Y: unusable measurements in a row to fly on; 0: any"),
     _integer("bad_samples", 1e6, "Z: unusable currents in a row that mean retract"),
-    _integer("retract_samples", 1e6, "Z: samples to stay retracted"),
+    _integer("retract_samples", 1e6, "Z: samples of a first retract; each in a row doubles"),
+    _integer("contact_samples", 1e6, "Z: samples at the set point that make a contact"),
+    _integer("trip_limit", 1e6, "Z: retracts that wait for pz_reset; 0: none does"),
+    _integer("trip_samples", 1e6, "Z: a retract later than this counts as the first"),
     _integer("rst_T_count", MAX_TAPS, "coefficients of T"),
     _integer("rst_R_count", MAX_TAPS, "coefficients of R"),
     _integer("rst_S_count", MAX_TAPS, "coefficients of S, its integrator not counted"),
@@ -229,7 +233,13 @@ _TUNNELLING = (
     _real("current_reference_A", "A", 0, 1, "the logarithm is 0 here"),
     _real("current_floor_A", "A", 0, 1, "smaller currents count as this"),
     _real("current_ceiling_A", "A", 0, 1, "from here on retract at once"),
-    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "where retracting goes"),
+    _real("retract_voltage_V", "V", -NO_BOUND_V, NO_BOUND_V, "where retracting ends"),
+    _real("retract_step_V", "V", 0, 1e5, "how far a retract goes; 0: to its end at once"),
+    _real("approach_step_V", "V", 0, 1e5, "extension in a sample while there is no current"),
+    _real("approach_log_step", "1", 0, 1e3, "then the reference's way to the set point a sample"),
+    _real("contact_log", "1", 0, 1e3, "so far below the set point the current is there"),
+    _real("stuck_current_A", "A", -1, 1, "smaller currents are not watched for being stuck"),
+    _real("search_voltage_V", "V", 0, 1e5, "extension beyond the last contact; 0: to the end"),
     _real("schedule_limit", "1", 1, 1e3, "gain ratios stay in [1/limit, limit]", default=1),
     _taps("rst_T_V", "V", "T, on the reference"),
     _taps("rst_R_V", "V", "R, on the measurement"),

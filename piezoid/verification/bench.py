@@ -28,6 +28,7 @@ class Run:
     reference: Array
     disturbance: Array | None = None
     fault: Array | None = None
+    reset_at: int | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -75,6 +76,7 @@ class Bench:
             rng=np.random.default_rng([self.seed, number]),
             disturbance=run.disturbance,
             fault=run.fault,
+            reset_at=run.reset_at,
         )
 
 

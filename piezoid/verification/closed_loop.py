@@ -2,6 +2,7 @@
 
 import ctypes
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,16 @@ from piezoid.verification.loop_plant import begun_plant
 from piezoid.verification.plant import AxisPlant, Junction
 
 
+class Fault(IntEnum):
+    """What a sensor shows in place of what it senses."""
+
+    SOUND = 0
+    FROZEN = 1  # the last reading, again and again
+    DEAD = 2  # its offset and its noise
+    REVERSED = 3  # a current of the wrong sign
+    FULL = 4  # the end of its range
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LoopRecord:
     """What happened on one axis.
@@ -24,6 +35,8 @@ class LoopRecord:
     measured   (samples,)  what the controller read
     voltage_V  (samples,)  what it put out then
     status     (samples,)  the runtime's bits
+    driven     (samples,)  what moved the response, its largest in a sample: V behind the
+               amplifier (junction: nepers, the tip's extension times the decay)
     """
 
     axis: str
@@ -33,6 +46,7 @@ class LoopRecord:
     measured: Array
     voltage_V: Array
     status: NDArray[np.uint32]
+    driven: Array
 
 
 def run_axis(
@@ -43,13 +57,15 @@ def run_axis(
     rng: np.random.Generator,
     disturbance: Array | None = None,
     fault: Array | None = None,
+    reset_at: int | None = None,
     precision: str = "double",
 ) -> LoopRecord:
     """Run one axis from rest, with the values that ship.
 
     reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
     disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
-    fault        (samples,)  0: none; 1: the reading stays as it was; NaN: it is NaN
+    fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
+    reset_at     before this sample an operator resets the controller; None: never
     precision    of the runtime, ``double`` or ``float``
 
     Raises ``ParameterFileError`` where plant and parameters are of another sampling rate.
@@ -68,10 +84,11 @@ def run_axis(
         "noise": plant.noise(samples, rng),
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),
     }
-    outputs = {name: np.empty(samples) for name in ("position", "measured", "voltage_V")}
+    outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
     status = np.empty(samples, dtype=np.uint32)
     step, state, values = controller.addresses
     run = LoopRun(state=state, parameters=values, samples=samples, status=status.ctypes.data)
+    run.reset, run.reset_at = controller.reset_address, samples if reset_at is None else reset_at
     setattr(run, f"step_{precision}", step)
     for name, array in {**inputs, **outputs}.items():
         setattr(run, name, kept.address(array))

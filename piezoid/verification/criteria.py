@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
@@ -15,6 +16,7 @@ from piezoid.verification.tracking import Tracking
 SHAPE = "shape error of what ships"
 _SETTLED = 0.02  # of the largest step
 _BEFORE_NEXT_s = 5e-3  # a loop that previews its reference moves before the next step
+_BACK = 0.5  # nepers, within which the current is back at its set point
 _AFTERWARDS = 0.25  # of a record, its end: where a fault must be forgotten
 
 
@@ -29,6 +31,11 @@ class Limits:
     varied_percent      of the diameter, shape error with any plant the uncertainty allows
     fault_percent       of the diameter, furthest from the path with a failed sensor
     ln_current          standard deviation of ln i, up to judged_Hz
+    blind_s             after which a stage without a sensor is held at constant voltage
+    closest_m           how much closer to the surface a tip comes than its set point holds it
+                        and a step of the surface puts it; a gap is 0.4 to 1 nm wide
+    recovery_s          after a fault that ends, until the current is back at its set point
+    approach_s          the same from 200 nm, or after a reset
     """
 
     aligned_percent: float = 1.0
@@ -38,6 +45,10 @@ class Limits:
     varied_percent: float = 1.0
     fault_percent: float = 15.0
     ln_current: float = 0.5
+    blind_s: float = 0.15
+    closest_m: float = 4e-10
+    recovery_s: float = 1.0
+    approach_s: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,6 +205,58 @@ def tunnelling(scenario: str, record: LoopRecord, limits: Limits) -> tuple[Verdi
         ),
         _samples_with(scenario, [record], Status.RETRACTED, "samples with the tip retracted"),
     )
+
+
+def held(scenario: str, record: LoopRecord, lost_at: int, limits: Limits) -> tuple[Verdict, ...]:
+    """Judge that a stage whose sensor is gone for good is held soon, and then does not move."""
+    says = (record.status & np.uint32(Status.BLIND | Status.LATCHED)) > Status.LATCHED
+    at = int(np.argmax(says)) if says.any() else len(says)
+    moved = int(np.count_nonzero(np.diff(record.voltage_V[at:])) + np.count_nonzero(~says[at:]))
+    return (
+        Verdict(
+            name="without a sensor until held",
+            scenario=scenario,
+            value=(at - lost_at) / record.sampling_rate_Hz,
+            limit=limits.blind_s,
+            unit="s",
+        ),
+        _count("samples that moved while held", scenario, moved),
+    )
+
+
+def closeness(scenario: str, beyond_m: float, limits: Limits) -> Verdict:
+    """Judge how close a tip came to the surface."""
+    return Verdict(
+        name="closer to the surface than the set point",
+        scenario=scenario,
+        value=max(beyond_m, 0.0),
+        limit=limits.closest_m,
+        unit="m",
+    )
+
+
+def returned(
+    scenario: str, nepers: Array, rate_Hz: float, allowed_s: float, *, far: bool
+) -> Verdict:
+    """Judge how long the current was off its set point; the whole record if it never came back.
+
+    nepers  (samples,)  ln(i / i_set) since the fault ended, longer than allowed
+    """
+    off = np.flatnonzero(np.abs(nepers) > _BACK)
+    return Verdict(
+        name="until the current is back" + (" from far away" if far else ""),
+        scenario=scenario,
+        value=(int(off[-1]) + 1 if len(off) else 0) / rate_Hz,
+        limit=allowed_s,
+        unit="s",
+    )
+
+
+def latched(scenario: str, status: NDArray[np.uint32], cause: Status) -> Verdict:
+    """Judge that a tip waits for an operator and says why, (samples,) of its status."""
+    asked = np.uint32(Status.LATCHED | Status.RETRACTED | cause)
+    silent = int(np.sum((status & asked) != asked))
+    return _count("samples not latched with their cause", scenario, silent)
 
 
 def _samples_with(

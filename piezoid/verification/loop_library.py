@@ -64,7 +64,13 @@ class LoopPlant(ctypes.Structure):
         ("cyclic_per_m", ctypes.c_double),
         *(
             (name, ctypes.c_double)
-            for name in ("polarity", "voltage_offset_V", "displacement_offset_m", "current_A")
+            for name in (
+                "polarity",
+                "voltage_offset_V",
+                "displacement_offset_m",
+                "current_A",
+                "current_most",
+            )
         ),
         ("respond", RESPOND),
         *(
@@ -73,6 +79,7 @@ class LoopPlant(ctypes.Structure):
                 "slew_step",
                 "driven",
                 "w",
+                "reading_zero",
                 "reading_lsb",
                 "reading_least",
                 "reading_most",
@@ -89,7 +96,12 @@ class LoopRun(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("state", "parameters")),
         ("samples", ctypes.c_size_t),
         *((name, ctypes.c_void_p) for name in ("reference", "disturbance", "noise", "fault")),
-        *((name, ctypes.c_void_p) for name in ("position", "measured", "voltage_V", "status")),
+        ("reset", ctypes.c_void_p),
+        ("reset_at", ctypes.c_size_t),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("driven", "position", "measured", "voltage_V", "status")
+        ),
     )
 
 

@@ -62,7 +62,7 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     response, rest_V = plant.response, plant.rest_voltage_V
     gain = response.gain_nepers_per_V if isinstance(response, Junction) else 1.0
     begun = LoopPlant(substeps=SUBSTEPS)
-    begun.reading_lsb = plant.reading_step
+    begun.reading_zero, begun.reading_lsb = plant.reading_zero, plant.reading_step
     begun.reading_least, begun.reading_most = plant.reading_range
     begun.late = int(plant.delay_s * plant.sampling_rate_Hz)
     begun.late_V = kept.address(np.full(begun.late, rest_V))
@@ -70,6 +70,7 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
     begun.before, begun.after = before.linear, after.linear
     if isinstance(response, Junction):
         begun.kind, begun.current_A = _EXPONENTIAL, response.current_A
+        begun.current_most = response.most_A or 0.0
         disturbance += gain * rest_V
     elif isinstance(response, Hysteresis):
         begun.kind = _PLAYS

@@ -62,11 +62,13 @@ class Junction:
     current_A          at rest
     gain_nepers_per_V  > 0: positive drive extends the tip
     decay_per_m        k: what a metre of height takes from ln i
+    most_A             at which the amplifier in front of the sensor's pole is full; None: never
     """
 
     current_A: float
     gain_nepers_per_V: float
     decay_per_m: float
+    most_A: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +105,7 @@ class AxisPlant:
     slew_V_per_s      fastest change of the amplifier's output; None: any
     noise_rms         of one reading, m (junction: A)
     noise_bandwidth_Hz   first-order bandwidth of that noise; None: white
+    reading_zero      what nothing is read as: the offset of the sensor
     reading_step      of the measuring converter, 0 rounds nothing
     reading_range     its ends
     motions           what else moves the stage
@@ -124,6 +127,7 @@ class AxisPlant:
     slew_V_per_s: float | None = None
     noise_rms: float = 0.0
     noise_bandwidth_Hz: float | None = None
+    reading_zero: float = 0.0
     reading_step: float = 0.0
     reading_range: tuple[float, float] = (-np.inf, np.inf)
     motions: tuple[Motion, ...] = ()

@@ -18,6 +18,7 @@
 #define PL_MAX_STATES 64
 
 enum { PL_PLAYS = 0, PL_EXPONENTIAL = 1, PL_PLUGGED = 2 };
+enum { PL_SOUND = 0, PL_FROZEN = 1, PL_DEAD = 2, PL_REVERSED = 3, PL_FULL = 4 };
 
 /* x = A x + B_old w_old + B_new w_new;  outputs C x + D w_new. Row-major. */
 typedef struct {
@@ -74,10 +75,12 @@ typedef struct {
     double voltage_offset_V;
     double displacement_offset_m;
     double current_A;     /* PL_EXPONENTIAL: at v - disturbance = 0 */
+    double current_most;  /* PL_EXPONENTIAL: an amplifier that is full shows this; 0: any */
     pl_respond respond;   /* PL_PLUGGED */
     double slew_step;     /* of the amplifier's output in a substep; 0: any */
     double driven;        /* that output, as slow as it is */
     double w;             /* last response */
+    double reading_zero;  /* what no current is read as */
     double reading_lsb;   /* of the measuring converter; 0: no rounding */
     double reading_least; /* and its ends */
     double reading_most;
@@ -98,7 +101,10 @@ typedef struct {
     const double *reference;
     const double *disturbance; /* one more than samples */
     const double *noise;
-    const double *fault; /* NaN: the reading is NaN; 0: none; > 0: it stays as it was */
+    const double *fault; /* NaN: the reading is NaN; else one of PL_SOUND... */
+    void (*reset)(void *state);
+    size_t reset_at; /* before this sample an operator resets the controller; samples: never */
+    double *driven;  /* the farthest in a sample */
     double *position;
     double *measured;
     double *voltage_V;
@@ -220,12 +226,14 @@ static double slewed(pl_plant *plant, double wanted) {
 double pl_response(pl_plant *plant, double drive, double disturbance) {
     if (plant->kind == PL_EXPONENTIAL) {
         /* e^60 times any current is far beyond every converter, and finite. */
-        return plant->current_A * exp(fmax(-60.0, fmin(60.0, drive - disturbance)));
+        const double current_A =
+            plant->current_A * exp(fmax(-60.0, fmin(60.0, drive - disturbance)));
+        return plant->current_most > 0.0 ? fmin(current_A, plant->current_most) : current_A;
     }
     return (plant->kind == PL_PLAYS ? plays(plant, drive) : plant->respond(drive)) + disturbance;
 }
 
-static double shown(const pl_plant *plant, double position_m) {
+static double cyclic(const pl_plant *plant, double position_m) {
     double sum = position_m;
     for (size_t n = 1; n <= plant->cyclic_orders; ++n) {
         const double turn = (double)n * plant->cyclic_per_m * position_m;
@@ -240,6 +248,26 @@ static double converted(const pl_plant *plant, double sensed) {
                                     : kept;
 }
 
+/* What the sensor shows: itself, or what is left of it. */
+static double shown(const pl_plant *plant, double fault, double sensed, double noise,
+                    double last) {
+    if (isnan(fault)) {
+        return fault;
+    }
+    switch ((int)fault) {
+    case PL_FROZEN:
+        return last;
+    case PL_DEAD:
+        return converted(plant, plant->reading_zero + noise);
+    case PL_REVERSED:
+        return converted(plant, plant->reading_zero - sensed + noise);
+    case PL_FULL:
+        return converted(plant, plant->reading_most);
+    default:
+        return converted(plant, plant->reading_zero + sensed + noise);
+    }
+}
+
 static double controlled(const pl_run *run, size_t k, double measured) {
     if (run->step_double != NULL) {
         return run->step_double(run->state, run->parameters, run->reference[k], measured);
@@ -251,12 +279,13 @@ static double controlled(const pl_run *run, size_t k, double measured) {
 void pl_loop(pl_plant *plant, const pl_run *run) {
     double reading = 0.0;
     for (size_t k = 0; k < run->samples; ++k) {
-        const double sensed = shown(plant, output(&plant->after, 1, plant->w));
+        const double sensed = cyclic(plant, output(&plant->after, 1, plant->w));
         run->position[k] = output(&plant->after, 0, plant->w);
-        if (!(run->fault[k] > 0.0)) {
-            reading = converted(plant, sensed + run->noise[k]);
+        run->measured[k] = shown(plant, run->fault[k], sensed, run->noise[k], reading);
+        reading = isnan(run->measured[k]) ? reading : run->measured[k];
+        if (k == run->reset_at) {
+            run->reset(run->state);
         }
-        run->measured[k] = isnan(run->fault[k]) ? run->fault[k] : reading;
         const double u = controlled(run, k, run->measured[k]);
         run->voltage_V[k] = u;
         run->status[k] = ((const uint32_t *)run->state)[1]; /* behind `ready` */
@@ -266,6 +295,7 @@ void pl_loop(pl_plant *plant, const pl_run *run) {
             const double part = (double)j / (double)plant->substeps;
             advance(&plant->before, arrived, arrived);
             const double v = slewed(plant, output(&plant->before, 0, arrived));
+            run->driven[k] = j == 1 ? v : fmax(run->driven[k], v);
             const double w = pl_response(plant, v, run->disturbance[k] + part * slope);
             advance(&plant->after, plant->w, w);
             plant->w = w;

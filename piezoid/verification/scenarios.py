@@ -30,8 +30,9 @@ class Scenario:
     path          makes the path at a sampling rate
     is_compared   run with every method the file holds, for the table
     is_varied     run with every plant the uncertainty allows instead of the identified one
-    fault         None, or what the sensor reads from the middle on for 20 ms: NaN, or 1 for the
-                  same as before
+    fault         None, or what the sensor reads from the middle on: NaN, or 1 for the same as
+                  before
+    fault_s       for how long; infinite: for good
     """
 
     name: str
@@ -41,13 +42,15 @@ class Scenario:
     is_compared: bool = False
     is_varied: bool = False
     fault: float | None = None
+    fault_s: float = _FAULT_s
 
     def fault_of(self, samples: int, rate_Hz: float) -> Array | None:
         """Return the sensor's fault, (samples,), or None."""
         if self.fault is None:
             return None
         found = np.zeros(samples)
-        found[samples // 2 : samples // 2 + round(_FAULT_s * rate_Hz)] = self.fault
+        lasts = samples if np.isinf(self.fault_s) else round(self.fault_s * rate_Hz)
+        found[samples // 2 : samples // 2 + lasts] = self.fault
         return found
 
 
@@ -99,5 +102,16 @@ SCENARIOS: tuple[Scenario, ...] = (
         frequency_Hz=10.0,
         path=_constant_angular(10.0),
         fault=1.0,
+    ),
+    *(
+        Scenario(
+            name=f"spiral, 10 Hz, sensor {how} for good",
+            kind="spiral",
+            frequency_Hz=10.0,
+            path=_constant_angular(10.0),
+            fault=fault,
+            fault_s=np.inf,
+        )
+        for how, fault in (("lost", np.nan), ("frozen", 1.0))
     ),
 )

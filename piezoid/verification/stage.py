@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.design.converters import converters_of
-from piezoid.design.from_junction import junction_family
+from piezoid.design.from_junction import junction_family, reading_range_A
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.model import ActuatorModel
@@ -50,7 +50,8 @@ def verify_stage(
     draws    how many other stages the recordings allow are run as well
     threads  so many axes of a path run at once; what is found does not depend on it
 
-    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
+    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
+    where lab.toml declares other guards or another rig than those that ship.
     """
     rng = np.random.default_rng([seed, draws])
     plants: list[AxisPlant] = []
@@ -64,6 +65,7 @@ def verify_stage(
         else:
             drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
+    _same_control(file, declared)
     chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
     return verify(
         file,
@@ -73,7 +75,20 @@ def verify_stage(
         proofs=proofs,
         seed=seed,
         threads=threads,
+        lab_digest=declared.digest,
     )
+
+
+def _same_control(file: ParameterFile, lab: Lab) -> None:
+    """Refuse a lab.toml whose rig or guards are not those that ship."""
+    exported = file.sources.get("control")
+    if exported is not None and exported != lab.control_digest:
+        raise ParameterFileError(
+            f"{lab.place} declares another rig or other guards than params.json was exported with",
+            needed="what ships and what is verified declared by the same numbers; only "
+            "[verification] and [uncertainty] may differ",
+            remedy="Run `piezoid export` again, then verify.",
+        )
 
 
 def plant_of(axis: AxisParameters, model: ActuatorModel, lab: Lab) -> AxisPlant:
@@ -131,11 +146,10 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
     converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm
     if resistor_ohm is None or converters.reading_V is None:
         return rested
-    low_V, high_V = converters.reading_V
     return replace(
         rested,
         reading_step=converters.reading_step_V / resistor_ohm,
-        reading_range=(low_V / resistor_ohm, high_V / resistor_ohm),
+        reading_range=reading_range_A(lab, axis.axis) or rested.reading_range,
     )
 
 

@@ -72,6 +72,7 @@ class Verification:
     proofs           builds that gave the same bits; empty if none was asked for
     plants           label and axis of every plant that was run
     parameters_digest, runtime_digest   of params.json, and of the runtime's source
+    lab_digest       of the lab.toml whose converters and limits were taken; empty without one
     """
 
     name: str
@@ -86,6 +87,7 @@ class Verification:
     plants: tuple[str, ...]
     parameters_digest: str
     runtime_digest: str
+    lab_digest: str = ""
 
     @property
     def passed(self) -> bool:

@@ -17,6 +17,7 @@ from piezoid.verification.over_surface import judge_tips, run_tips
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS, Scenario
+from piezoid.verification.tip_trials import TIP_TRIALS, TipTrial, judge_trials
 from piezoid.verification.trace import is_traced, trace_of
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.trajectories import Path
@@ -30,9 +31,11 @@ def verify(
     variations: Sequence[Sequence[AxisPlant]] = (),
     limits: Limits | None = None,
     scenarios: Sequence[Scenario] = SCENARIOS,
+    trials: Sequence[TipTrial] = TIP_TRIALS,
     proofs: Sequence[Proof] = (),
     seed: int = 0,
     threads: int = 1,
+    lab_digest: str = "",
 ) -> Verification:
     """Run what ships against plants, scenario by scenario, and judge it.
 
@@ -40,9 +43,12 @@ def verify(
     plants      one for every axis of the file
     variations  further sets of plants, one of each axis, which the uncertainty allows as well
     limits      by default those of ``Limits``
+    trials      what happens to every tip
     proofs      builds that were compared, to stand in the same record
     seed        of every noise
     threads     so many axes of a path run at once; what is found does not depend on it
+
+    lab_digest  of the lab.toml that declared plants and limits, to stand in the record
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
@@ -50,10 +56,12 @@ def verify(
     for scenario in scenarios:
         if scenario.is_varied:
             _run_varied(bench, scenario, variations)
-        elif bench.lateral and scenario.fault is not None:
-            _run_fault(bench, scenario)
+        elif scenario.fault is not None:
+            if bench.lateral:
+                _run_fault(bench, scenario)
         else:
             _run(bench, scenario)
+    judge_trials(bench, trials)
     drawn = [plant for chosen in variations for plant in chosen]
     shipped = {axis.axis: axis for axis in file.axes}
     return Verification(
@@ -69,6 +77,7 @@ def verify(
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),
+        lab_digest=lab_digest,
     )
 
 
@@ -228,6 +237,9 @@ def _run_varied(
 
 def _run_fault(bench: Bench, scenario: Scenario) -> None:
     path = scenario.path(bench.rate_Hz)
+    if np.isinf(scenario.fault_s):
+        _run_blind(bench, scenario, path)
+        return
     healthy = _tracked(bench, scenario, path, _lateral(bench, path))
     fault = scenario.fault_of(len(path.x), bench.rate_Hz)
     records = _lateral(bench, path, fault=fault)
@@ -239,6 +251,21 @@ def _run_fault(bench: Bench, scenario: Scenario) -> None:
     flag = Status.BAD_MEASUREMENT if is_lost else Status.STUCK_SENSOR
     watching = [r for r in records.values() if _has_feedback(bench, r.axis)]
     bench.verdicts.append(criteria.noticed(scenario.name, watching, flag))
+
+
+def _run_blind(bench: Bench, scenario: Scenario, path: Path) -> None:
+    """Judge the worst axis of a stage whose sensors never come back."""
+    fault = scenario.fault_of(len(path.x), bench.rate_Hz)
+    records = _lateral(bench, path, fault=fault).values()
+    found = [
+        verdict
+        for record in records
+        if _has_feedback(bench, record.axis)
+        for verdict in criteria.held(scenario.name, record, len(path.x) // 2, bench.limits)
+    ]
+    for name in dict.fromkeys(verdict.name for verdict in found):
+        same = [verdict for verdict in found if verdict.name == name]
+        bench.verdicts.append(max(same, key=lambda verdict: verdict.value))
 
 
 def _has_feedback(bench: Bench, axis: str) -> bool:

@@ -71,6 +71,8 @@ def _chain(page: Page) -> Table:
     """Return data -> model -> design -> parameter file and runtime source -> verification."""
     model = page.model_digest
     rows = [("lab.toml", page.model.lab or "none given", "the laboratory")]
+    if page.lab is not None and page.lab.digest and page.lab.digest != page.model.lab:
+        rows.append(("lab.toml, as it is now", page.lab.digest, "the laboratory, after the fit"))
     if model:
         rows.append(("model.json", model, "the recordings in the model, lab.toml"))
     if "diagnosis.json" in page.files:
@@ -79,6 +81,7 @@ def _chain(page: Page) -> Table:
         )
     if page.design is not None and "design.json" in page.files:
         made_from = _of("model.json", page.design.model_digest, model)
+        made_from += _lab(page, page.design.lab_digest)
         rows.append(("design.json", _sealed(page, "design.json"), made_from))
     if "params.json" in page.files:
         sources = loads(page.files["params.json"])["sources"]
@@ -86,6 +89,7 @@ def _chain(page: Page) -> Table:
         if "design.json" in page.files:
             design = _sealed(page, "design.json")
             made_from += f", {_of('design.json', sources.get('design', ''), design)}"
+        made_from += _lab(page, sources.get("lab", ""))
         rows.append(("params.json", _sealed(page, "params.json"), made_from))
     rows += _verified(page)
     return Table(
@@ -106,7 +110,16 @@ def _verified(page: Page) -> list[tuple[str, str, str]]:
         return [runtime]
     ran = _of("params.json", found.parameters_digest, _sealed(page, "params.json"))
     digest = _sealed(page, "verification.json")
-    return [runtime, ("verification.json", digest, f"{ran}, this runtime source, model.json")]
+    made_from = f"{ran}, this runtime source, model.json{_lab(page, found.lab_digest)}"
+    return [runtime, ("verification.json", digest, made_from)]
+
+
+def _lab(page: Page, said: str) -> str:
+    """Return which lab.toml a record was made with, against that of the fit."""
+    fitted = page.model.lab or ""
+    if said == fitted:
+        return ", lab.toml" if said else ""
+    return f", another lab.toml: {said[:19]}..." if said else ", no lab.toml"
 
 
 def _of(name: str, said: str, held: str) -> str:

@@ -114,6 +114,10 @@ def test_the_runtimes_polynomials_are_the_designed_ones(rng):
             "rst_S": without_integrator,
             "rst_A0_count": 1,
             "rst_A0": [1.0],
+            "contact_samples": 1,
+            "approach_step_V": 1e-3,
+            "approach_log_step": 0.1,
+            "contact_log": 2.0,
         }
     )
     controller.start(0.0, 1e-9)

@@ -99,8 +99,8 @@ def test_the_same_parameters_give_the_same_bytes():
 def test_a_runtime_of_another_schema_does_not_compile(tmp_path):
     folder = written(tmp_path)
     runtime = folder / "piezoid_runtime.h"
-    runtime.write_text(runtime.read_text().replace("PZ_SCHEMA_VERSION 1", "PZ_SCHEMA_VERSION 2"))
-    with pytest.raises(AssertionError, match="written for schema version 1"):
+    runtime.write_text(runtime.read_text().replace("PZ_SCHEMA_VERSION 2", "PZ_SCHEMA_VERSION 3"))
+    with pytest.raises(AssertionError, match="written for schema version 2"):
         built(folder, "-std=c99")
 
 

@@ -30,8 +30,19 @@ GUARDS = TunnellingGuards(
     floor_A=1e-11,
     ceiling_A=1e-8,
     retract_voltage_V=-10.0,
+    retract_step_V=0.3,
     retract_samples=100,
     bad_samples=3,
+    contact_samples=3,
+    approach_step_V=3e-4,
+    approach_log_step=0.1,
+    contact_log=0.7,
+    search_voltage_V=0.02,
+    trip_limit=5,
+    trip_samples=20000,
+    stuck_samples=20,
+    stuck_voltage_V=0.004,
+    stuck_current_A=-1.0,
 )
 
 

@@ -81,6 +81,9 @@ static uint64_t run(const pz_parameters *p, long steps) {
         if (draw() % 1024 == 0) {
             pz_schedule(&state, p, hostile(PZ_REAL(2.0), scale));
         }
+        if (draw() % 512 == 0) {
+            pz_reset(&state);
+        }
         const pz_real volts = pz_step(&state, p, reference, measured);
         uint64_t bits = 0;
         memcpy(&bits, &volts, sizeof volts);

@@ -22,7 +22,11 @@ FURTHER = {
     **{"envelope_count": 3, "envelope_knot_V": [-1, 0, 2], "envelope_weight": [0.1, 1, -0.1]},
     **{"reference_section_count": 1, "reference_section": SECTION, "reference_step_m": 0.5},
     **{"command_section_count": 1, "command_section": SECTION, "voltage_step_V": 1.0},
-    **{"stuck_samples": 3, "stuck_voltage_V": 0.01},
+    **{"stuck_samples": 3, "stuck_voltage_V": 0.01, "blind_samples": 8},
+}
+GUARDED = {
+    **{"retract_step_V": 0.3, "search_voltage_V": 0.02, "trip_limit": 3, "trip_samples": 400},
+    **{"contact_samples": 2, "retract_samples": 5, "stuck_current_A": -1.0},
 }
 # Polynomials filled to their last places: what reaches further leaves the structures.
 TAPS = np.r_[1.0, np.full(MAX_TAPS - 1, 1e-3)]
@@ -33,6 +37,7 @@ FULL = {
 SETS = (
     *({**LATERAL, **FURTHER, "method": method} for method in ("mpi", "dob", "mpi_dob")),
     tunnelling(lsb_V=20 / 65536, stuck_samples=10, voltage_step_V=0.01, **FULL),
+    tunnelling(stuck_samples=4, stuck_voltage_V=1e-3, **GUARDED),
 )
 
 

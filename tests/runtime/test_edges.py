@@ -121,8 +121,8 @@ def test_any_change_lets_the_count_begin_anew(change):
 @pytest.mark.parametrize(
     ("current_A", "status"),
     [
-        (1e-11, 0),
-        (0.999e-11, Status.CURRENT_LOST),
+        (1e-11, Status.APPROACHING),
+        (0.999e-11, Status.CURRENT_LOST | Status.APPROACHING),
         (1.999e-8, 0),
         (2e-8, Status.MEASUREMENT_LIMITED | Status.RETRACTED),
     ],
@@ -219,7 +219,8 @@ def test_states_that_nothing_moves_at_rest_are_usable(precision):
 @pytest.mark.parametrize(("current_A", "is_stuck"), [(1e-11, False), (1.001e-11, True)])
 def test_a_current_that_rests_on_the_floor_is_no_stuck_sensor(current_A, is_stuck):
     """The amplifier of a lost tip reads one number for as long as nothing flows."""
-    controller = Controller(tunnelling(stuck_samples=3, stuck_voltage_V=1e-6))
+    watch = {"stuck_samples": 3, "stuck_voltage_V": 1e-6, "stuck_current_A": 1e-11}
+    controller = Controller(tunnelling(**watch))
     controller.start(0.0, 1e-9)
     run = controller.run(np.full(20, 1e-9), np.full(20, current_A))
     assert np.ptp(run.voltage_V) > 1e-6

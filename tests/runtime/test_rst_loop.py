@@ -90,10 +90,13 @@ def test_a_lost_current_gives_a_bounded_approach():
     assert np.array_equal(started(voltage_step_V=0.002).run(floor * 100, floor).voltage_V, u)
 
 
-def test_a_negative_current_counts_as_lost():
-    controller = started()
-    controller.step(REFERENCE_A, -REFERENCE_A)
-    assert controller.status == Status.CURRENT_LOST
+def test_a_small_negative_current_is_an_offset_and_a_large_one_has_the_wrong_sign():
+    controller = started(contact_log=1.0)
+    controller.step(REFERENCE_A, -0.3 * REFERENCE_A)
+    assert controller.status == Status.CURRENT_LOST | Status.APPROACHING
+    held_V = controller.step(REFERENCE_A, -0.4 * REFERENCE_A)
+    assert controller.status == Status.WRONG_SIGN
+    assert held_V == controller.step(REFERENCE_A, -REFERENCE_A)
 
 
 def test_too_much_current_retracts_at_once_and_for_the_time_asked():

@@ -7,7 +7,7 @@ import pytest
 from tests.runtime.compiler import PRECISION, SOURCE, STRICT, found, run
 from tests.runtime.hostile import hostile_steps
 
-STEPS = 250_000  # for each of four parameter sets: a million
+STEPS = 200_000  # for each of five parameter sets: a million
 
 
 @pytest.mark.parametrize("precision", PRECISION)
@@ -48,5 +48,5 @@ def test_fast_math_is_refused():
 @pytest.mark.parametrize("precision", PRECISION)
 def test_a_million_hostile_steps_pass_the_sanitisers(precision, tmp_path):
     said = hostile_steps(precision, tmp_path, STEPS)
-    assert said.count("digest") == 4
+    assert said.count("digest") == 5
     assert all(int(line.split()[-1]) > 100 for line in said.splitlines() if "accepted" in line)

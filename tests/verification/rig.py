@@ -24,6 +24,23 @@ AMPLIFIER, MODE, SENSOR = (
 DECAY_per_m = 10.246e9
 NEPERS_PER_V = 18e-9 * DECAY_per_m
 
+# 5 nm a retract, 0.35 nm of search, 5 retracts within a second of each other.
+WATCH = {
+    "retract_step_V": 0.278,
+    "approach_step_V": 5e-4,
+    "approach_log_step": 0.09,
+    "contact_log": 0.73,
+    "search_voltage_V": 0.0194,
+    "trip_limit": 5,
+    "trip_samples": 20000,
+    "bad_samples": 20,
+    "contact_samples": 20,
+    "retract_samples": 200,
+    "stuck_samples": 20,
+    "stuck_voltage_V": 0.004,
+    "stuck_current_A": -1.0,
+}
+
 
 def operator(weight_factor=1.0, offset_V=0.0):
     weight = GAIN_m_per_V * np.array([0.72, 0.12, 0.08, 0.06, 0.04])
@@ -91,6 +108,7 @@ def lateral_parameters(axis="x"):
         "displacement_maximum_m": 4.5e-5,
         "stuck_samples": 20,
         "stuck_voltage_V": 0.1,
+        "blind_samples": 2000,
         "play_count": 5,
         "play_threshold_V": model.plays.threshold,
         "play_weight_m_per_V": model.plays.weight,
@@ -108,7 +126,9 @@ def stage(*axes):
         "y": lambda: lateral_parameters("y"),
         "z": lambda: AxisParameters(
             axis="z",
-            values=tunnelling(lsb_V=LSB_V / 32, current_ceiling_A=9e-9, retract_voltage_V=-10.0),
+            values=tunnelling(
+                lsb_V=LSB_V / 32, current_ceiling_A=9e-9, retract_voltage_V=-10.0, **WATCH
+            ),
         ),
     }
     chosen = axes or ("x", "y", "z")

@@ -107,12 +107,47 @@ def test_a_failed_verdict_is_exit_status_1_and_still_written(folder, designed):
 
 def test_limits_come_from_a_file_or_from_the_lab_toml_of_the_folder(folder):
     called("export", folder)
+    first = (folder / "params.json").read_bytes()
     (folder / "limits.toml").write_text(TIGHT)
     done = called("verify", folder, "--limits", folder / "limits.toml")
     assert done.exit_code == 1
     assert "allowed 0.0001" in done.output
     (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
     assert called("verify", folder).exit_code == 1
+    assert (folder / "params.json").read_bytes() == first
+    record = verification_from_json((folder / "verification.json").read_bytes())
+    assert record.lab_digest == read_lab(folder / "lab.toml").digest
+
+
+def test_a_guard_that_was_written_after_the_export_does_not_pass_unseen(folder, with_tip):
+    """1 uA instead of 9 nA: the tip would retract when it is in the surface."""
+    (folder / "model.json").write_bytes(write_model(with_tip[0]))
+    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    (folder / "lab.toml").write_text(GUARDED)
+    assert called("export", folder).exit_code == 0
+    shipped = from_json((folder / "params.json").read_bytes(), "params.json")
+    assert shipped.sources["lab"] == read_lab(folder / "lab.toml").digest
+    (folder / "lab.toml").write_text(GUARDED.replace("9e-9", "8e-9"))
+    done = called("verify", folder)
+    assert isinstance(done.exception, ParameterFileError)
+    assert "other guards than params.json was exported with" in str(done.exception)
+    assert called("export", folder).exit_code == 0
+    again = from_json((folder / "params.json").read_bytes(), "params.json")
+    assert again.sources["lab"] == read_lab(folder / "lab.toml").digest
+    assert float(again.axis("z").values["current_ceiling_A"]) == 8e-9
+    (folder / "lab.toml").write_text(GUARDED.replace("9e-9", "1e-6"))
+    done = called("export", folder)
+    assert done.exit_code == 1
+    assert "read at most 1e-08 A" in done.output.replace("\n", " ")
+
+
+def test_another_converter_asks_for_another_design(folder, with_tip):
+    (folder / "model.json").write_bytes(write_model(with_tip[0]))
+    (folder / "design.json").write_bytes(with_tip[1].to_json())
+    (folder / "lab.toml").write_text(GUARDED.replace("[-10, 10]", "[-5, 5]"))
+    done = called("export", folder)
+    assert isinstance(done.exception, ParameterFileError)
+    assert "piezoid design" in str(done.exception)
 
 
 @pytest.fixture(scope="module")

@@ -17,10 +17,12 @@ from piezoid.verification.criteria import Limits
 from piezoid.verification.plant import Plugged, with_gain
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.tip_trials import TIP_TRIALS
 from piezoid.verification.verification import verification_from_json
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, GAIN_m_per_V, junction, lateral, stage
 
+TRIALS = {trial.name for trial in TIP_TRIALS}
 NAMES = {scenario.name for scenario in SCENARIOS}
 QUICK = tuple(s for s in SCENARIOS if s.name in ("spiral, 20 Hz", "spiral, 100 Hz"))
 
@@ -37,7 +39,7 @@ def test_a_sound_stage_passes_every_verdict(whole):
 
 
 def test_every_scenario_is_judged(whole):
-    assert {v.scenario for v in whole.verdicts} == NAMES | {"all"}
+    assert {v.scenario for v in whole.verdicts} == NAMES | TRIALS | {"all"}
 
 
 def test_the_table_has_every_method_at_every_frequency_once(whole):
@@ -231,3 +233,18 @@ def test_the_sensor_is_lost_in_the_middle_and_comes_back():
     assert np.isnan(fault[5000])
     assert fault[-1] == 0.0
     assert Status.BAD_MEASUREMENT.value == 4
+
+
+@pytest.mark.parametrize("how", ["lost", "frozen"])
+def test_a_stage_that_flies_blind_for_ever_is_seen(how):
+    scenario = next(s for s in SCENARIOS if s.name == f"spiral, 10 Hz, sensor {how} for good")
+    held, endless = (
+        ParameterFile(name="x", axes=(stage("x").axes[0].with_values({"blind_samples": n}),))
+        for n in (2000, 0)
+    )
+    good, bad = (verify(f, PLANTS[:1], scenarios=(scenario,)) for f in (held, endless))
+    until = "without a sensor until held"
+    found = {v.name: v for v in good.verdicts}
+    assert good.passed
+    assert 0.099 < found[until].value < 0.12
+    assert not bad.passed
