@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid_cli.calibration import Calibration
     from piezoid_cli.controllers import Controllers
 
@@ -157,21 +158,11 @@ def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
 def _show_model(model: "ActuatorModel") -> None:
     from rich.console import Console
 
-    from piezoid_reports.junction_words import barrier_sentence, loop_sentence
-
     console = Console()
     if model.axes:
         console.print(_table(model))
-    law = None if model.tunnelling is None else model.tunnelling.gap_law
-    if law is not None:
-        console.print(plain(f"tunnelling: {barrier_sentence(law)}"))
-        for reason in law.reasons:
-            console.print(plain(f"tunnelling: {reason}", style="dim"))
-    loop = None if model.tunnelling is None else model.tunnelling.loop_plant
-    if loop is not None:
-        console.print(plain(f"tunnelling: {loop_sentence(loop)}"))
-        for reason in loop.reasons:
-            console.print(plain(f"tunnelling: {reason}", style="dim"))
+    if model.tunnelling is not None:
+        _show_tip(model.tunnelling)
     for remark in model.remarks:
         console.print(plain(remark, style="dim"))
     for axis in model.axes.values():
@@ -180,6 +171,26 @@ def _show_model(model: "ActuatorModel") -> None:
             console.print(plain(reason, style="bold red"))
         for remark in axis.verdict.remarks:
             console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
+
+
+def _show_tip(tip: "TunnellingModel") -> None:
+    from rich.console import Console
+
+    from piezoid_reports.junction_words import barrier_sentence, joint_sentence, loop_sentence
+
+    console = Console()
+    law, loop, joint = tip.gap_law, tip.loop_plant, tip.joint
+    if law is not None:
+        console.print(plain(f"tunnelling: {barrier_sentence(law)}"))
+        for reason in law.reasons:
+            console.print(plain(f"tunnelling: {reason}", style="dim"))
+    if loop is not None:
+        console.print(plain(f"tunnelling: {loop_sentence(loop)}"))
+        for reason in loop.reasons:
+            console.print(plain(f"tunnelling: {reason}", style="dim"))
+    if law is not None and loop is not None and joint is not None:
+        tone = "" if joint.agree else "bold red"
+        console.print(plain(f"tunnelling: {joint_sentence(law, loop, joint)}", style=tone))
 
 
 def _table(model: "ActuatorModel") -> "Table":

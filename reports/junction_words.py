@@ -3,6 +3,7 @@
 import math
 
 from piezoid.identification.tunnelling.confidence import Confidence
+from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import GapLaw
 from piezoid_reports.page import Prose
@@ -51,6 +52,21 @@ def loop_sentence(loop: LoopPlant) -> str:
     return (
         f"From {records}: apparent barrier {barrier}, gain of the height loop {gain} nepers per "
         f"volt, {loop.confidence.value} confidence."
+    )
+
+
+def joint_sentence(law: GapLaw, loop: LoopPlant, joint: JointBarrier) -> str:
+    """Return whether sweeps and closed loop agree, with both barriers, as a sentence."""
+    if joint.barrier_eV is not None:
+        common = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
+        return f"sweeps and loop agree. Both together, weighted: {common}."
+    low, high = (significant(end, 4) for end in joint.barrier_interval_eV)
+    sweeps = told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
+    looped = told_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")
+    return (
+        f"Sweeps and loop disagree: {sweeps} from the sweeps, {looped} from the loop. The "
+        "extension per volt or the calibration of the height is off, or the tip or the spot was "
+        f"another; what is known of the barrier is {low} to {high} eV."
     )
 
 

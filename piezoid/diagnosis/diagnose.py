@@ -17,7 +17,7 @@ from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.diagnosis.worth import worth_of
-from piezoid.identification.fit import axes_of, moving, rig_of
+from piezoid.identification.fit import axes_of, lacking, moving, rig_of
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.hands import Hands
@@ -48,11 +48,15 @@ def diagnose(
     progress    told what is being done, by whichever thread does it, one at a time
     threads     so many work at once; what is found does not depend on it
 
-    Raises ``ExcitationError`` where drive or displacement does not move. What goes wrong: a cause
-    that no effect stands for is not named, but it may be given to the one that resembles it most;
-    ``explained_fraction`` and the noise floor tell how much is left.
+    Raises ``ExcitationError`` where drive or displacement is missing or does not move. What goes
+    wrong: a cause that no effect stands for is not named, but it may be given to the one that
+    resembles it most; ``explained_fraction`` and the noise floor tell how much is left.
     """
-    wanted = axes_of(recordings)[0] if axis is None else axis
+    axes = axes_of(recordings)
+    wanted = next(iter(axes), "") if axis is None else axis
+    if wanted not in axes:
+        what = f" of axis {wanted}" if wanted else " of the same axis"
+        raise lacking(recordings, f"a drive voltage and a displacement{what}")
     declared = lab or Lab()
     progress("fitting the envelope")
     found = search(

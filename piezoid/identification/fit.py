@@ -60,12 +60,10 @@ def unfitted(
     """
     refuse_one_name_twice(recordings, sweeps)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
-        held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
-        raise ExcitationError(
-            f"{', '.join(r.name for r in recordings)}: only {', '.join(held)} is recorded",
-            needed="a drive voltage and a displacement of the same axis, or the drive, current "
+        raise lacking(
+            recordings,
+            "a drive voltage and a displacement of the same axis, or the drive, current "
             "and reference of a tunnelling loop",
-            remedy="Record both, or name the columns in lab.toml.",
         )
     files: list[Recording | RawTable] = [*recordings, *sweeps]
     return ActuatorModel(
@@ -76,6 +74,17 @@ def unfitted(
         tunnelling=None,
         remarks=remarks_on_currents(recordings),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
+    )
+
+
+def lacking(recordings: Sequence[Recording], needed: str) -> ExcitationError:
+    """Return the refusal of recordings that hold no axis of the kind that is needed."""
+    held = sorted({c.quantity.name.lower() for r in recordings for c in r.channels})
+    names = ", ".join(r.name for r in recordings) or "no recording over time"
+    return ExcitationError(
+        f"{names}: only {', '.join(held)} is recorded" if held else f"{names} is given",
+        needed=needed,
+        remedy="Record both, or name the columns in lab.toml.",
     )
 
 

@@ -30,11 +30,11 @@ def render(page: Page) -> Section | None:
     if junction is None or junction.gap_law is None:
         return None
     parts: list[Part] = []
+    parts.append(judged(junction.gap_law))
+    parts += [Listing(items=junction.gap_law.reasons)] if junction.gap_law.reasons else []
     for law, direction in _laws(junction, page):
         curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
         parts.append(Heading(text=f"{direction.value.capitalize()} sweeps"))
-        parts.append(judged(law))
-        parts += [Listing(items=law.reasons)] if law.reasons else []
         parts += [_curve(law, curves), _residual(law, curves)] if curves else []
     return Section(
         anchor="tunnelling",
@@ -50,8 +50,8 @@ def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Directio
     first = junction.gap_law
     if first is None:
         return ()
-    if junction.backward is not None:
-        return (first, Direction.FORWARD), (junction.backward, Direction.BACKWARD)
+    if junction.forward is not None and junction.backward is not None:
+        return (junction.forward, Direction.FORWARD), (junction.backward, Direction.BACKWARD)
     held = {curve.direction for curve in curves_of(page.sweeps)}
     return ((first, Direction.BACKWARD if held == {Direction.BACKWARD} else Direction.FORWARD),)
 
@@ -79,11 +79,19 @@ ROWS: tuple[tuple[str, Callable[[GapLaw], str]], ...] = (
 
 def _table(junction: TunnellingModel, page: Page) -> Table:
     laws = _laws(junction, page)
+    columns = [(direction.value, law) for law, direction in laws]
+    both = ""
+    if len(laws) > 1 and junction.gap_law is not None:
+        columns.insert(0, ("both ways", junction.gap_law))
+        both = (
+            " Drift of the height makes one way steeper and the other less so: only the law of "
+            "both ways is free of it."
+        )
     return Table(
         caption="Gap law i = ± I0 exp(\N{MINUS SIGN}k z) + offset, z growing as the tip "
-        "retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.",
-        columns=("", *(direction.value for _, direction in laws)),
-        rows=tuple((name, *(text(law) for law, _ in laws)) for name, text in ROWS),
+        f"retracts; 95 % intervals. The barrier is (k / 10.246 per nm)², in eV.{both}",
+        columns=("", *(heading for heading, _ in columns)),
+        rows=tuple((name, *(text(law) for _, law in columns)) for name, text in ROWS),
     )
 
 

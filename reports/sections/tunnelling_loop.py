@@ -11,9 +11,15 @@ from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, read_
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
 from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.model import GapLaw
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
-from piezoid_reports.junction_words import SOURCES, loop_judged, told_interval
+from piezoid_reports.junction_words import (
+    SOURCES,
+    joint_sentence,
+    loop_judged,
+    told_interval,
+)
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
 
@@ -33,7 +39,8 @@ def render(page: Page) -> Section | None:
     loop = junction.loop_plant
     parts: list[Part] = [loop_judged(loop)]
     parts += [Listing(items=loop.reasons)] if loop.reasons else []
-    parts += [_joint(junction.joint)] if junction.joint is not None else []
+    if junction.joint is not None and junction.gap_law is not None:
+        parts.append(_joint(junction.gap_law, loop, junction.joint))
     parts += [_plant(loop), _naive(loop)]
     parts += [_records(loop)] if loop.records else []
     parts += [*_sources(loop), *_figures(page, loop)]
@@ -47,19 +54,12 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _joint(joint: JointBarrier) -> Prose:
+def _joint(law: GapLaw, loop: LoopPlant, joint: JointBarrier) -> Prose:
     ratio = told_interval(joint.ratio, joint.ratio_interval, "")
-    both = f"The loop's decay is {ratio} times that of the sweeps"
-    if joint.barrier_eV is None or joint.barrier_interval_eV is None:
-        return Prose(
-            text=f"{both}: they disagree. The extension per volt or the calibration of the height "
-            "is off by that factor, or the tip or the spot was another; no common barrier is "
-            "given.",
-            tone="bad",
-        )
-    barrier = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
     return Prose(
-        text=f"{both}: sweeps and loop agree. Both together, weighted: {barrier}.", tone="good"
+        text=f"The loop's decay is {ratio} times that of the sweeps. "
+        f"{joint_sentence(law, loop, joint)}",
+        tone="good" if joint.agree else "bad",
     )
 
 

@@ -168,5 +168,7 @@ def test_the_published_recording_gives_the_published_decay(realdata: Path, tmp_p
     assert "high confidence" in shown
     record = json.loads((tmp_path / "stage" / "model.json").read_bytes())["tunnelling"]
     # Published fits by hand: 20.60 and 20.76 per nm; within half a percent.
-    assert record["gap_law"]["decay_per_m"] == pytest.approx(20.60e9, rel=5e-3)
+    assert record["forward"]["decay_per_m"] == pytest.approx(20.60e9, rel=5e-3)
     assert record["backward"]["decay_per_m"] == pytest.approx(20.76e9, rel=5e-3)
+    low, high = record["gap_law"]["decay_interval_per_m"]
+    assert low < 20.60e9 < 20.76e9 < high

@@ -207,6 +207,7 @@ def test_two_barriers_that_differ_are_not_averaged() -> None:
     assert same.decay_per_m == pytest.approx(20.65e9, rel=5e-3)
     assert not other.agree
     assert other.decay_per_m is None
+    assert other.decay_interval_per_m == (14.5e9, 20.9e9)
     assert other.ratio == pytest.approx(15.0 / 20.65, rel=1e-3)
 
 

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from piezoid.errors import ExcitationError, RecordingError
+from piezoid.identification.tunnelling.clipping import rows_at_limit
 from piezoid.numerics.arrays import Array, frozen, same_length
 
-_SATURATED_RUN = 3  # neighbours in height with exactly the largest current: noise never does that
 FEWEST_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
 
 
@@ -27,26 +27,31 @@ class ApproachCurve:
 
     label          for messages: the column or file it came from
     direction      of the tip's travel
-    bias_V         non-zero; its sign is the polarity of the current
+    bias_V         its sign is the polarity expected of the current; None or 0 where the file does
+                   not know it
     height_m       (points,)  grows when the tip retracts; neither start nor order matters
     current_A      (points,)  as measured, offset included
     rows           rows of the recording, with and without numbers
     saturated      rows left out because the amplifier stood at its limit
+    pair           sweeps of one name went to and fro one after the other; empty: alone
+    duration_s     of the one way; None where the file does not say
     """
 
     label: str
     direction: Direction
-    bias_V: float
+    bias_V: float | None
     height_m: Array
     current_A: Array
     rows: int
     saturated: int = 0
+    pair: str = ""
+    duration_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "height_m", frozen(self.height_m, "height_m"))
         object.__setattr__(self, "current_A", frozen(self.current_A, "current_A"))
         same_length([("height_m", self.height_m), ("current_A", self.current_A)])
-        if not (math.isfinite(self.bias_V) and abs(self.bias_V) > 0.0):
+        if self.bias_V is not None and not math.isfinite(self.bias_V):
             raise ValueError(f"{self.label}: bias_V is {self.bias_V}, expected a voltage")
         if self.rows < self.points + self.saturated:
             raise ValueError(f"{self.label}: {self.rows} rows hold {self.points} points")
@@ -58,23 +63,31 @@ class ApproachCurve:
 
     @property
     def polarity(self) -> float:
-        """The sign of the tunnelling current at this bias."""
-        return math.copysign(1.0, self.bias_V)
+        """The sign of the current: that of the bias or, where it is not known, of the largest."""
+        if self.bias_V:
+            return math.copysign(1.0, self.bias_V)
+        middle_A = float(np.median(self.current_A))
+        farthest = int(np.argmax(np.abs(self.current_A - middle_A)))
+        return math.copysign(1.0, float(self.current_A[farthest]) - middle_A)
 
 
 def read_approach(
     height_m: ArrayLike,
     current_A: ArrayLike,
     *,
-    bias_V: float,
+    bias_V: float | None,
     direction: Direction,
     label: str,
+    pair: str = "",
+    duration_s: float | None = None,
 ) -> ApproachCurve:
     """Take a sweep from two columns, leaving out rows without a number and saturated ones.
 
     height_m   (rows,)  m, grows when the tip retracts; NaN where a row is missing
     current_A  (rows,)  A, of either polarity; NaN where a row is missing
-    bias_V     V, at the sample or the tip: only its sign relative to the current matters
+    bias_V     V, at the sample or the tip: only its sign relative to the current matters; None
+               or 0: the sign is taken from the current
+    pair, duration_s  as in ``ApproachCurve``
 
     Refused: columns of unequal length, too few rows with numbers, a height that does not move.
     """
@@ -87,9 +100,12 @@ def read_approach(
             remedy="Pass the height and the current of the same sweep.",
         )
     present = np.isfinite(height) & np.isfinite(current)
-    clipped = _saturated(height[present], current[present])
+    order = np.argsort(height[present], kind="stable")
+    clipped = np.zeros(len(order), dtype=bool)
+    lowest = rows_at_limit(current[present][order])
+    clipped[order[:lowest]] = True
     used = np.flatnonzero(present)[~clipped]
-    _refuse_too_little(height[used], label)
+    _refuse_too_little(height[used], lowest, label)
     return ApproachCurve(
         label=label,
         direction=direction,
@@ -97,25 +113,17 @@ def read_approach(
         height_m=height[used],
         current_A=current[used],
         rows=len(height),
-        saturated=int(np.count_nonzero(clipped)),
+        saturated=lowest,
+        pair=pair,
+        duration_s=duration_s,
     )
 
 
-def _saturated(height_m: Array, current_A: Array) -> NDArray[np.bool_]:
-    """Which points repeat exactly the largest current while the height moves on."""
-    at_limit = np.abs(current_A) >= np.max(np.abs(current_A), initial=0.0)
-    if at_limit.all():
-        return np.zeros_like(at_limit)
-    in_order = at_limit[np.argsort(height_m, kind="stable")]
-    runs = np.convolve(in_order, np.ones(_SATURATED_RUN), mode="valid")
-    stands = bool(np.any(runs >= _SATURATED_RUN))
-    return at_limit if stands else np.zeros_like(at_limit)
-
-
-def _refuse_too_little(height_m: Array, label: str) -> None:
+def _refuse_too_little(height_m: Array, saturated: int, label: str) -> None:
     if len(height_m) < FEWEST_POINTS:
+        beside = f", {saturated} more lie at the amplifier's limit" if saturated else ""
         raise ExcitationError(
-            f"{label}: {len(height_m)} rows hold both a height and a current",
+            f"{label}: {len(height_m)} rows hold both a height and a current{beside}",
             needed=f"at least {FEWEST_POINTS}",
             remedy="Record the sweep again with more points.",
             points=len(height_m),

@@ -11,7 +11,7 @@ The dither as instrument is free of it: S_yr / S_ur = G.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.confidence import Confidence, Reason
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
+    MISFIT,
     InstrumentFit,
     LEAST_POLE_Hz,
     bounds_of_logs,
@@ -39,7 +40,16 @@ _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm a
 _FLAT_SHARE = 0.02  # of the sampling rate: the plant's poles of kilohertz leave it flat below
 _OPPOSED = 0.5  # of full correlation: noise alone stays well below
 _WIDE, _VERY_WIDE = 0.1, 0.3  # relative width of the gain's interval
-_MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
+_PASSES = 2  # the drive as it is, then through the plant that this gives
+_UNKNOWN_OFFSET_A = 2e-12  # standard deviation: preamplifiers are nulled to a few picoamperes
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset:
+    """What the current sensor reads without a current, and its standard deviation, with sign."""
+
+    value_A: float
+    standard_A: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,6 +59,7 @@ class ClosedLoopFit:
     plant                  gain, sensor pole, delay
     logs                   (3,)  ln gain, ln sensor pole, delay over the sampling period
     covariance             (3, 3)  of logs
+    common                 (3, 3)  the part of it that all records of one rig have alike
     gain_interval          95 %, nepers per volt
     sensor_pole_interval_Hz  95 %
     delay_interval_s       95 %
@@ -59,12 +70,14 @@ class ClosedLoopFit:
     naive_reason           why it is what it is
     dither_share           gamma^2 over all lines: how much of the drive's power is dither
     confidence, reasons    how far to trust it
+    declared_pole_Hz       of the current sensor; None where it is not declared
     """
 
     label: str
     plant: JunctionPlant
     logs: Array
     covariance: Array
+    common: Array
     gain_interval: tuple[float, float]
     sensor_pole_interval_Hz: tuple[float, float]
     delay_interval_s: tuple[float, float]
@@ -76,10 +89,12 @@ class ClosedLoopFit:
     dither_share: float
     confidence: Confidence
     reasons: tuple[Reason, ...]
+    declared_pole_Hz: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "logs", frozen(self.logs, "logs"))
         object.__setattr__(self, "covariance", frozen(self.covariance, "covariance", ndim=2))
+        object.__setattr__(self, "common", frozen(self.common, "common", ndim=2))
 
     @property
     def naive_error(self) -> float:
@@ -93,6 +108,8 @@ def identify_closed_loop(
     amplifier_pole_Hz: float,
     drive_gain_m_per_V: float,
     drive_gain_relative_uncertainty: float = 0.0,
+    sensor_pole_Hz: float | None = None,
+    offset_A: Offset | None = None,
 ) -> ClosedLoopFit:
     """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
 
@@ -100,34 +117,53 @@ def identify_closed_loop(
 
     record              with an external dither as reference
     amplifier_pole_Hz   declared; the sensor's pole is told apart from it
+    sensor_pole_Hz      as declared; None: found from the record alone. Both are taken as right to
+                        10 %, which the intervals of delay and gain contain
+    offset_A            of the current and its standard deviation, from sweeps; None: a few
+                        picoamperes either way. Unseen, it turns ln K by offset over set point
     drive_gain_m_per_V  g_z, extension of the tip per volt at the converter
     drive_gain_relative_uncertainty  standard uncertainty of g_z, it enters the barrier doubled;
                         default 0: the interval then speaks of the extension as declared
 
-    Intervals rest on the scatter over periods or blocks with Student's t. The naive estimate
-    is what a plain transfer function gives on the same record; it is there to be compared.
+    Intervals otherwise rest on the scatter over periods or blocks with Student's t. The naive
+    estimate is what a plain transfer function gives on the same record, to be compared.
     """
-    spectra = spectra_of_dither(record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz)
-    _refuse_falling(spectra, record)
-    fit = fit_with_instrument(
-        spectra,
-        spectra.reference,
-        amplifier_pole_Hz=amplifier_pole_Hz,
-        sampling_rate_Hz=record.sampling_rate_Hz,
-    )
+    offset = offset_A or Offset(value_A=0.0, standard_A=_UNKNOWN_OFFSET_A)
+    record = replace(record, current_A=record.current_A - offset.value_A)
+    through = None
+    for _ in range(_PASSES):
+        spectra = spectra_of_dither(
+            record, highest_Hz=_HIGHEST_SHARE * record.sampling_rate_Hz, through=through
+        )
+        if through is None:
+            _refuse_falling(spectra, record)
+        fit = fit_with_instrument(
+            spectra,
+            spectra.reference,
+            amplifier_pole_Hz=amplifier_pole_Hz,
+            sensor_pole_Hz=sensor_pole_Hz,
+            sampling_rate_Hz=record.sampling_rate_Hz,
+        )
+        through = fit.plant
+    fit = _with_offset(fit, offset.standard_A / abs(record.set_point_A))
     naive_gain, share = _naive(record)
-    low, high = _intervals(fit, spectra.blocks)
+    low, high = _intervals(fit, spectra.blocks, declared=sensor_pole_Hz is not None)
     decay = fit.plant.gain_nepers_per_V / drive_gain_m_per_V
     half = math.hypot(high[0] - fit.logs[0], 1.96 * drive_gain_relative_uncertainty)
     period_s = 1.0 / record.sampling_rate_Hz
-    confidence, reasons = _judge(fit, high[0] - fit.logs[0], record)
+    confidence, reasons = _judge(
+        fit, high[0] - fit.logs[0], record, declared=sensor_pole_Hz is not None
+    )
     return ClosedLoopFit(
         label=record.label,
         plant=fit.plant,
         logs=fit.logs,
         covariance=fit.covariance,
+        common=fit.common,
         gain_interval=(math.exp(low[0]), math.exp(high[0])),
-        sensor_pole_interval_Hz=pole_interval(low[1], high[1], record.sampling_rate_Hz),
+        sensor_pole_interval_Hz=pole_interval(
+            low[1], high[1], record.sampling_rate_Hz, sensor_pole_Hz
+        ),
         delay_interval_s=(max(float(low[2]), 0.0) * period_s, float(high[2]) * period_s),
         decay_per_m=decay,
         barrier_eV=barrier_of_decay(decay),
@@ -140,6 +176,7 @@ def identify_closed_loop(
         dither_share=share,
         confidence=confidence,
         reasons=reasons,
+        declared_pole_Hz=sensor_pole_Hz,
     )
 
 
@@ -177,23 +214,39 @@ def _naive_reason(error: float, share: float) -> str:
     )
 
 
-def _intervals(fit: InstrumentFit, blocks: int) -> tuple[Array, Array]:
+def _with_offset(fit: InstrumentFit, relative: float) -> InstrumentFit:
+    """An offset that is not known moves ln i of every record by the same part of itself."""
+    more = np.zeros((3, 3))
+    more[0, 0] = relative**2
+    return replace(fit, covariance=fit.covariance + more, common=fit.common + more)
 
+
+def _intervals(fit: InstrumentFit, blocks: int, *, declared: bool) -> tuple[Array, Array]:
+    """Ends of the 95 % intervals of the logs; a pole that has no upper end may be a delay."""
     half = float(student_quantile(0.975, blocks - 1)) * np.sqrt(np.diag(fit.covariance))
-    return fit.logs - half, fit.logs + half
+    low, high = fit.logs - half, fit.logs + half
+    rate_Hz = fit.plant.sampling_rate_Hz
+    if not declared and high[1] >= bounds_of_logs(rate_Hz)[1][1]:
+        of_pole = rate_Hz / (2.0 * math.pi * fit.plant.sensor_pole_Hz)
+        high[2] = max(float(high[2]), float(fit.logs[2]) + of_pole)
+    return low, high
 
 
-def pole_interval(low: float, high: float, sampling_rate_Hz: float) -> tuple[float, float]:
+def pole_interval(
+    low: float, high: float, sampling_rate_Hz: float, declared_Hz: float | None = None
+) -> tuple[float, float]:
     """Return the ends of a pole's interval from those of its logarithm, hertz.
 
-    A pole that may lie where a hold no longer shows it is bounded from below only.
+    A pole that may lie where a hold no longer shows it is bounded from below only, unless it is
+    declared.
     """
-    lowest, highest = (ends[1] for ends in bounds_of_logs(sampling_rate_Hz))
-    return math.exp(max(low, lowest)), math.exp(high) if high < highest else math.inf
+    lowest, highest = (ends[1] for ends in bounds_of_logs(sampling_rate_Hz, declared_Hz))
+    bounded = high < highest or declared_Hz is not None
+    return math.exp(max(low, lowest)), math.exp(high) if bounded else math.inf
 
 
 def _judge(
-    fit: InstrumentFit, half: float, record: LoopRecord
+    fit: InstrumentFit, half: float, record: LoopRecord, *, declared: bool
 ) -> tuple[Confidence, tuple[Reason, ...]]:
     reasons = []
     width = 2.0 * half
@@ -201,15 +254,21 @@ def _judge(
         grade = Confidence.LOW if width > _VERY_WIDE else Confidence.MEDIUM
         text = f"the gain's 95 % interval is {100.0 * width:.2g} % wide: more dither, or longer"
         reasons.append(Reason(grade=grade, text=text))
-    if fit.misfit > _MISFIT:
+    if fit.misfit > MISFIT:
         text = (
             f"the plant of two poles and a delay leaves {fit.misfit:.2g} times the noise power: "
             "is the amplifier's pole right, does the current saturate?"
         )
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
+    if fit.mode is not None:
+        text = (
+            f"the drive shows a mode at {1e-3 * fit.mode.frequency_Hz:.3g} kHz that carries "
+            f"{100.0 * fit.mode.share:.2g} % of the extension; it is not in the plant"
+        )
+        reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     pole_Hz = fit.plant.sensor_pole_Hz
     highest_Hz = HIGHEST_POLE_SHARE * record.sampling_rate_Hz
-    if not 1.01 * LEAST_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
+    if not declared and not 1.01 * LEAST_POLE_Hz < pole_Hz < 0.99 * highest_Hz:
         text = f"sensor pole at {1e-3 * pole_Hz:.3g} kHz, the end of what is sought, or beyond"
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     reasons.sort(key=lambda reason: reason.grade is not Confidence.LOW)

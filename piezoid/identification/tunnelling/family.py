@@ -77,7 +77,8 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
     spreads = []
     for place in range(3):
         arm = reach * covariance[:, place] / max(math.sqrt(covariance[place, place]), 1e-300)
-        steps = (_within_bounds(center, sign * arm, nominal) for sign in (-1.0, 1.0))
+        bounds = bounds_of_logs(nominal.sampling_rate_Hz, fits[0].declared_pole_Hz)
+        steps = (_within_bounds(center, sign * arm, bounds) for sign in (-1.0, 1.0))
         ends = [_plant(center + step, nominal) for step in steps]
         members += ends
         spreads.append(ends)
@@ -109,32 +110,40 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
 def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     """Return the mean of several records' logs and half its 95 % interval, (3,) each.
 
-    Where the spread between records cannot be seen, only what each leaves uncertain counts.
+    Where the spread between records cannot be seen, only what each leaves uncertain counts. What
+    the declared poles leave open is the same in all of them and does not average.
     """
     logs = np.array([fit.logs for fit in fits])
-    within, between = _covariances(fits, logs)
+    own, between = _covariances(fits, logs)
     seen = between is not None
-    total = within if between is None else between + within
+    total = own if between is None else between + own
     reach = _quantile(len(fits)) if seen else _NORMAL_95
-    return logs.mean(axis=0), reach * np.sqrt(np.diag(total) / len(fits))
+    alike = _NORMAL_95**2 * np.diag(_common(fits))
+    return logs.mean(axis=0), np.sqrt(reach**2 * np.diag(total) / len(fits) + alike)
 
 
 def _covariance_of_next(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, bool]:
     """Covariance of one further junction about the mean, and whether spread could be seen."""
-    within, between = _covariances(fits, logs)
+    own, between = _covariances(fits, logs)
     if between is None:
-        return within, False
-    return between + (between + within) / len(fits), True
+        return own + _common(fits), False
+    return between + (between + own) / len(fits) + _common(fits), True
+
+
+def _common(fits: Sequence[ClosedLoopFit]) -> Array:
+    """Covariance that all records of the rig have alike."""
+    common: Array = np.mean([fit.common for fit in fits], axis=0)
+    return common
 
 
 def _covariances(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, Array | None]:
-    """Covariance within a record, and between records where there are enough to see it."""
-    within = np.mean([fit.covariance for fit in fits], axis=0)
+    """Covariance of a record's own, and between records where there are enough to see it."""
+    own = np.mean([fit.covariance - fit.common for fit in fits], axis=0)
     if len(fits) < _FEWEST_RECORDS:
-        return within, None
+        return own, None
     scatter = np.cov(logs, rowvar=False)
-    values, vectors = np.linalg.eigh(scatter - within)
-    return within, (vectors * np.maximum(values, 0.0)) @ vectors.T
+    values, vectors = np.linalg.eigh(scatter - own)
+    return own, (vectors * np.maximum(values, 0.0)) @ vectors.T
 
 
 def _quantile(records: int) -> float:
@@ -142,13 +151,13 @@ def _quantile(records: int) -> float:
     return float(student_quantile(0.975, records - 1))
 
 
-def _within_bounds(center: Array, step: Array, like: JunctionPlant) -> Array:
+def _within_bounds(center: Array, step: Array, bounds: tuple[list[float], list[float]]) -> Array:
     """Return the step of gain whole, those of pole and delay together as far as bounds allow.
 
     Where pole and delay look alike, one goes up as the other goes down: cut one by one they would
     leave that line, and with it what the record does know.
     """
-    low, high = bounds_of_logs(like.sampling_rate_Hz)
+    low, high = bounds
     ahead = np.where(step > 0.0, np.subtract(high, center), np.subtract(center, low))
     share = min(1.0, *(float(room) for room in ahead[1:] / np.maximum(np.abs(step[1:]), 1e-300)))
     return np.asarray(step * np.array([1.0, share, share]), dtype=np.float64)

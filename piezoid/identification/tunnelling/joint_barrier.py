@@ -24,17 +24,19 @@ class JointBarrier:
 
     ratio           k of the loop over k of the sweeps, and its 95 % interval
     agree           whether that interval holds 1
-    decay_per_m     weighted mean of both, with its 95 % interval; None where they disagree
-    barrier_eV      of it, with its 95 % interval; None where they disagree
+    decay_per_m     weighted mean of both; None where they disagree
+    decay_interval_per_m  95 % of it; where they disagree, from the lower end of the lower to the
+                    upper end of the higher
+    barrier_eV, barrier_interval_eV  of the decay
     """
 
     ratio: float
     ratio_interval: Interval
     agree: bool
     decay_per_m: float | None
-    decay_interval_per_m: Interval | None
+    decay_interval_per_m: Interval
     barrier_eV: float | None
-    barrier_interval_eV: Interval | None
+    barrier_interval_eV: Interval
 
 
 def join_barriers(
@@ -42,10 +44,10 @@ def join_barriers(
 ) -> JointBarrier:
     """Combine decays with their 95 % intervals, in the logarithm, by inverse variance.
 
-    sweeps  of each direction: (decay, interval), 1/m
+    sweeps  (decay, interval), 1/m, of all sweeps together or of parts that tell nothing of drift
     loop    (decay, interval), 1/m
 
-    Directions that differ by more than their intervals allow widen the mean by that much
+    Parts that differ by more than their intervals allow widen the mean by that much
     (Birge's ratio). An interval without an end counts as no information.
     """
     sweep, sweep_variance = _mean([_log(*pair) for pair in sweeps])
@@ -55,7 +57,10 @@ def join_barriers(
     agree = abs(between) <= half
     joint = _mean([(sweep, sweep_variance), (loop_log, loop_variance)]) if agree else None
     decay = None if joint is None else math.exp(joint[0])
-    interval = None if joint is None else _ends(joint[0], _NORMAL_95 * math.sqrt(joint[1]))
+    ends = [*(interval for _, interval in sweeps), loop[1]]
+    interval = min(low for low, _ in ends), max(high for _, high in ends)
+    if joint is not None:
+        interval = _ends(joint[0], _NORMAL_95 * math.sqrt(joint[1]))
     return JointBarrier(
         ratio=math.exp(between),
         ratio_interval=_ends(between, half),
@@ -63,9 +68,7 @@ def join_barriers(
         decay_per_m=decay,
         decay_interval_per_m=interval,
         barrier_eV=None if decay is None else barrier_of_decay(decay),
-        barrier_interval_eV=None
-        if interval is None
-        else (barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
+        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
     )
 
 

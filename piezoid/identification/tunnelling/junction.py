@@ -6,7 +6,7 @@ from dataclasses import replace
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.closed_loop import Offset, identify_closed_loop
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.directions import DirectionShift, compare_directions
 from piezoid.identification.tunnelling.family import spread_family
@@ -24,7 +24,8 @@ from piezoid.identification.tunnelling.loop_noise import (
     measure_loop_noise,
 )
 from piezoid.identification.tunnelling.loop_record import LoopRecord
-from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
+from piezoid.identification.tunnelling.model import TunnellingModel, common_law, describe_gap_law
+from piezoid.identification.tunnelling.sweep_pairs import decay_without_drift
 from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.faults import step_size
@@ -47,14 +48,17 @@ def fit_junction(
     ``loops_of`` and ``identify_closed_loop`` raise.
     """
     law = fit_sweeps_of_tip(sweeps) if sweeps else None
+    gap_law = None if law is None else law.gap_law
     if not any(is_loop(recording) for recording in recordings):
         return law
-    loop = fit_loops(*loops_of(recordings, lab or Lab()))
-    if law is None or law.gap_law is None:
+    offset = None
+    if gap_law is not None:
+        offset = Offset(value_A=gap_law.offset_A, standard_A=gap_law.offset_standard_A)
+    loop = fit_loops(*loops_of(recordings, lab or Lab()), offset)
+    if law is None or gap_law is None:
         return TunnellingModel(gap_law=None, loop_plant=loop)
-    laws = [law.gap_law] + ([law.backward] if law.backward is not None else [])
     joint = join_barriers(
-        [(held.decay_per_m, held.decay_interval_per_m) for held in laws],
+        [(gap_law.decay_per_m, gap_law.decay_interval_per_m)],
         (
             decay_of_barrier(loop.barrier_eV),
             (
@@ -67,7 +71,7 @@ def fit_junction(
 
 
 def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
-    """Fit the gap law to every sweep of Z spectroscopies taken with one tip."""
+    """Fit the gap law to every sweep of Z spectroscopies taken with one tip, drift allowed for."""
     curves = curves_of(sweeps)
     fits = {
         direction: fit_barrier(held)
@@ -77,21 +81,29 @@ def fit_sweeps_of_tip(sweeps: Sequence[RawTable]) -> TunnellingModel:
     found = list(fits.values())
     both = len(found) == len(Direction)
     return TunnellingModel(
-        gap_law=describe_gap_law(found[0]),
+        gap_law=common_law(fits, decay_without_drift(curves)),
         loop_plant=None,
+        forward=describe_gap_law(found[0]) if both else None,
         backward=describe_gap_law(found[1]) if both else None,
         shift=_shift(found[0], found[1]) if both else None,
     )
 
 
-def fit_loops(rig: LoopRig, loops: Sequence[LoopRecord]) -> LoopPlant:
-    """Identify the plant of every closed-loop record, their mean, and the family around them."""
+def fit_loops(
+    rig: LoopRig, loops: Sequence[LoopRecord], offset: Offset | None = None
+) -> LoopPlant:
+    """Identify the plant of every closed-loop record, their mean, and the family around them.
+
+    offset  of the current, where sweeps have shown it
+    """
     fits = [
         identify_closed_loop(
             loop,
             amplifier_pole_Hz=rig.amplifier_pole_Hz,
             drive_gain_m_per_V=rig.drive_gain_m_per_V,
             drive_gain_relative_uncertainty=rig.extension_uncertainty,
+            sensor_pole_Hz=rig.bandwidth_Hz,
+            offset_A=offset,
         )
         for loop in loops
     ]

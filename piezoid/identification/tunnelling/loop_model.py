@@ -185,8 +185,13 @@ def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Inter
     period_s = 1.0 / fits[0].plant.sampling_rate_Hz
     ends: list[Array] = [center - half, center + half]
     gain = (math.exp(ends[0][0]), math.exp(ends[1][0]))
-    pole_Hz = pole_interval(ends[0][1], ends[1][1], fits[0].plant.sampling_rate_Hz)
-    delay_s = (max(float(ends[0][2]), 0.0) * period_s, max(float(ends[1][2]), 0.0) * period_s)
+    pole_Hz = pole_interval(
+        ends[0][1], ends[1][1], fits[0].plant.sampling_rate_Hz, fits[0].declared_pole_Hz
+    )
+    longest_s = max(float(ends[1][2]), 0.0) * period_s
+    if not math.isfinite(pole_Hz[1]):  # then the pole may be a delay of its own
+        longest_s = max(longest_s, *(fit.delay_interval_s[1] for fit in fits))
+    delay_s = (max(float(ends[0][2]), 0.0) * period_s, longest_s)
     return gain, pole_Hz, delay_s
 
 

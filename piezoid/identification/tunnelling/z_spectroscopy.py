@@ -1,5 +1,6 @@
 """Sweeps out of a Z spectroscopy table: one height, a current for each sweep and direction."""
 
+import math
 import re
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from piezoid.records.units import Dimension
 _SWEEP = re.compile(r"Current(?: \[(?!bwd)(?P<number>[^\]]+)\])?(?P<way> \[bwd\])?")
 _AVERAGE = "AVG"
 _BIAS_KEY = "Bias>Bias (V)"
+_TIMES_OF_A_ROW = ("Settling time (s)", "Integration time (s)")
 
 
 class _Name(NamedTuple):
@@ -26,7 +28,9 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
     The height is the swept column, which must be a displacement that grows when the tip retracts,
     as ``Z rel (m)`` of Nanonis does. Single sweeps are taken; the average only where the file
     holds nothing else, since it would count the same noise twice. The bias is that of the sweep's
-    own column or, without one, of the file's head.
+    own column or, without one, of the file's head; one of 0 V was applied elsewhere, and the sign
+    of the current stands in. A head that states settling and integration time of a row tells how
+    long a sweep took.
     """
     height_m = table.si(_height(table).number)
     named = [(column, name) for column in table.columns if (name := _named(column)) is not None]
@@ -45,6 +49,8 @@ def read_z_spectroscopy(table: RawTable) -> tuple[ApproachCurve, ...]:
             bias_V=_bias_V(table, name),
             direction=Direction.BACKWARD if name.way else Direction.FORWARD,
             label=f"{table.name}: {column.label}",
+            pair=f"{table.name}: {name.number}",
+            duration_s=_duration_s(table, len(height_m)),
         )
         for column, name in (single or named)
     )
@@ -65,6 +71,15 @@ def _height(table: RawTable) -> Column:
 def _named(column: Column) -> _Name | None:
     match = _SWEEP.fullmatch(column.heading.stem)
     return None if match is None else _Name(match["number"] or "", match["way"] or "")
+
+
+def _duration_s(table: RawTable, rows: int) -> float | None:
+    """How long one way took; None where the head does not say, or says nothing readable."""
+    try:
+        each_s = sum(float(table.metadata[key]) for key in _TIMES_OF_A_ROW)
+    except (KeyError, ValueError):
+        return None
+    return rows * each_s if math.isfinite(each_s) and each_s > 0.0 else None
 
 
 def _bias_V(table: RawTable, name: _Name) -> float:

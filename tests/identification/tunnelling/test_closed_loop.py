@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.tunnelling.closed_loop import identify_closed_loop
+from piezoid.identification.tunnelling.closed_loop import Offset, identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.family import spread_family
+from piezoid.identification.tunnelling.family import mean_of, spread_family
+from piezoid.identification.tunnelling.instrument_fit import DriveMode, fit_with_instrument
+from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
-from piezoid.identification.tunnelling.loop_spectra import spectra_of_dither
+from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
 from tests.identification.tunnelling.loops import (
     LINES,
@@ -205,3 +207,102 @@ def test_an_uncertain_extension_widens_the_barrier_only() -> None:
 
 def _changed(record: LoopRecord, **fields: object) -> LoopRecord:
     return replace(record, **fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("tolerance", [1.08, 0.92])
+def test_the_delays_interval_holds_poles_that_a_data_sheet_states_a_little_off(
+    tolerance: float,
+) -> None:
+    """Eight per cent too slow or too fast, both of them: two microseconds or more of delay."""
+    junction = Junction(latency_s=40e-6, sensor_pole_Hz=5000.0)
+    record = loop_records([junction], periods=21, seed=3)[0]
+    fit = identify_closed_loop(
+        record,
+        amplifier_pole_Hz=tolerance * junction.amplifier_pole_Hz,
+        sensor_pole_Hz=tolerance * junction.sensor_pole_Hz,
+        drive_gain_m_per_V=junction.drive_gain_m_per_V,
+    )
+    assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
+    assert np.ptp(fit.delay_interval_s) < 20e-6
+    assert fit.common[2, 2] > 0.0
+
+
+def test_a_declared_pole_beyond_the_hold_leaves_the_delay_what_it_is() -> None:
+    junction = Junction(latency_s=40e-6, sensor_pole_Hz=18e3)
+    record = loop_records([junction], periods=21, seed=3)[0]
+    fit = identify_closed_loop(
+        record,
+        amplifier_pole_Hz=junction.amplifier_pole_Hz,
+        sensor_pole_Hz=junction.sensor_pole_Hz,
+        drive_gain_m_per_V=junction.drive_gain_m_per_V,
+    )
+    assert fit.delay_interval_s[0] < 40e-6 < fit.delay_interval_s[1]
+    assert fit.plant.delay_s == pytest.approx(40e-6, abs=4e-6)
+
+
+def test_what_all_records_have_alike_does_not_average() -> None:
+    """Two records that share half of their variance know their mean less well than two alone."""
+    fit = identified(loop_records([Junction()], periods=11, seed=3)[0], Junction())
+    alike = replace(fit, common=0.5 * fit.covariance)
+    halves = [mean_of([held] * 2)[1] for held in (replace(fit, common=0.0 * fit.common), alike)]
+    np.testing.assert_allclose((halves[1] / halves[0]) ** 2, 1.5)
+
+
+def test_an_offset_of_the_current_is_taken_off_or_held_by_the_interval() -> None:
+    """Fifty picoamperes beside a nanoampere: five per cent of the gain, ten of the barrier."""
+    junction = Junction(drive_range_V=1.0)
+    record = loop_records([junction], periods=41, seed=9)[0]
+    moved = replace(record, current_A=record.current_A + 50e-12)
+    fits = [
+        identify_closed_loop(
+            moved,
+            amplifier_pole_Hz=junction.amplifier_pole_Hz,
+            drive_gain_m_per_V=junction.drive_gain_m_per_V,
+            offset_A=offset,
+        )
+        for offset in (
+            Offset(value_A=50e-12, standard_A=1e-13),
+            Offset(value_A=0.0, standard_A=30e-12),
+            Offset(value_A=0.0, standard_A=1e-13),
+        )
+    ]
+    truth = identified(record, junction).plant.gain_nepers_per_V
+    assert fits[0].plant.gain_nepers_per_V == pytest.approx(truth, rel=1e-6)
+    assert fits[1].gain_interval[0] < truth < fits[1].gain_interval[1]
+    assert fits[2].plant.gain_nepers_per_V < 0.98 * truth
+
+
+def test_blocks_that_cut_a_dither_take_nothing_off_the_gain() -> None:
+    """A quiet junction of one second: blocks of 512 samples once lost 0.8 % of the gain."""
+    quiet = Junction(flicker_m=0.0, vibration_m=0.0, mains_gap_m=0.0, mains_current_A=0.0)
+    truth = quiet.decay_per_m * quiet.drive_gain_m_per_V
+    records = loop_records([quiet] * 6, periods=10, seed=21, periodic=False)
+    gains = [identified(record, quiet).plant.gain_nepers_per_V for record in records]
+    assert np.mean(gains) == pytest.approx(truth, rel=2.5e-3)
+
+
+def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
+    """A fifth of the extension swings at 5 kHz: the response is the plant times the mode."""
+    mode = DriveMode(frequency_Hz=5000.0, quality=12.0, share=0.2)
+    plant = JunctionPlant(
+        gain_nepers_per_V=0.3,
+        sensor_pole_Hz=6000.0,
+        delay_s=70e-6,
+        amplifier_pole_Hz=3000.0,
+        sampling_rate_Hz=20e3,
+    )
+    rng = np.random.default_rng(5)
+    frequency_Hz = np.linspace(40.0, 8000.0, 200)
+    parts = rng.standard_normal((4, 32, 200))
+    drive = parts[0] + 1j * parts[1]
+    response = plant.frequency_response(frequency_Hz) * mode.response(frequency_Hz)
+    output = response * drive + 0.01 * (parts[2] + 1j * parts[3])
+    spectra = LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
+    fit = fit_with_instrument(
+        spectra, drive, amplifier_pole_Hz=3000.0, sensor_pole_Hz=6300.0, sampling_rate_Hz=20e3
+    )
+    assert fit.mode is not None
+    assert fit.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
+    assert fit.mode.share == pytest.approx(0.2, rel=0.1)
+    assert fit.plant.gain_nepers_per_V == pytest.approx(0.3, rel=0.01)
+    assert fit.plant.delay_s == pytest.approx(70e-6, abs=2e-6)

@@ -133,7 +133,9 @@ def test_a_saturated_amplifier_is_left_out_and_said(rng: np.random.Generator) ->
         label="clipped",
     )
     fit = fit_barrier([clipped])
-    assert clipped.saturated == np.count_nonzero(whole.current_A <= -200e-12)
+    at_limit = np.count_nonzero(whole.current_A <= -200e-12)
+    near_it = np.count_nonzero(whole.current_A <= -140e-12)
+    assert at_limit <= clipped.saturated <= near_it
     assert fit.decay_interval_per_m[0] < DECAY_PER_M < fit.decay_interval_per_m[1]
     assert fit.confidence is Confidence.MEDIUM
     assert "at the amplifier's limit" in fit.reasons[0].text

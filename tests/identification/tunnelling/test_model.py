@@ -119,7 +119,7 @@ def test_one_loop_among_other_recordings_is_enough_for_a_plant(
     for recordings in (["loop", "sweep"], ["sweep", "loop"], ["loop"]):
         with pytest.raises(StopIteration):
             junction.fit_junction([], recordings)  # type: ignore[arg-type]
-        assert calls.pop() == (recordings, "rig")
+        assert calls.pop() == (recordings, "rig", None)
     assert junction.fit_junction([], ["sweep"]) is None  # type: ignore[list-item]
 
 
