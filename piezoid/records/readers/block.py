@@ -210,7 +210,8 @@ def _seconds_of(held: "Series[str]") -> "Series[float] | None":
     second = parts["s"].str.replace(",", ".").astype(float)
     of_day = 3600 * hours + 60 * parts["m"].astype(float) + second
     step = of_day.diff()
-    seconds = of_day + 86400.0 * ((step < -43200).cumsum() - (step > 43200).cumsum())
+    days = step.lt(-43200).astype(int).cumsum() - step.gt(43200).astype(int).cumsum()
+    seconds: Series[float] = of_day + 86400.0 * days
     # Stamps have at most nanoseconds; hours in seconds would leave noise behind their digits.
     return (seconds - seconds.iloc[0]).round(9)
 
