@@ -1,8 +1,7 @@
 """Inspection: what was understood of a file, whether or not it can become a recording."""
 
-import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.assignment import Assignment, assign
+from piezoid.records.comparison import misfits, remarks_on_set
 from piezoid.records.faults import clipped_share, faults_of, is_dead, noise_rms, step_size
-from piezoid.records.ingest import ingest_table
+from piezoid.records.ingest import ingest_table, parts_of, with_remarks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.readers import read_table
@@ -91,24 +91,64 @@ def inspect_file(path: Path, lab: Lab | None = None) -> tuple[Inspection, ...]:
 
     A file that cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
     """
-    lab = Lab() if lab is None else lab
-    try:
-        table = read_table(path)
-    except PiezoidError as error:
-        return (Inspection(name=path.name, refusal=str(error)),)
-    return tuple(_inspect_table(table, lab, entry) for entry in lab.entries_of(path) or (None,))
+    return tuple(inspection for inspection, _ in _inspected(path, lab or Lab()))
 
 
 def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspection, ...]:
-    """Inspect several files."""
-    return tuple(itertools.chain.from_iterable(inspect_file(path, lab) for path in paths))
+    """Inspect several files, and say which of them do not fit the others.
+
+    Raises ``LabFileError`` for an entry about a file that is nowhere.
+    """
+    paths, lab = tuple(paths), lab or Lab()
+    lab.check_files(paths)
+    found = [one for path in paths for one in _inspected(path, lab)]
+    recordings = [recording for _, recording in found if recording is not None]
+    said = [(misfit.name, "does_not_fit", misfit.reason) for misfit in misfits(recordings)]
+    said += [(name, "beside_the_others", text) for name, text in remarks_on_set(recordings)]
+    return tuple(
+        replace(
+            inspection,
+            problems=(
+                *inspection.problems,
+                *(
+                    Problem(kind=kind, place="beside the other files", text=text)
+                    for name, kind, text in said
+                    if recording is not None and recording.name == name
+                ),
+            ),
+        )
+        for inspection, recording in found
+    )
 
 
-def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]]:
     try:
-        recording = ingest_table(table, lab, entry)
+        table = read_table(path, lab.text_format_of(path))
     except PiezoidError as error:
-        return Inspection(
+        return [(Inspection(name=path.name, refusal=str(error)), None)]
+    return [
+        _inspect_table(*part)
+        for entry in lab.entries_of(path) or (None,)
+        for part in _parts(table, lab, entry)
+    ]
+
+
+def _parts(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> tuple[tuple[RawTable, Lab, RecordingEntry | None], ...]:
+    try:
+        return parts_of(table, lab, entry)
+    except PiezoidError:  # which reading the whole says as well
+        return ((table, lab, entry),)
+
+
+def _inspect_table(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> tuple[Inspection, Recording | None]:
+    try:
+        recording = with_remarks(ingest_table(table, lab, entry))
+    except PiezoidError as error:
+        refused = Inspection(
             name=table.name,
             digest=table.digest,
             format=table.format,
@@ -120,10 +160,11 @@ def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> I
             problems=(*table.problems, *faults_of(table, {})),
             refusal=str(error),
         )
+        return refused, None
     assignment = assign(table, lab, RecordingEntry(file=table.name) if entry is None else entry)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     reversals = None if drive is None else _turns(recording, drive.values)
-    return Inspection(
+    found = Inspection(
         name=table.name,
         digest=table.digest,
         format=table.format,
@@ -137,6 +178,7 @@ def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> I
         levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
         problems=recording.problems,
     )
+    return found, recording
 
 
 def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
