@@ -96,6 +96,8 @@ def _clock_line(inspection: "Inspection") -> str:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:
         line += " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+    if not inspection.axis_is_named:
+        line += f"; nobody names the axis: {inspection.axis} is our name for it"
     return line
 
 

@@ -65,6 +65,7 @@ class Inspection:
     digest, format    None where it could not be read at all
     rows, columns     of its table
     axis              of the recording, None where it is refused
+    axis_is_named     whether a heading or lab.toml says so; it is called x here otherwise
     sampling_rate_Hz, duration_s, breaks, reversals, levels_V
                       of the recording; levels are the voltages the drive turns at
     problems          everything odd, each with its place
@@ -77,6 +78,7 @@ class Inspection:
     rows: int = 0
     columns: tuple[ColumnSummary, ...] = ()
     axis: str | None = None
+    axis_is_named: bool = True
     sampling_rate_Hz: float | None = None
     duration_s: float | None = None
     breaks: int = 0
@@ -161,7 +163,8 @@ def _inspect_table(
             refusal=str(error),
         )
         return refused, None
-    assignment = assign(table, lab, RecordingEntry(file=table.name) if entry is None else entry)
+    said = RecordingEntry(file=table.name) if entry is None else entry
+    assignment = assign(table, lab, said)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     reversals = None if drive is None else _turns(recording, drive.values)
     found = Inspection(
@@ -171,6 +174,7 @@ def _inspect_table(
         rows=table.rows,
         columns=tuple(_read_summary(column, assignment) for column in table.columns),
         axis=recording.axis,
+        axis_is_named=_is_axis_named(assignment, said),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,
         breaks=len(recording.breaks),
@@ -179,6 +183,15 @@ def _inspect_table(
         problems=recording.problems,
     )
     return found, recording
+
+
+def _is_axis_named(assignment: Assignment, entry: RecordingEntry) -> bool:
+    headings = (meaning_of(channel.column.heading) for channel in assignment.channels)
+    return (
+        entry.axis is not None
+        or any("_" in key for key in entry.columns)
+        or any(meaning.axis is not None for meaning in headings)
+    )
 
 
 def _read_summary(column: Column, assignment: Assignment) -> ColumnSummary:
