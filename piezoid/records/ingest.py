@@ -201,7 +201,7 @@ def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Pro
     """
     everything = np.arange(table.rows)
     time_s = None if assignment.time is None else assignment.time.values
-    if time_s is None or not (np.diff(time_s) <= 0).any():
+    if time_s is None or not (np.diff(time_s[np.isfinite(time_s)]) <= 0).any():
         return everything, ()
     _, first, group = np.unique(time_s, return_index=True, return_inverse=True, equal_nan=False)
     again = (first[group] != everything) & np.isfinite(time_s)

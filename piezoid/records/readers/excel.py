@@ -32,6 +32,7 @@ def read(source: Source) -> RawTable:
         import openpyxl  # noqa: F401 -- pandas reads with it, and says less where it is missing
         import pandas as pd
 
+        _refuse_damaged(source)
         with source.open() as stream:
             with zipfile.ZipFile(stream) as archive:
                 check_growth(source, sum(item.file_size for item in archive.infolist()))
@@ -50,6 +51,17 @@ def read(source: Source) -> RawTable:
     held = [name for name, text in texts.items() if _has_rows(source, text)]
     table = read_text(source, texts[held[0] if held else next(iter(texts))], "Excel")
     return replace(table, problems=(*_unread(held), *table.problems))
+
+
+def _refuse_damaged(source: Source) -> None:
+    with source.open() as stream:
+        if not zipfile.is_zipfile(stream):
+            raise unreadable(
+                source.name,
+                "the workbook is cut short or damaged: the directory at its end is missing",
+                needed="a whole workbook",
+                remedy="Copy the file again from where it was written, or export it as CSV.",
+            )
 
 
 def _unread(held: list[str]) -> tuple[Problem, ...]:
