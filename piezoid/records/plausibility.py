@@ -12,7 +12,7 @@ from piezoid.records.recording import Problem, Quantity, Recording
 # of a nanometre, a unit or a monitor is the likelier reason.
 _LEAST_m_per_V, _MOST_m_per_V = 1e-10, 5e-5
 # A sensor that shows less than so many times its noise says nothing of a gain.
-_NOISE_ONLY = 20.0
+NOISE_ONLY = 20.0
 # Held is a sensor whose means over a hundredth of the recording stay within the noise of single
 # samples for at least ten of them, while the drive goes where it would move by five times that
 # noise. Where the whole recording shows no motion to know that by, the drive goes through three
@@ -45,7 +45,7 @@ def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Pro
         return []
     gain = stroke_m / drive_V
     # A sensor that shows nothing but noise says nothing of the gain.
-    is_noise = stroke_m < _NOISE_ONLY * noise_rms(displacement_m)
+    is_noise = stroke_m < NOISE_ONLY * noise_rms(displacement_m)
     if _LEAST_m_per_V <= gain <= _MOST_m_per_V or is_noise:
         return []
     text = (
@@ -71,7 +71,7 @@ def _held(
     noise_m, stroke_m = noise_rms(displacement_m), float(np.ptp(response_m))
     first, last = _longest_within(response_m, noise_m)
     share = float(np.ptp(drive_V[first:last]) / np.ptp(voltage_V))
-    is_seen = stroke_m > _NOISE_ONLY * noise_m
+    is_seen = stroke_m > NOISE_ONLY * noise_m
     wanted = _UNMOVED * noise_m / stroke_m if is_seen else _DRIVE_SHARE
     # What gives the same number for ever is stuck or dead, which is said elsewhere.
     if last - first < _HELD_BLOCKS or share < wanted or not np.ptp(response_m[first:last]) > 0:

@@ -180,6 +180,17 @@ def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Gene
     assert not copies(ingest_all([tmp_path / "first.csv", tmp_path / "second.csv"]))
 
 
+def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_path: Path) -> None:
+    (messy,) = (m for m in FILES if m.name == "held.csv")
+    messy.write(tmp_path / "whole.csv")
+    rows = (tmp_path / "whole.csv").read_text().splitlines()
+    text(rows[:600])(tmp_path / "approach.csv")
+    text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
+    recordings = ingest_all([tmp_path / "approach.csv", tmp_path / "hold.csv"])
+    assert [p.kind for r in recordings for p in r.problems] == ["closed_loop"]
+    refuse_misfits(recordings)
+
+
 def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
     text(lines())(tmp_path / "sweep.csv")
     (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
