@@ -59,11 +59,13 @@ def diagnose(
         from piezoid.diagnosis.diagnose import diagnose as find
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
         from piezoid.records.collection import collect
+        from piezoid.records.comparison import refuse_misfits
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         model, rest = _model_in_front(files)
         recordings = collect(rest, declared).recordings
+        refuse_misfits(recordings)
         known = None if model is None else _known(model, axis)
         found = find(
             recordings,

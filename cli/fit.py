@@ -107,6 +107,7 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
         },
         "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
         "causes": [finding.effect for finding in causes],
+        "remarks": list(found.model.remarks),
         "undiagnosed": list(found.undiagnosed),
         "undesigned": made.reason,
         "unshipped": dict(made.unshipped),

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
 
     from piezoid.records.inspection import ColumnSummary, Inspection
 
+# Only these take a prefix: a unit of the file may have its own, and kilo-nanonewtons are none.
+_TAKE_PREFIX = ("s", "V", "m", "A", "K", "Hz")
 _LONGEST = 600  # a damaged file's heading fills a hundred screens
 
 
@@ -94,6 +96,8 @@ def _clock_line(inspection: "Inspection") -> str:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:
         line += " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+    if not inspection.axis_is_named:
+        line += f"; nobody names the axis: {inspection.axis} is our name for it"
     return line
 
 
@@ -126,7 +130,11 @@ def _cut(said: str) -> str:
 def _quantity(value: float | None, unit: str) -> str:
     from piezoid_reports.quantities import NARROW, told
 
-    return "" if value is None else told(value, unit, 4).replace(NARROW, " ")
+    if value is None:
+        return ""
+    if unit not in _TAKE_PREFIX:
+        return f"{told(value, '', 4)} {unit}".strip()
+    return told(value, unit, 4).replace(NARROW, " ")
 
 
 def _state(column: "ColumnSummary") -> str:

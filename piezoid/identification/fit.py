@@ -16,11 +16,10 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
+from piezoid.records.comparison import STILL, copies, refuse_misfits, remarks_on_set
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
-
-STILL = 0.01  # of the widest drive: a recording that moves less says nothing of hysteresis
 
 
 def fit(
@@ -56,9 +55,12 @@ def unfitted(
 ) -> ActuatorModel:
     """Return a stage with everything that needs no fit: no axis is known yet, and no junction.
 
-    Raises as ``fit`` does where there is nothing to fit.
+    Raises as ``fit`` does where there is nothing to fit, and ``RecordingError`` where recordings
+    do not fit each other.
     """
     refuse_one_name_twice(recordings, sweeps)
+    refuse_misfits(recordings)
+    remarks = remarks_on_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
         raise lacking(
             recordings,
@@ -66,13 +68,15 @@ def unfitted(
             "and reference of a tunnelling loop",
         )
     files: list[Recording | RawTable] = [*recordings, *sweeps]
+    remarked = {name for name, _ in remarks}
+    used = [held for held in files if held.name not in remarked] or files
     return ActuatorModel(
-        stage=lab.name or files[0].name.partition(".")[0],
+        stage=lab.name or used[0].name.partition(".")[0],
         axes={},
         sources={held.name: held.digest for held in files},
         lab=lab.digest or None,
         tunnelling=None,
-        remarks=remarks_on_currents(recordings),
+        remarks=(*remarks_on_currents(recordings), *(text for _, text in remarks)),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
 
@@ -186,8 +190,9 @@ def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
 
 
 def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
-    """Return the recordings that have both drive and displacement of an axis."""
-    return tuple(recording for recording in recordings if _has_both(recording, axis))
+    """Return the recordings that have both drive and displacement of an axis, copies left out."""
+    again = copies(recordings)
+    return tuple(r for r in recordings if _has_both(r, axis) and r.name not in again)
 
 
 def _has_both(recording: Recording, axis: str) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import LabFileError
-from piezoid.records.conversion import Assigned, converted
+from piezoid.records.conversion import Assigned, converted, is_counted
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.recording import Problem, Quantity
@@ -98,7 +98,7 @@ def _part(key: str) -> tuple[Quantity | None, str | None]:
 
 
 def _check_keys(lab: Lab, entry: RecordingEntry) -> None:
-    for key in (*entry.columns, *entry.units):
+    for key in (*entry.columns, *entry.units, *entry.scale, *entry.offset):
         name = key.partition("_")[0]
         if key != "time" and name not in _KEYS:
             raise LabFileError(
@@ -108,11 +108,11 @@ def _check_keys(lab: Lab, entry: RecordingEntry) -> None:
             )
     for key, symbol in entry.units.items():
         unit = unit_of(symbol)
-        if unit is None or unit.dimension is Dimension.OTHER:
+        if unit is None or (unit.dimension is Dimension.OTHER and not is_counted(unit)):
             raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r}: the unit of {key} is {symbol!r}",
                 needed="a unit of time, voltage, length, current, temperature or humidity",
-                remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC, % or the like.",
+                remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC, %, counts or the like.",
             )
 
 

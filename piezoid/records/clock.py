@@ -1,5 +1,6 @@
 """The clock of a recording: its rate, and where its time stamps are not those of a uniform one."""
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +21,12 @@ UNIFORM_LIMIT = 0.35
 _WINDOW = 64
 # Over fewer samples where lost ones are so many that fewer averages than this agree.
 _AGREEING = 0.6
+# So many of the steps go back where the newest row stands first; steps back are faults else.
+_BACKWARDS = 0.9
+# Steps that are no faults sum up to the span of the stamps within this share, the spread of an
+# interval told among jitter of a third, and these few at ends and faults.
+_UNACCOUNTED = 0.01
+_SPARE_STEPS = 3
 # Beyond this many units a double rounds too coarsely to tell a printed digit from noise.
 _COUNTABLE = 1e12
 _RARE = 0.01
@@ -60,6 +67,7 @@ def read_clock(time_s: Array, name: str, place: Callable[[int], str]) -> Clock:
     """
     if len(time_s) < 3:
         raise _no_clock(name, f"{len(time_s)} time stamps", "at least three")
+    refuse_newest_first(time_s, name, place)
     resolution_s = print_resolution_s(time_s)
     k = np.arange(len(time_s))
     uniform_s = (time_s[-1] - time_s[0]) / k[-1]
@@ -158,6 +166,7 @@ def _faulty_clock(
         )
     excess_s = max(0.5 * interval_s, 6 * spread_s) + _rounding_s(interval_s, resolution_s)
     faults = TimeFaults.of(time_s, interval_s, excess_s, resolution_s)
+    _refuse_false_clock(time_s, interval_s, faults, name, place)
     jitter_s = _jitter_s(steps, interval_s, excess_s)
     return Clock(
         sampling_rate_Hz=plain_rate_Hz(1 / interval_s, (resolution_s + jitter_s) / np.ptp(time_s)),
@@ -168,6 +177,43 @@ def _faulty_clock(
             *faults.problems(time_s, place),
             *_jitter_problem(jitter_s, interval_s, resolution_s),
         ),
+    )
+
+
+def refuse_newest_first(time_s: Array, name: str, place: Callable[[int], str]) -> None:
+    """Refuse stamps that run backwards: read so, every loop would open the wrong way."""
+    if len(time_s) < 3 or np.mean(np.diff(time_s) < 0) < _BACKWARDS:
+        return
+    last = len(time_s) - 1
+    raise RecordingError(
+        f"{name}: time runs backwards, from {time_s[0]:.6g} s in {place(0)} to "
+        f"{time_s[-1]:.6g} s in {place(last)}: the newest row stands first",
+        needed="rows in the order in which they were recorded",
+        remedy="Write into lab.toml, which turns the rows round:\n\n[[recording]]\n"
+        f"file = {json.dumps(name)}\nreverse = true\n",
+    )
+
+
+def _refuse_false_clock(
+    time_s: Array, interval_s: float, faults: TimeFaults, name: str, place: Callable[[int], str]
+) -> None:
+    """Refuse a clock whose steps do not sum up to what the stamps say has passed.
+
+    A stamp that stands may be one sample too many, or be made up for when the clock catches up.
+    """
+    passed = (time_s[-1] - time_s[0]) / interval_s
+    steps = len(time_s) - 1 + int(faults.lost.sum()) - int(faults.stepped.sum())
+    allowed = _UNACCOUNTED * max(abs(passed), steps) + _SPARE_STEPS
+    if steps - len(faults.stands) - allowed <= passed <= steps + allowed:
+        return
+    odd = np.abs(np.diff(time_s) - interval_s) > 0.25 * interval_s
+    first = int(np.argmax(odd)) + 1
+    raise _no_clock(
+        name,
+        f"most time steps are {interval_s:.6g} s, of which {steps} make {steps * interval_s:.6g} "
+        f"s, while the stamps span {time_s[-1] - time_s[0]:.6g} s; the first other step is at "
+        f"{place(first)}",
+        "samples at a uniform rate, or stretches of one rate that are long enough to be told",
     )
 
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from piezoid.records.ingest import ingest_table
+from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Recording
@@ -29,16 +29,18 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
 
     Raises what ``ingest`` raises.
     """
-    declared = Lab() if lab is None else lab
+    declared, paths = Lab() if lab is None else lab, tuple(paths)
+    declared.check_files(paths)
     recordings: list[Recording] = []
     sweeps: list[RawTable] = []
     for path in paths:
-        table = read_table(path)
+        table = read_table(path, declared.text_format_of(path))
         entries = declared.entries_of(path)
         if is_over_height(table) and not any(entry.columns for entry in entries):
             sweeps.append(table)
         else:
-            recordings += [ingest_table(table, declared, entry) for entry in entries or (None,)]
+            for entry in entries or (None,):
+                recordings += ingest_parts(table, declared, entry)
     return Collection(recordings=tuple(recordings), sweeps=tuple(sweeps))
 
 

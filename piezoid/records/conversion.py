@@ -1,6 +1,8 @@
 """One column in SI units: by the unit of its heading or of lab.toml; volts of a sensor by gain."""
 
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 from piezoid.errors import UnitError
 from piezoid.numerics.arrays import Array
@@ -47,7 +49,7 @@ def converted(
     """
     unit = _unit_for(entry, column, quantity, axis)
     if quantity is Quantity.REFERENCE:
-        return _as_recorded(column, quantity, axis, unit), ()
+        return _scaled(entry, _as_recorded(column, quantity, axis, unit)), ()
     wanted = Dimension.TIME if quantity is None else DIMENSION_OF[quantity]
     problems: tuple[Problem, ...] = ()
     if unit is None and quantity is Quantity.VOLTAGE and entry.columns:
@@ -57,7 +59,10 @@ def converted(
     if unit is None:
         raise refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
     values = column.values * unit.factor + unit.offset
-    if quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
+    if is_counted(unit):
+        if _said(entry.scale, quantity, axis) is None:
+            raise _counts_without_scale(table, lab, column, quantity, axis)
+    elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
         if gain_V_per_m is None:
             raise UnitError(
@@ -71,7 +76,56 @@ def converted(
             table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
-    return assigned, problems
+    return _scaled(entry, assigned), problems
+
+
+def is_counted(unit: Unit) -> bool:
+    """Whether a unit is the step of a converter, which is of no size by itself."""
+    return unit.symbol.lower().removesuffix("s") in ("count", "code", "lsb", "digit", "tick")
+
+
+def _counts_without_scale(
+    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
+) -> UnitError:
+    """Return the refusal of counts, with the scale where lab.toml tells it."""
+    name = _name_of(quantity)
+    si = "s" if quantity is None else quantity.value
+    example, because = "...", f"with the {si} of one count"
+    acquisition = lab.acquisition
+    if quantity is Quantity.VOLTAGE and acquisition.dac_bits and acquisition.input_range_V:
+        low_V, high_V = acquisition.input_range_V
+        gain = lab.amplifier_of(axis).gain_V_per_V or 1.0
+        example = f"{gain * (high_V - low_V) / 2**acquisition.dac_bits:.9g}"
+        because = (
+            f"if the {high_V - low_V:g} V of input_range_V are the {acquisition.dac_bits} bits of "
+            f"the converter, and the amplifier makes {gain:g} V of one; offset = {{ {name} = ... "
+            "} adds the volts of count 0"
+        )
+    return UnitError(
+        f"{table.name}: {column.place} is a {name} in counts",
+        needed=f"what one count is in {si}: nothing that is shipped can be in counts",
+        remedy=f"Write into lab.toml, {because}:\n\n[[recording]]\n"
+        f"file = {json.dumps(table.name)}\nscale = {{ {name} = {example} }}\n",
+    )
+
+
+def _scaled(entry: RecordingEntry, assigned: Assigned) -> Assigned:
+    """Return a column times the scale and plus the offset of its entry."""
+    scale = _said(entry.scale, assigned.quantity, assigned.axis)
+    offset = _said(entry.offset, assigned.quantity, assigned.axis)
+    if scale is None and offset is None:
+        return assigned
+    factor = 1.0 if scale is None else scale
+    unit = assigned.unit
+    if is_counted(unit) and assigned.quantity in DIMENSION_OF:
+        unit = replace(unit, dimension=DIMENSION_OF[assigned.quantity])
+    return replace(assigned, unit=unit, values=assigned.values * factor + (offset or 0.0))
+
+
+def _said(by_name: Mapping[str, float], quantity: Quantity | None, axis: str) -> float | None:
+    """Return what an entry says of a column, by its name with or without the axis."""
+    name = _name_of(quantity)
+    return by_name.get(f"{name}_{axis}", by_name.get(name))
 
 
 def _as_recorded(column: Column, quantity: Quantity, axis: str, unit: Unit | None) -> Assigned:

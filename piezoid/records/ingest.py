@@ -2,18 +2,30 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.assignment import Assignment, assign
-from piezoid.records.clock import Clock, read_clock, stated_clock
+from piezoid.records.clock import (
+    Clock,
+    print_resolution_s,
+    read_clock,
+    refuse_newest_first,
+    stated_clock,
+)
 from piezoid.records.conversion import Assigned
 from piezoid.records.faults import faults_of
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.own_axis import incomplete, own_axis, several_axes
+from piezoid.records.plausibility import remarks_on
+from piezoid.records.rates import stretches_of_one_rate
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Problem, Recording
 from piezoid.records.refusal import lab_block
@@ -40,17 +52,102 @@ def ingest(path: Path, lab: Lab | None = None) -> Recording:
             needed="one entry where one recording is asked for",
             remedy="Read them all with ingest_all, or keep one entry.",
         )
-    return ingest_table(read_table(path), lab, entries[0] if entries else None)
+    found = ingest_parts(
+        read_table(path, lab.text_format_of(path)), lab, next(iter(entries), None)
+    )
+    if len(found) > 1:
+        stretches = ", ".join(
+            f"{part.sampling_rate_Hz:.9g} Hz for {part.duration_s:.6g} s" for part in found
+        )
+        raise RecordingError(
+            f"{path.name}: it holds {len(found)} stretches of different rate: {stretches}",
+            needed="one rate where one recording is asked for",
+            remedy="Read them all with ingest_all, or state start_s and stop_s in lab.toml.",
+        )
+    return found[0]
 
 
 def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording, ...]:
-    """Read several files, one recording for each ``[[recording]]`` entry of a file, or for it."""
-    lab = Lab() if lab is None else lab
-    found = []
+    """Read several files, one recording for each ``[[recording]]`` entry of a file, or for it.
+
+    A file whose sampling rate changes gives a recording for each stretch of one rate.
+    """
+    lab, paths = Lab() if lab is None else lab, tuple(paths)
+    lab.check_files(paths)
+    found: list[Recording] = []
     for path in paths:
-        table = read_table(path)
-        found += [ingest_table(table, lab, entry) for entry in lab.entries_of(path) or (None,)]
+        table = read_table(path, lab.text_format_of(path))
+        for entry in lab.entries_of(path) or (None,):
+            found += ingest_parts(table, lab, entry)
     return tuple(found)
+
+
+def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
+    """Make one recording of a table, or one for each stretch in which its rate is the same."""
+    parts = parts_of(table, lab, entry)
+    return tuple(with_remarks(ingest_table(*part)) for part in parts)
+
+
+def parts_of(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> tuple[tuple[RawTable, Lab, RecordingEntry | None], ...]:
+    """Cut a table where its sampling rate changes; each part is read by itself.
+
+    returned  what ``ingest_table`` makes each recording of: a part has ``(part 1 of 3)`` in its
+              name, and start_s and stop_s of the entry are counted from its own first sample
+    """
+    whole = ((table, lab, entry),)
+    if table.independent:
+        return whole
+    time = assign(table, lab, entry or RecordingEntry(file=table.name)).time
+    if time is None or (entry is not None and entry.sampling_rate_Hz is not None):
+        return whole
+    time_s = time.values[::-1] if entry is not None and entry.reverse else time.values
+    stamped = np.flatnonzero(np.isfinite(time_s))
+    stamps_s = time_s[stamped]
+    found = stretches_of_one_rate(stamps_s, print_resolution_s(stamps_s)) if len(stamped) else ()
+    if len(found) < 2:
+        return whole
+    if entry is not None and entry.reverse:
+        table, entry = table.reversed(), structs.replace(entry, reverse=False)
+    begins_s = [float(stamps_s[part.start] - stamps_s[0]) for part in found]
+    ends_s = [float(stamps_s[part.stop - 1] - stamps_s[0]) for part in found]
+    starts = [0, *(int(stamped[part.start]) for part in found[1:])]
+    told = f"{len(found)} stretches of different rate, which begin at " + ", ".join(
+        f"{table.place_of_row(row)} (t = {stamps_s[part.start]:.6g} s)"
+        for row, part in zip(starts, found, strict=True)
+    )
+    problem = Problem(
+        kind="several_rates",
+        place=table.place_of_row(starts[1]),
+        text=f"{told}; each is a recording of its own, with its own memory",
+    )
+    parts = []
+    for k, (start, stop) in enumerate(pairwise((*starts, table.rows))):
+        own = entry and _shifted(entry, begins_s[k], ends_s[k])
+        if entry is None or own is not None:
+            name = f"{table.name} (part {k + 1} of {len(found)})"
+            part = table.part(slice(start, stop), name)
+            parts.append((replace(part, problems=(*part.problems, problem)), lab, own))
+    return tuple(parts) or whole
+
+
+def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEntry | None:
+    """Return an entry with its start and stop counted from a part, None where it is not in it."""
+    start_s = 0.0 if entry.start_s is None else entry.start_s
+    stop_s = np.inf if entry.stop_s is None else entry.stop_s
+    if start_s >= end_s or stop_s <= begin_s:
+        return None
+    return structs.replace(
+        entry,
+        start_s=start_s - begin_s if start_s > begin_s else None,
+        stop_s=stop_s - begin_s if stop_s < end_s else None,
+    )
+
+
+def with_remarks(recording: Recording) -> Recording:
+    """Return a recording with what is remarkable about drive and response together."""
+    return replace(recording, problems=(*recording.problems, *remarks_on(recording)))
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
@@ -63,11 +160,13 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
     entry = RecordingEntry(file=table.name) if entry is None else entry
+    table = table.reversed() if entry.reverse else table
     assignment = assign(table, lab, entry)
-    kept, row_problems = _kept_rows(table, assignment)
-    clock = _clock(table, lab, entry, assignment, kept)
+    once, repeat_problems = _rows_once(table, assignment)
+    kept, row_problems = _kept_rows(table, assignment, once)
+    clock = _clock(table, lab, entry, assignment, kept, once)
     rows = SampleRows.of(
-        kept, {*clock.breaks, *_skips(kept), *_segments(table, kept)}, clock.bridged
+        kept, {*clock.breaks, *_skips(kept, once), *_segments(table, kept)}, clock.bridged
     )
     rows = rows.cut(_part(entry, clock, len(rows.place)))
     channels = tuple(_channel(assigned, rows) for assigned in assignment.channels)
@@ -82,6 +181,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         problems=(
             *table.problems,
             *assignment.problems,
+            *repeat_problems,
             *row_problems,
             *clock.problems,
             *faults_of(
@@ -93,13 +193,47 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     )
 
 
-def _kept_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Problem, ...]]:
-    """Return the rows in which every column that is read holds a number."""
+def _rows_once(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Problem, ...]]:
+    """Return the rows without those that were written again: same stamp, same numbers.
+
+    They are taken for that only where every stamp is one row's once they are gone: stamps of few
+    digits are shared by many samples, some of which may be alike.
+    """
+    everything = np.arange(table.rows)
+    time_s = None if assignment.time is None else assignment.time.values
+    if time_s is None or not (np.diff(time_s[np.isfinite(time_s)]) <= 0).any():
+        return everything, ()
+    _, first, group = np.unique(time_s, return_index=True, return_inverse=True, equal_nan=False)
+    again = (first[group] != everything) & np.isfinite(time_s)
+    for channel in assignment.channels:
+        earlier = channel.values[first[group]]
+        again &= (channel.values == earlier) | (np.isnan(channel.values) & np.isnan(earlier))
+    once = everything[~again]
+    stamps_s = time_s[once]
+    stamps_s = stamps_s[np.isfinite(stamps_s)]
+    if not again.any() or len(np.unique(stamps_s)) < len(stamps_s):
+        return everything, ()
+    at = np.flatnonzero(again)
+    text = (
+        f"{len(at)} rows are written twice, with the same stamp and the same numbers; each is "
+        f"read once. The first is {table.place_of_row(int(at[0]))}, t = {time_s[at[0]]:.6g} s"
+    )
+    place = table.place_of_row(int(at[0]))
+    return once, (Problem(kind="repeated_rows", place=place, text=text),)
+
+
+def _kept_rows(
+    table: RawTable, assignment: Assignment, once: Rows
+) -> tuple[Rows, tuple[Problem, ...]]:
+    """Return the rows in which every column that is read holds a number.
+
+    once  the rows to choose from
+    """
     read = [*assignment.channels, *([assignment.time] if assignment.time else [])]
-    whole = np.ones(table.rows, dtype=bool)
+    whole = np.ones(len(once), dtype=bool)
     for assigned in read:
-        whole &= np.isfinite(assigned.values)
-    kept = np.flatnonzero(whole)
+        whole &= np.isfinite(assigned.values[once])
+    kept = once[whole]
     if len(kept) < 2:
         counts = ", ".join(f"{a.column.place} {np.isfinite(a.values).sum()}" for a in read)
         raise RecordingError(
@@ -108,11 +242,12 @@ def _kept_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Pro
             needed="at least two whole rows",
             remedy="Leave the empty column out by naming the others in lab.toml.",
         )
-    lost = table.rows - len(kept)
+    lost = len(once) - len(kept)
     if not lost:
         return kept, ()
-    ends = int(kept[0]) + table.rows - 1 - int(kept[-1])
-    first = int(np.flatnonzero(~whole)[0])
+    held = np.flatnonzero(whole)
+    ends = int(held[0]) + len(once) - 1 - int(held[-1])
+    first = int(once[np.flatnonzero(~whole)[0]])
     empty = [a.column.place for a in read if not np.isfinite(a.values[first])]
     text = (
         f"{lost} rows lack a number, {ends} of them at the ends, {lost - ends} inside (behind a "
@@ -121,9 +256,9 @@ def _kept_rows(table: RawTable, assignment: Assignment) -> tuple[Rows, tuple[Pro
     return kept, (Problem(kind="missing_values", place=table.place_of_row(first), text=text),)
 
 
-def _skips(kept: Rows) -> list[int]:
-    """First kept rows after rows that were left out."""
-    return (np.flatnonzero(np.diff(kept) > 1) + 1).tolist()
+def _skips(kept: Rows, once: Rows) -> list[int]:
+    """First kept rows after rows that were left out for lack of a number."""
+    return (np.flatnonzero(np.diff(np.searchsorted(once, kept)) > 1) + 1).tolist()
 
 
 def _segments(table: RawTable, kept: Rows) -> list[int]:
@@ -132,7 +267,12 @@ def _segments(table: RawTable, kept: Rows) -> list[int]:
 
 
 def _clock(
-    table: RawTable, lab: Lab, entry: RecordingEntry, assignment: Assignment, kept: Rows
+    table: RawTable,
+    lab: Lab,
+    entry: RecordingEntry,
+    assignment: Assignment,
+    kept: Rows,
+    once: Rows,
 ) -> Clock:
     """Return the clock, its breaks and single losses counted in kept rows.
 
@@ -141,12 +281,13 @@ def _clock(
     """
     declared_Hz = entry.sampling_rate_Hz
     if assignment.time is None:
+        _refuse_newest_first(table)
         return _stated_clock(table, lab, declared_Hz)
-    stamped = np.flatnonzero(np.isfinite(assignment.time.values))
+    stamped = once[np.isfinite(assignment.time.values[once])]
     clock = read_clock(
         assignment.time.values[stamped],
         table.name,
-        lambda row: table.place_of_row(int(stamped[row])),
+        partial(_place_of, table, stamped),
     )
     if declared_Hz is not None:
         _check_rate(table, lab, declared_Hz, clock.sampling_rate_Hz)
@@ -155,6 +296,22 @@ def _clock(
         breaks=_counted(stamped[list(clock.breaks)], kept),
         bridged=_counted(stamped[list(clock.bridged)], kept),
     )
+
+
+def _refuse_newest_first(table: RawTable) -> None:
+    """Refuse rows whose own stamps run backwards, though nobody named these stamps the clock."""
+    for column in table.columns:
+        if meaning_of(column.heading).role is Role.TIME:
+            stamped = np.flatnonzero(np.isfinite(column.values))
+            refuse_newest_first(
+                column.si_values[stamped],
+                table.name,
+                partial(_place_of, table, stamped),
+            )
+
+
+def _place_of(table: RawTable, rows: Rows, row: int) -> str:
+    return table.place_of_row(int(rows[row]))
 
 
 def _counted(rows: Rows, kept: Rows) -> tuple[int, ...]:

@@ -1,8 +1,7 @@
 """Inspection: what was understood of a file, whether or not it can become a recording."""
 
-import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,9 @@ import numpy as np
 from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.assignment import Assignment, assign
+from piezoid.records.comparison import misfits, remarks_on_set
 from piezoid.records.faults import clipped_share, faults_of, is_dead, noise_rms, step_size
-from piezoid.records.ingest import ingest_table
+from piezoid.records.ingest import ingest_table, parts_of, with_remarks
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.readers import read_table
@@ -65,6 +65,7 @@ class Inspection:
     digest, format    None where it could not be read at all
     rows, columns     of its table
     axis              of the recording, None where it is refused
+    axis_is_named     whether a heading or lab.toml says so; it is called x here otherwise
     sampling_rate_Hz, duration_s, breaks, reversals, levels_V
                       of the recording; levels are the voltages the drive turns at
     problems          everything odd, each with its place
@@ -77,6 +78,7 @@ class Inspection:
     rows: int = 0
     columns: tuple[ColumnSummary, ...] = ()
     axis: str | None = None
+    axis_is_named: bool = True
     sampling_rate_Hz: float | None = None
     duration_s: float | None = None
     breaks: int = 0
@@ -91,24 +93,64 @@ def inspect_file(path: Path, lab: Lab | None = None) -> tuple[Inspection, ...]:
 
     A file that cannot be used is an inspection with a refusal, so that inspecting ten shows ten.
     """
-    lab = Lab() if lab is None else lab
-    try:
-        table = read_table(path)
-    except PiezoidError as error:
-        return (Inspection(name=path.name, refusal=str(error)),)
-    return tuple(_inspect_table(table, lab, entry) for entry in lab.entries_of(path) or (None,))
+    return tuple(inspection for inspection, _ in _inspected(path, lab or Lab()))
 
 
 def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspection, ...]:
-    """Inspect several files."""
-    return tuple(itertools.chain.from_iterable(inspect_file(path, lab) for path in paths))
+    """Inspect several files, and say which of them do not fit the others.
+
+    Raises ``LabFileError`` for an entry about a file that is nowhere.
+    """
+    paths, lab = tuple(paths), lab or Lab()
+    lab.check_files(paths)
+    found = [one for path in paths for one in _inspected(path, lab)]
+    recordings = [recording for _, recording in found if recording is not None]
+    said = [(misfit.name, "does_not_fit", misfit.reason) for misfit in misfits(recordings)]
+    said += [(name, "beside_the_others", text) for name, text in remarks_on_set(recordings)]
+    return tuple(
+        replace(
+            inspection,
+            problems=(
+                *inspection.problems,
+                *(
+                    Problem(kind=kind, place="beside the other files", text=text)
+                    for name, kind, text in said
+                    if recording is not None and recording.name == name
+                ),
+            ),
+        )
+        for inspection, recording in found
+    )
 
 
-def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]]:
     try:
-        recording = ingest_table(table, lab, entry)
+        table = read_table(path, lab.text_format_of(path))
     except PiezoidError as error:
-        return Inspection(
+        return [(Inspection(name=path.name, refusal=str(error)), None)]
+    return [
+        _inspect_table(*part)
+        for entry in lab.entries_of(path) or (None,)
+        for part in _parts(table, lab, entry)
+    ]
+
+
+def _parts(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> tuple[tuple[RawTable, Lab, RecordingEntry | None], ...]:
+    try:
+        return parts_of(table, lab, entry)
+    except PiezoidError:  # which reading the whole says as well
+        return ((table, lab, entry),)
+
+
+def _inspect_table(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> tuple[Inspection, Recording | None]:
+    try:
+        recording = with_remarks(ingest_table(table, lab, entry))
+    except PiezoidError as error:
+        refused = Inspection(
             name=table.name,
             digest=table.digest,
             format=table.format,
@@ -120,22 +162,35 @@ def _inspect_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> I
             problems=(*table.problems, *faults_of(table, {})),
             refusal=str(error),
         )
-    assignment = assign(table, lab, RecordingEntry(file=table.name) if entry is None else entry)
+        return refused, None
+    said = RecordingEntry(file=table.name) if entry is None else entry
+    assignment = assign(table, lab, said)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
     reversals = None if drive is None else _turns(recording, drive.values)
-    return Inspection(
+    found = Inspection(
         name=table.name,
         digest=table.digest,
         format=table.format,
         rows=table.rows,
         columns=tuple(_read_summary(column, assignment) for column in table.columns),
         axis=recording.axis,
+        axis_is_named=_is_axis_named(assignment, said),
         sampling_rate_Hz=recording.sampling_rate_Hz,
         duration_s=recording.duration_s,
         breaks=len(recording.breaks),
         reversals=None if reversals is None else len(reversals),
         levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
         problems=recording.problems,
+    )
+    return found, recording
+
+
+def _is_axis_named(assignment: Assignment, entry: RecordingEntry) -> bool:
+    headings = (meaning_of(channel.column.heading) for channel in assignment.channels)
+    return (
+        entry.axis is not None
+        or any("_" in key for key in entry.columns)
+        or any(meaning.axis is not None for meaning in headings)
     )
 
 

@@ -12,19 +12,28 @@
     [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
                      expansion_m_per_K
     [axis.z.sensor]  the same tables for one axis, each replacing the one above it
-    [[recording]]    file, axis, columns, units, sampling_rate_Hz, start_s, stop_s
+    [[recording]]    file, axis, columns, units, scale, offset, sampling_rate_Hz, start_s, stop_s,
+                     reverse, separator, decimal, heading_row
 
 Everything is optional. An unknown name is refused: it is a typing error more often than news.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from os.path import realpath
 from pathlib import Path
 
 import msgspec
 
 from piezoid.provenance import digest_of_bytes, digest_of_json
-from piezoid.records.lab_check import check_file_name, check_number, check_range, refusal
+from piezoid.records.lab_check import (
+    check_file_name,
+    check_number,
+    check_range,
+    check_separator,
+    refusal,
+)
 from piezoid.records.lab_tables import (
     GUARDS,
     Acquisition,
@@ -38,7 +47,7 @@ from piezoid.records.lab_tables import (
     Table,
     Tunnelling,
 )
-from piezoid.records.readers.source import regular_size
+from piezoid.records.readers.source import TextFormat, regular_size
 from piezoid.toml_text import read_toml
 
 __all__ = (
@@ -148,6 +157,48 @@ class Lab:
             raise refusal(self.folder / self.place, found, f"at most {_MOST_PARTS} {needed}")
         return tuple(held)
 
+    def text_format_of(self, path: Path) -> TextFormat:
+        """Return how a text table is written, which all entries about it must agree on."""
+        found = {
+            TextFormat(
+                separator="" if e.separator == " " else e.separator,
+                decimal=e.decimal,
+                heading_row=e.heading_row,
+            )
+            for e in self.entries_of(path)
+        }
+        if len(found) > 1:
+            raise refusal(
+                self.folder / self.place,
+                f"the {len(found)} entries about {path.name} differ in separator, decimal or "
+                "heading_row",
+                "one way in which the file is written, in each of its entries",
+            )
+        return found.pop() if found else TextFormat()
+
+    def check_files(self, paths: Iterable[Path]) -> None:
+        """Refuse an entry about a file that is neither read now nor anywhere: a name misspelt.
+
+        The copy that a fit leaves beside its model.json names files of another folder.
+        """
+        if (self.folder / "model.json").exists():
+            return
+        given = list(paths)
+        known = {realpath(path) for path in given} | {path.name for path in given}
+        for entry in self.recordings:
+            own = self.folder / entry.file
+            if realpath(own) in known or Path(entry.file).name in known or own.exists():
+                continue
+            unnamed = [path.name for path in given if not self.entries_of(path)]
+            near = get_close_matches(Path(entry.file).name, unnamed, n=1)
+            meant = f"; is {near[0]!r} meant, which has no entry?" if near else ""
+            raise refusal(
+                self.folder / self.place,
+                f"[[recording]] {entry.file!r} is about a file that is neither in the folder of "
+                f"{self.place} nor among those to be read{meant}",
+                "the name of a recording, from the folder of lab.toml",
+            )
+
 
 def read_lab(path: Path) -> Lab:
     """Read and check a lab.toml, refusing with the line or the table that cannot be used."""
@@ -206,8 +257,7 @@ def _check(path: Path, lab: Lab) -> None:
         if isinstance(table, Amplifier):
             check_range(path, place, "output", table.output_min_V, table.output_max_V)
         if isinstance(table, RecordingEntry):
-            check_file_name(path, place, table.file)
-            check_range(path, place, "start_s, stop_s", table.start_s, table.stop_s)
+            _check_entry(path, place, table)
     if lab.acquisition.input_range_V is not None:
         for end_V in lab.acquisition.input_range_V:
             check_number(path, "[acquisition]", "input_range_V", end_V)
@@ -217,3 +267,12 @@ def _check(path: Path, lab: Lab) -> None:
         check_number(path, "[tunnelling]", "barrier_eV", low_eV)
         check_number(path, "[tunnelling]", "barrier_eV", high_eV)
         check_range(path, "[tunnelling]", "barrier_range_eV", low_eV, high_eV)
+
+
+def _check_entry(path: Path, place: str, entry: RecordingEntry) -> None:
+    check_file_name(path, place, entry.file)
+    check_separator(path, place, entry.separator)
+    check_range(path, place, "start_s, stop_s", entry.start_s, entry.stop_s)
+    for key in ("scale", "offset"):
+        for value in getattr(entry, key).values():
+            check_number(path, place, key, value)

@@ -20,6 +20,7 @@ _POSITIVE = (
     "search_m",
     "approach_m_per_s",
     "feedback_ohm",
+    "heading_row",
 )
 _NOT_NEGATIVE = (
     "sensor_gain_relative",
@@ -28,7 +29,7 @@ _NOT_NEGATIVE = (
     "temperature_range_K",
     "expansion_m_per_K",
 )
-_NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A")
+_NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A", "scale")
 _SHARES = ("extension_uncertainty",)
 _LARGEST_BITS = 64
 # Beyond this nothing on a bench is, and squares and quotients leave the range of numbers.
@@ -60,6 +61,14 @@ def check_file_name(path: Path, place: str, name: str) -> None:
     """Refuse what no file can be called."""
     if "\0" in name:
         raise refusal(path, f"{place} holds a zero character", "the name of a file")
+
+
+def check_separator(path: Path, place: str, separator: str | None) -> None:
+    """Refuse what cannot stand between two numbers."""
+    if separator is None or (len(separator) == 1 and not separator.isalnum() and separator != "."):
+        return
+    found = f"{place} separator is {separator[:20]!r}"
+    raise refusal(path, found, 'one character, as ";", "\\t" or " " for any white space')
 
 
 def check_range(path: Path, place: str, name: str, low: float | None, high: float | None) -> None:

@@ -5,6 +5,7 @@ with an example, so that nothing is claimed that nobody said.
 """
 
 import os
+import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from piezoid.errors import PiezoidError
 from piezoid.records.assignment import assign
 from piezoid.records.collection import is_over_height
 from piezoid.records.conversion import Assigned
-from piezoid.records.ingest import ingest_table
+from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Quantity, Recording
@@ -101,15 +102,20 @@ def _about(path: Path, name: str) -> tuple[str, bool]:
         text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
         return commented(text), True
     try:
-        recording = ingest_table(table, Lab(), None)
-        return _entry(table, recording, name), True
+        return _entry(table, ingest_parts(table, Lab(), None), name), True
     except PiezoidError as error:
         asked = str(error).partition("\n")[0]
-        block = lab_block(table).replace(_toml(table.name), _toml(name), 1)
-        return commented(asked) + commented(block), False
+        _, found, lines = error.remedy.partition("[[recording]]")
+        block = f"{found}{lines.rstrip()}" if found else lab_block(table)
+        return commented(asked) + commented(_named(block, name)), False
 
 
-def _entry(table: RawTable, recording: Recording, name: str) -> str:
+def _named(block: str, name: str) -> str:
+    """Return an entry under the file's name from the folder of lab.toml."""
+    return re.sub(r"^file = .*$", lambda _: f"file = {_toml(name)}", block, count=1, flags=re.M)
+
+
+def _entry(table: RawTable, recordings: Sequence[Recording], name: str) -> str:
     found = assign(table, Lab(), RecordingEntry(file=table.name))
     clock = [("time", found.time)] if found.time is not None else []
     read = [*clock, *((_key(channel), channel) for channel in found.channels)]
@@ -120,11 +126,11 @@ def _entry(table: RawTable, recording: Recording, name: str) -> str:
     lines = [
         "[[recording]]",
         f"file = {_toml(name)}",
-        f"axis = {_toml(recording.axis)}",
+        f"axis = {_toml(recordings[0].axis)}",
         f"columns = {{ {columns} }}",
         f"units = {{ {units} }}",
     ]
-    return commented(_summary(recording)) + "\n".join(lines) + "\n"
+    return commented("\n".join(map(_summary, recordings))) + "\n".join(lines) + "\n"
 
 
 def _key(channel: Assigned) -> str:

@@ -1,5 +1,7 @@
 """The tables of lab.toml: every name one may write, with its unit and what it means."""
 
+from typing import Literal
+
 import msgspec
 
 
@@ -121,17 +123,31 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
                       heading, or a number from 1; only what is named here is read. A reference is
                       a dither of the set point or of the drive: it depends on nothing measured
     units             by the same names
+    scale             by the same names: what a value is multiplied by after its unit. It turns a
+                      polarity (-1) and makes volts of a monitor (15) or, in SI units a count,
+                      metres or volts of counts
+    offset            by the same names: what is added then, in SI units
     sampling_rate_Hz  of this file, if it has no time column
     start_s, stop_s   the part to use, in seconds from its first sample
+    reverse           whether the newest row stands first
+    separator, decimal, heading_row   how a text table is written: the character between fields
+                      (a blank for any white space), ``.`` or ``,``, and the line of the headings,
+                      from 1
     """
 
     file: str
     axis: str | None = None
     columns: dict[str, str | int] = {}
     units: dict[str, str] = {}
+    scale: dict[str, float] = {}
+    offset: dict[str, float] = {}
     sampling_rate_Hz: float | None = None
     start_s: float | None = None
     stop_s: float | None = None
+    reverse: bool = False
+    separator: str | None = None
+    decimal: Literal[".", ","] | None = None
+    heading_row: int | None = None
 
 
 class AxisRig(Table, frozen=True, kw_only=True):

@@ -1,7 +1,7 @@
 """RawTable: what every reader returns, columns as they stand in the file, whatever they mean."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -83,6 +83,7 @@ class RawTable:
     segment_starts    (count,)  first row of each further segment of a file that holds several
     first_line        line of the first row in a text file, 0 where there are no lines
     first_row         rows of the file in front of these, where the table is a part of it
+    is_reversed       whether the rows stand the other way round than in the file
     metadata          what the file says beside its table
     problems          what the reader met
     """
@@ -97,6 +98,7 @@ class RawTable:
     segment_starts: tuple[int, ...] = ()
     first_line: int = 0
     first_row: int = 0
+    is_reversed: bool = False
     metadata: Mapping[str, str] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
 
@@ -134,6 +136,29 @@ class RawTable:
 
     def place_of_row(self, row: int) -> str:
         """Say where a row stands: its line in a text file, its number elsewhere."""
+        row = self.rows - 1 - row if self.is_reversed else row
         if self.first_line:
             return f"line {self.first_line + row}"
         return f"row {self.first_row + row + 1}"
+
+    def reversed(self) -> "RawTable":
+        """Return the table with its last row in front, for files that hold the newest first."""
+        return replace(
+            self,
+            columns=tuple(replace(c, values=c.values[::-1]) for c in self.columns),
+            segment_starts=tuple(sorted(self.rows - start for start in self.segment_starts)),
+            is_reversed=not self.is_reversed,
+        )
+
+    def part(self, rows: slice, name: str) -> "RawTable":
+        """Return some rows under a name of their own."""
+        first, last = rows.start, rows.stop
+        ahead = self.rows - last if self.is_reversed else first
+        return replace(
+            self,
+            name=name,
+            columns=tuple(replace(c, values=c.values[rows]) for c in self.columns),
+            segment_starts=tuple(s - first for s in self.segment_starts if first < s < last),
+            first_line=self.first_line and self.first_line + ahead,
+            first_row=self.first_row + ahead,
+        )

@@ -89,11 +89,13 @@ _SPECIAL = {
 
 # Recognised so that a column of newtons is known to be one, but never converted or read.
 _OTHER = re.compile(
-    r"(?:[fpnuµμmckMG]?(?:N|Pa|g|W|J|F|C|H|T|rad|deg|ohm|Ohm|Ω|l|L|bar|cps|counts?)|°|deg|degree|dB"
-    r"|arcsec|a\.?u\.?|arb\.?|rpm|[A-Za-zµμ°Ω%]+\s?/\s?[A-Za-z√µμ²³^0-9*·]+|[A-Za-z]+\^?-?[23²³])"
+    r"(?:[fpnuµμmckMG]?(?:N|Pa|g|W|J|F|C|H|T|rad|deg|ohm|Ohm|Ω|l|L|bar|cps)|counts?|codes?|LSB|digits?|ticks?|°|deg|degree|dB"
+    r"|arcsec|a\.?u\.?|arb\.?|rpm|[A-Za-zµμ°Ω%]+\s?/\s?[A-Za-z√µμ²³^0-9*·]+|[A-Za-z]+\^?-?[23²³]"
+    r"|[A-Za-zµμ°Ω%]+\s?/\s?(?:sqrt|rt|√)\s?\(?[A-Za-z]+\)?)"
 )
 
-_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(([^()]*)\)")
+# Round brackets may hold others: of ``(A/sqrt(Hz))`` the unit is not the inner one.
+_BRACKETS = re.compile(r"\[([^\[\]]*)\]|\(((?:[^()]|\([^()]*\))*)\)")
 _AFTER_SLASH = re.compile(r"^(.*\S)\s*/\s*([^\s/]+)$")
 _AFTER_COMMA = re.compile(r"^(.*\S)\s*(?:,|\bin\b)\s*([^\s,]+)$")
 _AFTER_UNDERSCORE = re.compile(r"^(.*[^\s_])_([^\s_]+)$")

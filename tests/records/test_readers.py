@@ -67,9 +67,13 @@ def test_an_array_without_names_is_read_by_column_numbers(write: Callable[[str],
     np.testing.assert_array_equal(recording.voltage_V(), VOLTAGE_V)
 
 
-def test_an_array_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
+def test_an_array_on_its_side_is_turned_where_nobody_has_so_many_channels(tmp_path: Path) -> None:
     path = tmp_path / "side.npy"
-    np.save(path, np.zeros((3, 500)))
+    np.save(path, np.arange(1500.0).reshape(3, 500))
+    table = read_table(path)
+    assert (len(table.columns), table.rows) == (3, 500)
+    assert [problem.kind for problem in table.problems] == ["transposed"]
+    np.save(path, np.zeros((30, 500)))
     with pytest.raises(UnreadableFileError, match="Transpose"):
         read_table(path)
 

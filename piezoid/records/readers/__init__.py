@@ -3,9 +3,13 @@
 A new format is one file here and one line in `READERS`.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
+from piezoid.errors import LabFileError
 from piezoid.records.readers import (
+    archive,
+    excel,
     gcs_array,
     hdf5,
     lvm,
@@ -19,7 +23,7 @@ from piezoid.records.readers import (
     text_table,
 )
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import open_source, unreadable
+from piezoid.records.readers.source import TextFormat, open_source, unreadable
 from piezoid.records.table import RawTable
 
 # Asked in this order, by content; the first that recognises a file reads it. The text table takes
@@ -27,6 +31,8 @@ from piezoid.records.table import RawTable
 READERS: tuple[Reader, ...] = (
     numpy_files.NPY,
     numpy_files.NPZ,
+    excel.READER,
+    archive.READER,
     matlab.READER,
     hdf5.READER,
     parquet.READER,
@@ -39,16 +45,28 @@ READERS: tuple[Reader, ...] = (
     gcs_array.READER,
     text_table.READER,
 )
+# Those whose writing lab.toml may declare.
+WRITTEN = (text_table.READER, excel.READER)
 
 
-def read_table(path: Path) -> RawTable:
+def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
     """Read any file piezoid knows as a table of labelled columns, NaN and all.
 
-    Raises ``UnreadableFileError`` for a file that is missing, damaged or of no known format.
+    text  how lab.toml says that it is written
+
+    Raises ``UnreadableFileError`` for a file that is missing, damaged or of no known format, and
+    ``LabFileError`` where something is said of the writing of a file that is no text.
     """
-    source = open_source(path)
+    source = replace(open_source(path), text=text or TextFormat())
     for reader in READERS:
         if reader.recognises(source):
+            if source.text.keys and reader not in WRITTEN:
+                raise LabFileError(
+                    f"lab.toml: {', '.join(source.text.keys)} of {source.name} is declared, which "
+                    f"is {reader.name}",
+                    needed="a text table: every other format says itself how it is written",
+                    remedy="Leave it out.",
+                )
             return reader.read(source)
     raise unreadable(
         source.name,

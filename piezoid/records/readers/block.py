@@ -1,5 +1,6 @@
 """The numbers of a text table: fast where all is in order, with line and column where not."""
 
+import csv
 import io
 import re
 import warnings
@@ -13,13 +14,24 @@ from piezoid.records.readers.source import check_columns, unreadable
 from piezoid.records.recording import Problem
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
 _EMPTY = frozenset({"", "nan", "n/a", "na", "null", "none", "-", "--", "#n/a", "-nan", "inf",
                     "-inf", "+inf", "infinity", "-infinity"})  # fmt: skip
 _LONGEST = 400  # characters of a number: 1e308 written out has 309
 _COUNT = re.compile(r"[0-9]{1,18}")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?")
+# Thousands in groups of three behind one and the same mark, by the decimal mark they stand beside.
+_GROUPED = {
+    ".": re.compile(r"[+-]?\d{1,3}(?:([,' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:\.\d*)?"),
+    ",": re.compile(r"[+-]?\d{1,3}(?:([.' \xa0\u2009\u202f])\d{3}(?:\1\d{3})*)?(?:,\d*)?"),
+}
+_COMMENT = re.compile(r"^[ \t]*(?:#|%|//)")
+# A time of day, whatever date stands before it: days are told apart by the clock that begins anew.
+_TIME_OF_DAY = (
+    r"(?:[\d./-]{6,10}[ T])?\s*(?P<h>\d{1,2}):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d+)?)"
+    r"\s*(?P<half>[AaPp])?\.?(?:[Mm]\.?)?"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,11 +41,15 @@ class Layout:
     separator  one character, or empty for runs of white space
     decimal    ``.`` or ``,``
     fields     number of fields in a row
+    grouped    whether thousands may be marked off, as in ``1,234.5`` or ``1.234,5``
+    paired     whether the separator is the decimal comma as well: two fields make one number
     """
 
     separator: str
     decimal: str
     fields: int
+    grouped: bool = False
+    paired: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,7 +58,7 @@ class Block:
 
     columns   (fields,) arrays of equal length; NaN where a field holds no number
     textual   fields that hold text in most of their rows
-    stamped   fields that hold dates with times, now seconds from the first
+    stamped   fields that hold times of day, with or without dates, now seconds from the first
     problems  damaged fields and rows, with their lines
     """
 
@@ -54,14 +70,35 @@ class Block:
 
 def split(line: str, separator: str) -> list[str]:
     """Cut a row into its fields, without the white space and quotes around them."""
-    fields = line.split(separator) if separator else line.split()
+    fields = _quoted(line, separator) if '"' in line and separator else None
+    if fields is None:
+        fields = line.split(separator) if separator else line.split()
     return [field.strip().strip('"').strip() for field in fields]
 
 
-def number_of(text: str, decimal: str) -> float | None:
+def _quoted(line: str, separator: str) -> list[str] | None:
+    """Cut a row some fields of which hold its separator within quotes; None where none does."""
+    try:
+        fields = next(csv.reader([line], delimiter=separator, skipinitialspace=True), None)
+    except csv.Error:
+        return None
+    return fields if line.count('"') % 2 == 0 else None
+
+
+def cells_of(line: str, layout: Layout) -> list[str]:
+    """Cut a row of numbers into its fields, put together again where the separator parts them."""
+    fields = split(line, layout.separator)
+    if not layout.paired or len(fields) % 2:
+        return fields
+    return [",".join(pair) for pair in zip(fields[::2], fields[1::2], strict=True)]
+
+
+def number_of(text: str, decimal: str, *, grouped: bool = False) -> float | None:
     """Return the number a field holds, NaN for an empty one, None for text."""
     if text.lower() in _EMPTY:
         return np.nan
+    if grouped and (match := _GROUPED[decimal].fullmatch(text)) and match.group(1):
+        text = text.replace(match.group(1), "")
     text = text.replace(",", ".") if decimal == "," else text
     if len(text) > _LONGEST or not _NUMBER.fullmatch(text):
         return None
@@ -85,8 +122,31 @@ def parse_block(text: str, layout: Layout, name: str, first_line: int) -> Block:
             remedy="Export the recording again.",
             line=first_line,
         )
-    block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
+    block = None
+    if not layout.grouped and not layout.paired:
+        block = _parse_fast(text, layout) or _parse_mixed(text, layout, first_line)
     return _parse_slowly(text, layout, name, first_line) if block is None else block
+
+
+def lines_are_rows(text: str) -> bool:
+    """Tell whether every line of a table is a row, none of them blank or a comment."""
+    marked = any(mark in text for mark in ("#", "%", "//"))
+    return "\n\n" not in text.rstrip("\n") and not (
+        marked and any(map(_COMMENT.match, text.split("\n")))
+    )
+
+
+def without_comments(text: str, first_line: int) -> tuple[str, tuple[Problem, ...]]:
+    """Return a table without the comments between its rows, and the problem that says so."""
+    if not any(mark in text for mark in ("#", "%", "//")):
+        return text, ()
+    lines = text.split("\n")
+    at = [k for k, line in enumerate(lines) if _COMMENT.match(line)]
+    if not at:
+        return text, ()
+    said = f"{len(at)} comments between the rows are not read; the first is {lines[at[0]][:60]!r}"
+    problem = Problem(kind="comment_lines", place=f"line {first_line + at[0]}", text=said)
+    return "\n".join(line for line in lines if not _COMMENT.match(line)), (problem,)
 
 
 def _parse_fast(text: str, layout: Layout) -> Block | None:
@@ -113,9 +173,9 @@ def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
         wrong_here = held.notna() & numbers.isna() & ~held.str.lower().isin(_EMPTY)
         texts.append(np.array(wrong_here, dtype=bool))
         if 2 * texts[-1].sum() > len(held):
-            stamps = pd.to_datetime(held, format="ISO8601", errors="coerce", utc=True)
-            if stamps.notna().all():
-                numbers = (stamps - stamps.iloc[0]).dt.total_seconds()
+            seconds = _seconds_of(held)
+            if seconds is not None:
+                numbers = seconds
                 texts[-1][:] = False
                 stamped.add(int(k))
         columns.append(numbers.to_numpy(dtype=np.float64))
@@ -128,6 +188,32 @@ def _parse_mixed(text: str, layout: Layout, first_line: int) -> Block | None:
     return Block(
         columns=tuple(columns), textual=textual, stamped=frozenset(stamped), problems=problems
     )
+
+
+def _seconds_of(held: "Series[str]") -> "Series[float] | None":
+    """Return seconds from the first of a column of times of day, or None where it is none.
+
+    A date in front is not interpreted (day or month first?) unless it is ISO 8601: a clock that
+    goes back by more than half a day has passed midnight.
+    """
+    import pandas as pd
+
+    stamps = pd.to_datetime(held, format="ISO8601", errors="coerce", utc=True)
+    if stamps.notna().all():
+        return (stamps - stamps.iloc[0]).dt.total_seconds()
+    parts = held.str.strip().str.extract(f"^{_TIME_OF_DAY}$")
+    if parts[["h", "m", "s"]].isna().to_numpy().any():
+        return None
+    hours = parts["h"].astype(float)
+    if parts["half"].notna().any():
+        hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
+    second = parts["s"].str.replace(",", ".").astype(float)
+    of_day = 3600 * hours + 60 * parts["m"].astype(float) + second
+    step = of_day.diff()
+    days = step.lt(-43200).astype(int).cumsum() - step.gt(43200).astype(int).cumsum()
+    seconds: Series[float] = of_day + 86400.0 * days
+    # Stamps have at most nanoseconds; hours in seconds would leave noise behind their digits.
+    return (seconds - seconds.iloc[0]).round(9)
 
 
 def _most(wrong: np.ndarray, textual: frozenset[int]) -> int:
@@ -176,8 +262,11 @@ def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Bloc
     for line, content in enumerate(text.split("\n"), start=first_line):
         if not content.strip():
             continue
-        fields = split(content, layout.separator)
-        values = [number_of(field, layout.decimal) for field in fields[: layout.fields]]
+        fields = cells_of(content, layout)
+        values = [
+            number_of(field, layout.decimal, grouped=layout.grouped)
+            for field in fields[: layout.fields]
+        ]
         if len([field for field in fields[layout.fields :] if field]) > 0 or len(fields) == 0:
             strange.append((line, len(fields)))
         values += [np.nan] * (layout.fields - len(values))

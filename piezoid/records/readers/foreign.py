@@ -11,6 +11,10 @@ from piezoid.records.readers.source import Source, check_columns, check_growth, 
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
 
+# Recorders have some dozen channels and recordings thousands of samples: with so many times as
+# many columns as rows, the rows are the channels.
+_ON_ITS_SIDE = 50
+
 
 @contextmanager
 def reading(source: Source, format_name: str) -> Iterator[None]:
@@ -93,23 +97,49 @@ def _sorted_out(
     vectors: list[tuple[str, str, np.ndarray]] = []
     metadata: dict[str, str] = {}
     problems: list[Problem] = []
+    shapes = {key: np.asarray(value).shape for key, value in arrays.items()}
     for key, value in arrays.items():
         array = np.asarray(value)
-        if array.dtype.kind not in "biuf" or array.size <= 1:
+        if array.dtype.kind == "c" and array.size > 1:
+            text = (
+                f"{key!r} holds complex numbers and is not read: save its real part, or a "
+                "measured response as a recording over time"
+            )
+            problems.append(Problem(kind="complex", place=key, text=text))
+        elif array.dtype.kind not in "biuf" or array.size <= 1:
             metadata[key] = str(value)[:200]
         elif array.ndim > 2 and max(array.shape) != array.size:
             text = f"{key!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
             problems.append(Problem(kind="axes", place=key, text=text))
         elif max(array.shape) == array.size:
             vectors.append((key, key, array.reshape(-1)))
-        elif array.shape[0] <= array.shape[1]:
-            raise unreadable(
-                source.name,
-                f"{key or 'the array'} has {array.shape[0]} rows and {array.shape[1]} columns",
-                needed="a row for each sample and a column for each channel, so more rows",
-                remedy="Transpose the array before saving it.",
-            )
         else:
+            array, said = _upright(source, key, array, shapes)
+            problems += said
             label = f"{key}(:,{{}})" if key else ""
             vectors += [(label.format(k + 1), key, array[:, k]) for k in range(array.shape[1])]
     return vectors, metadata, problems
+
+
+def _upright(
+    source: Source, key: str, array: np.ndarray, shapes: Mapping[str, tuple[int, ...]]
+) -> tuple[np.ndarray, list[Problem]]:
+    """Return a matrix with a row for each sample, turned where it can only be read that way."""
+    rows, columns = array.shape
+    lengths = {max(s) for k, s in shapes.items() if k != key and s and max(s) == np.prod(s) > 1}
+    if rows > columns and not (columns in lengths and rows not in lengths):
+        return array, []
+    if columns in lengths - {rows} or columns >= _ON_ITS_SIDE * rows:
+        text = (
+            f"{key or 'the array'} has {rows} rows and {columns} columns: read as {rows} channels "
+            f"of {columns} samples"
+        )
+        return array.T, [Problem(kind="transposed", place=key or "the array", text=text)]
+    if rows in lengths - {columns}:
+        return array, []
+    raise unreadable(
+        source.name,
+        f"{key or 'the array'} has {rows} rows and {columns} columns",
+        needed="a row for each sample and a column for each channel, so more rows",
+        remedy="Transpose the array before saving it.",
+    )

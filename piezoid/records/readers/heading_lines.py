@@ -1,19 +1,35 @@
 """The lines above a text table: where it starts, how its rows are written, what heads them."""
 
+import json
 import re
 from collections import Counter
 from dataclasses import dataclass, replace
 
-from piezoid.records.readers.block import Layout, number_of, split
-from piezoid.records.readers.source import check_columns, unreadable
-from piezoid.records.units import unit_of
+from piezoid.errors import LabFileError
+from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.readers.block import Layout, cells_of, number_of, split
+from piezoid.records.readers.source import TextFormat, check_columns, unreadable
+from piezoid.records.units import heading_of, unit_of
 
 # Longer preambles than this have their own formats.
 HEAD_LINES = 1000
 # Every layout is tried on every line: what is longer is no row, and so much text decides.
 _LONGEST_LINE = 1 << 18
 _ENOUGH_TEXT = 1 << 20
-_LAYOUTS = (("\t", "."), ("\t", ","), (";", "."), (";", ","), (",", "."), ("", "."), ("", ","))
+# Comma and decimal comma go together where the numbers stand in quotes.
+_MARKS = (
+    ("\t", "."), ("\t", ","), (";", "."), (";", ","), ("|", "."), ("|", ","), (",", "."),
+    (",", ","), ("", "."), ("", ","),
+)  # fmt: skip
+# Thousands are looked for last: where all numbers can be read without them, there are none.
+_LAYOUTS = tuple(
+    Layout(separator=separator, decimal=decimal, fields=0, grouped=grouped)
+    for grouped in (False, True)
+    for separator, decimal in _MARKS
+)
+# What may be a decimal comma with three decimals, or a thousand: ``1,234``.
+_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
+_BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
 # No opening bracket inside: a line of those alone would be searched to its end from each of them.
 _NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
@@ -39,27 +55,101 @@ class Start:
     strays: tuple[int, ...] = ()
 
 
-def find_start(lines: list[str], name: str) -> Start:
+def find_start(lines: list[str], name: str, declared: TextFormat | None = None) -> Start:
     """Find the table among the first lines of a text, trying every layout.
+
+    declared  what lab.toml says of the layout
 
     The layout with the most rows of numbers wins; among equals the one whose headings fit, then
     the earlier one in the list (a tab is never an accident, a blank often is).
     """
+    declared = declared or TextFormat()
     # Rows of nothing but numbers first; only where there are none, rows with texts among them.
     tried = _first_text(lines)
-    best = _best_start(tried, share=1.0) or _best_start(tried, share=0.5)
+    _check_heading_row(tried, name, declared)
+    best = _best_start(tried, 1.0, declared) or _best_start(tried, 0.5, declared)
     if best is None:
         check_columns(name, max((_widest(x) for x in tried if len(x) > _LONGEST_LINE), default=0))
         raise unreadable(
             name,
-            f"its first {len(lines)} lines hold no row of numbers; line 1 is {lines[0][:60]!r}",
-            needed="a table of numbers separated by tabs, semicolons, commas or blanks",
-            remedy="Export the recording as CSV.",
+            f"its first {len(lines)} lines hold no row of numbers{_as_declared(declared)}; line 1 "
+            f"is {lines[0][:60]!r}",
+            needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
+            remedy="Export the recording as CSV, without units or other words in the cells.",
             line=1,
         )
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
         check_columns(name, _widest(best.above[-1]))
+        if not declared.decimal:
+            _refuse_more_fields_than_headings(best, name)
+    if not declared.decimal:
+        _refuse_possible_thousands(tried, best, name)
     return best
+
+
+def _as_declared(declared: TextFormat) -> str:
+    said = [f"{key} = {value!r}" for key, value in declared.keys.items()]
+    return f" with {', '.join(said)} of lab.toml" if said else ""
+
+
+def _check_heading_row(lines: list[str], name: str, declared: TextFormat) -> None:
+    if declared.heading_row is not None and declared.heading_row >= len(lines):
+        raise LabFileError(
+            f"lab.toml: heading_row of {name} is {declared.heading_row}, the headings of this "
+            f"file stand within its first {len(lines)} lines",
+            needed="the number of the line that holds the headings, from 1, with rows below it",
+            remedy="Correct heading_row of the entry.",
+        )
+
+
+def _refuse_more_fields_than_headings(start: Start, name: str) -> None:
+    """Refuse rows whose numbers a decimal comma cut in two, or that nobody can name."""
+    heading, layout = _COMMENT.sub("", start.above[-1]), start.layout
+    cuts = [split(heading, s) for s in dict.fromkeys((layout.separator or "\t", "\t", ";", ","))]
+    cells = next((cut for cut in cuts if len(cut) > 1), [])
+    headed = len([cell for cell in cells if cell])
+    # ``rig, stage 42`` above a table heads nothing; ``time [s], voltage`` does.
+    is_named = any(meaning_of(heading_of(cell)).role is not Role.UNREAD for cell in cells)
+    if not is_named or not 1 < headed < layout.fields - 1:
+        return
+    lines, because = 'decimal = "."', ", or that numbers without heading stand there"
+    if layout.separator == "," and layout.fields == 2 * headed:
+        lines = 'separator = ","\ndecimal = ","'
+        because = ""
+    raise unreadable(
+        name,
+        f"line {start.row} heads {headed} columns, and the rows from line {start.row + 1} on have "
+        f"{layout.fields} fields, as if commas stood between the numbers and inside them",
+        needed="as many fields in a row as there are headings",
+        remedy="Export with semicolons or a decimal point; or say in lab.toml that this is so"
+        f"{because}:\n\n[[recording]]\nfile = {json.dumps(name)}\n{lines}\n",
+        line=start.row + 1,
+    )
+
+
+def _refuse_possible_thousands(lines: list[str], start: Start, name: str) -> None:
+    """Refuse numbers of which nobody can tell whether a comma marks thousands or decimals.
+
+    With three digits behind every comma, and none but whole numbers below a thousand beside
+    them, 1,234 may be either.
+    """
+    if start.layout.decimal != "," or start.layout.grouped:
+        return
+    for k in range(start.layout.fields):
+        rows = (cells_of(line, start.layout) for line in lines[start.row :] if line.strip())
+        cells = [row[k] for row in rows if len(row) > k and _is_digit(row[k])]
+        marked = sum(_THOUSAND.fullmatch(cell) is not None for cell in cells)
+        plain = sum(_BELOW_THOUSAND.fullmatch(cell) is not None for cell in cells)
+        if marked and plain and marked + plain == len(cells):
+            example = next(cell for cell in cells if _THOUSAND.fullmatch(cell))
+            raise unreadable(
+                name,
+                f"column {k + 1} holds {example!r} beside whole numbers below a thousand: does "
+                "the comma mark decimals or thousands?",
+                needed="one meaning of the comma",
+                remedy="Write into lab.toml which character marks decimals:\n\n[[recording]]\n"
+                f'file = {json.dumps(name)}\ndecimal = "."\n',
+            )
 
 
 def _first_text(lines: list[str]) -> list[str]:
@@ -77,17 +167,17 @@ def _widest(line: str) -> int:
     return 1 + max(line.count(separator) for separator in "\t;, ")
 
 
-def _best_start(lines: list[str], share: float) -> Start | None:
+def _best_start(lines: list[str], share: float, declared: TextFormat) -> Start | None:
     best: Start | None = None
     best_score = (0, False)
-    for separator, decimal in _LAYOUTS:
-        rows = _numeric_rows(lines, separator, decimal, share)
+    for tried in _layouts(declared):
+        rows = _numeric_rows(lines, tried, share, declared.heading_row or 0)
         if not rows:
             continue
         fields = Counter(rows.values()).most_common(1)[0][0]
         first = min(row for row, count in rows.items() if count == fields)
         start = replace(
-            _headed(lines, first, Layout(separator=separator, decimal=decimal, fields=fields)),
+            _headed(lines, first, replace(tried, fields=fields), declared.heading_row),
             strays=tuple(row + 1 for row in rows if row < first),
         )
         score = (sum(count == fields for count in rows.values()), any(start.labels))
@@ -96,16 +186,31 @@ def _best_start(lines: list[str], share: float) -> Start | None:
     return best
 
 
-def _numeric_rows(lines: list[str], separator: str, decimal: str, share: float) -> dict[int, int]:
+def _layouts(declared: TextFormat) -> tuple[Layout, ...]:
+    """Return the layouts that lab.toml leaves open."""
+    separator, decimal = declared.separator, declared.decimal
+    if separator is not None and separator == decimal == ",":
+        return (Layout(separator=",", decimal=",", fields=0, paired=True),)
+    marks = _LAYOUTS
+    if separator is not None and separator not in {layout.separator for layout in _LAYOUTS}:
+        marks = tuple(replace(x, separator=separator) for x in _LAYOUTS if x.separator == ";")
+    return tuple(
+        layout
+        for layout in marks
+        if separator in (None, layout.separator) and decimal in (None, layout.decimal)
+    )
+
+
+def _numeric_rows(lines: list[str], layout: Layout, share: float, above: int) -> dict[int, int]:
     """Return the fields of each row in which at least a share of the filled ones are numbers."""
-    found = {}
+    separator, found = layout.separator, {}
     for row, line in enumerate(lines):
-        if len(line) > _LONGEST_LINE or not line.strip():
+        if row < above or len(line) > _LONGEST_LINE or not line.strip() or _COMMENT.match(line):
             continue
         if separator and separator not in line and separator != ",":
             continue
-        fields = split(line, separator)
-        values = [number_of(field, decimal) for field in fields if field]
+        fields = cells_of(line, layout)
+        values = [number_of(f, layout.decimal, grouped=layout.grouped) for f in fields if f]
         numbers = sum(value is not None for value in values)
         is_whole = numbers == len(values) if share == 1 else numbers > 1
         if numbers and is_whole and numbers >= share * len(values) and any(map(_is_digit, fields)):
@@ -117,13 +222,16 @@ def _is_digit(field: str) -> bool:
     return any(character.isdigit() for character in field)
 
 
-def _headed(lines: list[str], first: int, layout: Layout) -> Start:
-    above = [row for row in range(first) if lines[row].strip()]
+def _headed(lines: list[str], first: int, layout: Layout, heading_row: int | None) -> Start:
+    end = first if heading_row is None else heading_row
+    above = [row for row in range(end) if lines[row].strip()]
     none = ("",) * layout.fields
     if not above:
         return Start(layout=layout, row=first, labels=none, units=none, above=())
-    last = _cells(lines[above[-1]], layout)
-    names = _cells(lines[above[-2]], layout) if len(above) > 1 else None
+    ends = all(split(line, layout.separator)[-1:] == [""] for line in lines[first : first + 20])
+    is_open = bool(layout.separator) and ends
+    last = _cells(lines[above[-1]], layout, is_open)
+    names = _cells(lines[above[-2]], layout, is_open) if len(above) > 1 else None
     if last and names and _are_units(last) and not _are_units(names):
         return Start(
             layout=layout, row=first, labels=names, units=last,
@@ -149,8 +257,11 @@ def names_but_first(start: Start) -> tuple[str, ...] | None:
     return None if cells is None or not all(cells) else ("", *cells)
 
 
-def _cells(line: str, layout: Layout) -> tuple[str, ...] | None:
-    """Cut a heading line into as many cells as the rows have, or return None."""
+def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] | None:
+    """Cut a heading line into as many cells as the rows have, or return None.
+
+    is_open  the rows end with a separator, behind which no column stands
+    """
     if len(line) > _LONGEST_LINE:
         return None
     bare = _COMMENT.sub("", line)
@@ -164,6 +275,8 @@ def _cells(line: str, layout: Layout) -> tuple[str, ...] | None:
             cells = cells[: layout.fields]
         if len(cells) == layout.fields:
             return tuple(cells)
+        if is_open and len(cells) + 1 == layout.fields:
+            return (*cells, "")
     return None
 
 

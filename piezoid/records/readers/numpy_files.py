@@ -4,6 +4,7 @@ import zipfile
 
 import numpy as np
 
+from piezoid.records.readers.archive import ZIP, members
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
@@ -11,7 +12,10 @@ from piezoid.records.table import RawTable
 
 
 def read_npy(source: Source) -> RawTable:
-    """Read one array of shape (samples,) or (samples, channels); it has no names and no units."""
+    """Read one array of shape (samples,) or (samples, channels), or fields with names.
+
+    Only fields have names, which may carry units (``displacement_um``).
+    """
     with reading(source, "npy"), source.open() as stream:
         version = np.lib.format.read_magic(stream)
         header = (
@@ -32,6 +36,8 @@ def read_npy(source: Source) -> RawTable:
         stream.seek(0)
         array = np.load(stream, allow_pickle=False)
     _check_axes(source, array)
+    if array.dtype.names is not None:
+        return table_of(source, "npy", {name: array[name] for name in array.dtype.names})
     return table_of(source, "npy", {"": array})
 
 
@@ -59,6 +65,13 @@ def read_npz(source: Source) -> RawTable:
     return table_of(source, "npz", arrays)
 
 
+def _is_npz(source: Source) -> bool:
+    """Tell an archive of arrays by its names, a damaged or empty one by its suffix."""
+    names = members(source)
+    is_npz = source.suffix == ".npz" and source.head.startswith((ZIP, b"PK\x05\x06"))
+    return is_npz or any(name.endswith(".npy") for name in names)
+
+
 NPY = Reader(
     name="npy",
     suffixes=(".npy",),
@@ -68,6 +81,6 @@ NPY = Reader(
 NPZ = Reader(
     name="npz",
     suffixes=(".npz",),
-    recognises=lambda source: source.head.startswith(b"PK\x03\x04"),
+    recognises=_is_npz,
     read=read_npz,
 )

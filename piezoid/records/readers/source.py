@@ -40,6 +40,25 @@ def unreadable(
     return UnreadableFileError(f"{place}: {found}", needed=needed, remedy=remedy, **numbers)
 
 
+@dataclass(frozen=True, kw_only=True)
+class TextFormat:
+    """How lab.toml says that a text table is written; None where it says nothing.
+
+    separator    between the fields; empty for runs of white space
+    decimal      ``.`` or ``,``
+    heading_row  line of the headings, from 1
+    """
+
+    separator: str | None = None
+    decimal: str | None = None
+    heading_row: int | None = None
+
+    @property
+    def keys(self) -> dict[str, str | int]:
+        """Return what is said."""
+        return {key: value for key, value in vars(self).items() if value is not None}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
     """A file opened for reading, before anything is known of its format.
@@ -50,6 +69,7 @@ class Source:
     head      the first bytes of what it holds, decompressed
     packed    whether the file is compressed as a whole, by gzip
     unpacked  the whole content where the file was compressed, else None
+    text      how lab.toml says that it is written, if it is a text table
     """
 
     path: Path
@@ -58,6 +78,7 @@ class Source:
     head: bytes
     packed: bool
     unpacked: bytes | None
+    text: TextFormat = TextFormat()
 
     @property
     def name(self) -> str:
@@ -194,10 +215,11 @@ def _read_to(stream: io.BufferedIOBase, limit: int) -> bytes:
 
 
 def text_of(source: Source) -> str:
-    """Decode text as UTF-8, UTF-16 with its mark, or else as Western European bytes."""
+    """Decode text as UTF-8, UTF-16 with or without its mark, or else as Western European bytes."""
     content = source.content()
-    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
-        text = content.decode("utf-16", errors="replace")
+    encoding = encoding_of(source.head)
+    if encoding == "latin-1" or encoding.startswith("utf-16"):
+        text = content.decode(encoding, errors="replace")
     else:
         try:
             text = content.decode("utf-8-sig")
@@ -213,3 +235,22 @@ def text_of(source: Source) -> str:
             line=line,
         )
     return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def encoding_of(head: bytes) -> str:
+    """Tell the encoding of a text by its first bytes: UTF-16, else UTF-8, else Western European.
+
+    Latin letters and digits fill every second byte of UTF-16 with zeros, mark or no mark.
+    """
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    pairs = len(head) // 2
+    zeros = [head[first : 2 * pairs : 2].count(0) for first in (0, 1)]
+    if pairs > 1 and min(zeros) == 0 and max(zeros) > 0.9 * pairs:
+        return "utf-16-be" if zeros[0] else "utf-16-le"
+    try:
+        head.decode("utf-8")
+    except UnicodeDecodeError as error:
+        # A letter may be cut at the end.
+        return "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
+    return "utf-8-sig"

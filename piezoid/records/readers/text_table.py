@@ -5,7 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.records.readers.block import Block, parse_block
+from piezoid.records.readers.block import (
+    Block,
+    lines_are_rows,
+    parse_block,
+    without_comments,
+)
 from piezoid.records.readers.heading_lines import (
     HEAD_LINES,
     Start,
@@ -14,29 +19,39 @@ from piezoid.records.readers.heading_lines import (
     unit_cell,
 )
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, text_of
+from piezoid.records.readers.source import Source, encoding_of, text_of
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
 
 
 def read(source: Source) -> RawTable:
     """Read a text table; columns of text are left out, their place stays counted."""
-    text = text_of(source)
-    start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name)
+    return read_text(source, text_of(source), "text table")
+
+
+def read_text(source: Source, text: str, format_name: str) -> RawTable:
+    """Read the text of a table, whatever file it came in."""
+    start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    block = parse_block(body, start.layout, source.name, start.row + 1)
+    rows, remarks = without_comments(body, start.row + 1)
+    block = parse_block(rows, start.layout, source.name, start.row + 1)
     named = names_but_first(start)
     if named is not None and are_row_numbers(block.columns[0]):
         start = replace(start, labels=named, above=start.above[:-1])
     return RawTable(
         name=source.name,
         digest=source.digest,
-        format="text table",
+        format=format_name,
         columns=columns_of(start, block),
-        # With blank lines between the rows a row's line is not known; its number still is.
-        first_line=0 if "\n\n" in body.rstrip("\n") else start.row + 1,
+        # With other lines between the rows a row's line is not known; its number still is.
+        first_line=start.row + 1 if lines_are_rows(body) else 0,
         metadata=metadata_of(start.above),
-        problems=(*stray_problems(start), *block.problems, *textual_problems(start, block)),
+        problems=(
+            *stray_problems(start),
+            *remarks,
+            *block.problems,
+            *textual_problems(start, block),
+        ),
     )
 
 
@@ -99,7 +114,7 @@ def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
 
 def recognises(source: Source) -> bool:
     """Take whatever is not the beginning of some other binary file."""
-    return b"\x00" not in source.head or source.head.startswith((b"\xff\xfe", b"\xfe\xff"))
+    return b"\x00" not in source.head or encoding_of(source.head).startswith("utf-16")
 
 
 READER = Reader(

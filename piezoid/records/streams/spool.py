@@ -7,7 +7,7 @@ unnamed scratch file, 16 bytes a sample, which is gone when the process is.
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
@@ -52,6 +52,7 @@ def spooled(
     Raises what ``ingest`` raises.
     """
     lab = Lab() if lab is None else lab
+    lab.check_files(paths)
     held: dict[str, list[Piece]] = {}
     problems: list[tuple[str, Problem]] = []
     sources: dict[str, str] = {}
@@ -59,7 +60,7 @@ def spooled(
     with ExitStack() as files:
         for path in paths:
             progress(f"reading {path.name}")
-            source = open_source(path, whole=False)
+            source = replace(open_source(path, whole=False), text=lab.text_format_of(path))
             _refuse_twice(source, sources)
             for entry in lab.entries_of(path) or (None,):
                 heard = Heard()

@@ -5,7 +5,7 @@ a whole file; what is new here is only how blocks are joined.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from msgspec import structs
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.records.assignment import Assignment, assign
-from piezoid.records.ingest import ingest_table
+from piezoid.records.ingest import ingest_table, parts_of
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import READERS
 from piezoid.records.readers.source import Source, unreadable
@@ -86,12 +86,19 @@ def stretches(
     """
     whole = None if entry is None else structs.replace(entry, start_s=None, stop_s=None)
     join = _Join(source=source, entry=entry)
+    if entry is not None and entry.reverse:
+        raise LabFileError(
+            f"{lab.place}: reverse of {source.name} is true",
+            needed="rows in the order in which they were recorded, where a file is read in blocks",
+            remedy="Read it without --stream, or write the file the other way round.",
+        )
     for table in _tables(source, rows):
         assignment = join.meaning(table, lab, whole)
         numbers = _rows_with_numbers(table, assignment)
         if numbers.sum() < 3 and join.first is not None:
             join.broken = True
             continue
+        join.check_one_rate(parts_of(table, lab, whole))
         recording = ingest_table(table, lab, whole)
         heard.hear(recording)
         yield from join.joined(recording, repeats=bool(numbers[0]))
@@ -187,6 +194,21 @@ class _Join:
         high = 2**62 if stop_s is None else round(stop_s * rate_Hz) + 1
         return low, high
 
+    def check_one_rate(self, parts: Sequence[tuple[RawTable, Lab, RecordingEntry | None]]) -> None:
+        """Refuse a block within which the rate changes."""
+        if len(parts) > 1:
+            before, after = (ingest_table(*part) for part in parts[:2])
+            rates = before.sampling_rate_Hz, after.sampling_rate_Hz
+            raise self._other_rate(self.source.name, rates, self.seen + before.samples)
+
+    def _other_rate(self, name: str, rates: tuple[float, float], sample: int) -> RecordingError:
+        return RecordingError(
+            f"{name}: sampled at {rates[0]:.9g} Hz at its beginning and at {rates[1]:.9g} Hz from "
+            f"sample {sample} on",
+            needed="one rate throughout, where a file is read in blocks",
+            remedy="Read it without --stream, or cut the file where the rate changes.",
+        )
+
     def _check_same(self, recording: Recording) -> None:
         first = self.first or recording
         ours = [(c.quantity, c.axis, c.label) for c in recording.channels]
@@ -199,12 +221,7 @@ class _Join:
                 remedy="Name the columns to be read in lab.toml.",
             )
         if abs(rates[1] - rates[0]) > _SAME_RATE * rates[0]:
-            raise RecordingError(
-                f"{recording.name}: sampled at {rates[0]:.9g} Hz at its beginning and at "
-                f"{rates[1]:.9g} Hz from sample {self.seen} on",
-                needed="one rate throughout",
-                remedy="Cut the file where the rate changes.",
-            )
+            raise self._other_rate(recording.name, rates, self.seen)
 
     def check_length(self) -> None:
         """Refuse a file of which nothing is left."""

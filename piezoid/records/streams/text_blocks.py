@@ -10,10 +10,15 @@ from typing import BinaryIO
 import numpy as np
 
 from piezoid.records.readers import text_table
-from piezoid.records.readers.block import Block, parse_block
+from piezoid.records.readers.block import (
+    Block,
+    lines_are_rows,
+    parse_block,
+    without_comments,
+)
 from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.heading_lines import HEAD_LINES, Start, find_start, names_but_first
-from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.source import Source, check_growth, encoding_of, unreadable
 from piezoid.records.recording import Problem
 from piezoid.records.streams.format import BlockFormat
 from piezoid.records.table import RawTable
@@ -29,11 +34,12 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
     but text are NaN there.
     """
     with _text(source) as stream:
-        start = _start(stream, source.name)
+        start = _start(stream, source)
         first: Block | None = None
         line, ahead = start.row + 1, 0
         for text in _pieces(stream, rows, source.name):
-            block = parse_block(text, start.layout, source.name, line)
+            rows_only, remarks = without_comments(text, line)
+            block = parse_block(rows_only, start.layout, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
                 start, first = _settled(start, block), block
@@ -43,10 +49,10 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
                 digest=source.digest,
                 format="text table",
                 columns=text_table.columns_of(start, _like(first, block)),
-                first_line=0 if "\n\n" in text.rstrip("\n") else line,
+                first_line=line if lines_are_rows(text) else 0,
                 first_row=ahead,
                 metadata=text_table.metadata_of(start.above),
-                problems=(*beside, *block.problems),
+                problems=(*beside, *remarks, *block.problems),
             )
             line += text.rstrip("\n").count("\n")
             ahead += len(block.columns[0]) - 1
@@ -59,7 +65,7 @@ def _text(source: Source) -> Iterator[io.TextIOWrapper]:
         packed = raw.read(2) == b"\x1f\x8b"
         raw.seek(0)
         stream = io.BufferedReader(_Unpacked(source, raw)) if packed else raw
-        yield io.TextIOWrapper(stream, encoding=_encoding(source.head), errors="replace")
+        yield io.TextIOWrapper(stream, encoding=encoding_of(source.head), errors="replace")
 
 
 class _Unpacked(gzip.GzipFile):
@@ -75,18 +81,7 @@ class _Unpacked(gzip.GzipFile):
         return content
 
 
-def _encoding(head: bytes) -> str:
-    """UTF-16 by its mark, else UTF-8, else Western European; a letter may be cut at the end."""
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "utf-16"
-    try:
-        head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        return "utf-8-sig" if error.start > len(head) - 4 else "latin-1"
-    return "utf-8-sig"
-
-
-def _start(stream: io.TextIOWrapper, name: str) -> Start:
+def _start(stream: io.TextIOWrapper, source: Source) -> Start:
     """Find the table, and leave the stream at its first row."""
     lines: list[str] = []
     while len(lines) < HEAD_LINES and sum(map(len, lines)) < _LONGEST_HEAD:
@@ -94,7 +89,7 @@ def _start(stream: io.TextIOWrapper, name: str) -> Start:
         if not line:
             break
         lines.append(line.removesuffix("\n"))
-    start = find_start(lines, name)
+    start = find_start(lines, source.name, source.text)
     stream.seek(0)
     for _ in range(start.row):
         stream.readline()

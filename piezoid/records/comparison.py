@@ -1,0 +1,316 @@
+"""Whether the recordings of a stage fit each other: sign, gain, range, rate, and copies.
+
+A file in another unit, behind a monitor or of another polarity is no stage with hysteresis; it is
+told by its gain beside that of the others, before anything is fitted.
+"""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.readable import significant, told
+from piezoid.records.faults import noise_rms
+from piezoid.records.plausibility import NOISE_ONLY
+from piezoid.records.recording import Quantity, Recording
+
+STILL = 0.01  # of the widest drive: a recording that moves less says nothing of hysteresis
+
+# The gain is taken at the lowest frequencies, which hold this share of the drive's power: a mode
+# is far above them in a sweep, and in a chirp its first tens of hertz.
+_POWER = 0.02
+# Above so many times the lowest of these frequencies a mode may have turned the sign.
+_BAND = 10.0
+_SLOW_Hz = 1.0
+# Below this coherence the drive does not say what the sensor shows.
+_COHERENT = 0.8
+# Ceramics move up to twice as far per volt over their full range as in small loops, and no stage
+# is known that does so three times; a monitor has a fifth at most.
+_OTHER_GAIN = 3.0
+# A factor of a thousand is told within this, as its logarithm to the base of ten.
+_THOUSAND = 0.3
+_MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
+_MONITOR = 0.15  # within which a ratio is one of these
+# A copy differs by its printing alone; of two recordings, noise makes 1.4 between them.
+_COPY = 0.3
+_SAME_DRIVE = 1e-3
+_FEW = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Misfit:
+    """One recording that does not fit the others.
+
+    name    of the recording
+    reason  what was found, and what it looks like
+    lines   for its entry in lab.toml
+    """
+
+    name: str
+    reason: str
+    lines: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Answer:
+    """What the drive of an axis does to its sensor at the lowest frequencies.
+
+    gain_m_per_V  in phase
+    coherence     0 to 1
+    frequency_Hz  at which both are taken, the mean over the drive's power
+    """
+
+    recording: Recording
+    gain_m_per_V: float
+    coherence: float
+    frequency_Hz: float
+    voltage_V: tuple[float, float]
+
+
+def misfits(recordings: Sequence[Recording]) -> tuple[Misfit, ...]:
+    """Return the recordings whose gain contradicts that of the others on the same axis."""
+    found: list[Misfit] = []
+    for axis in sorted({axis for r in recordings for axis in r.axes}):
+        answers = [_answer(r, axis) for r in recordings if _drives(r, axis)]
+        clear = [a for a in answers if a is not None and a.coherence > _COHERENT]
+        if len(clear) < 2:
+            continue
+        slowest_Hz = max(min(a.frequency_Hz for a in clear), _SLOW_Hz)
+        clear = [a for a in clear if a.frequency_Hz <= _BAND * slowest_Hz]
+        usual = _usual(clear)
+        found += [
+            _misfit(a, usual)
+            for a in clear
+            if not 1 / _OTHER_GAIN < a.gain_m_per_V / usual.gain_m_per_V < _OTHER_GAIN
+        ]
+    return tuple(found)
+
+
+def refuse_misfits(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings that do not fit each other: one model of them would be of no stage."""
+    found = misfits(recordings)
+    if not found:
+        return
+    blocks = "\n\n".join(f"[[recording]]\nfile = {_file(m.name)}\n{m.lines}" for m in found)
+    raise RecordingError(
+        "the recordings do not fit each other: " + "; ".join(m.reason for m in found),
+        needed="recordings of one stage, in true units and with one polarity",
+        remedy="Where this is the reason, write into lab.toml what makes them alike (or the like "
+        "for the others, if it is they that are wrong); leave a file of another stage out:\n\n"
+        f"{blocks}\n",
+    )
+
+
+def copies(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return the recordings that hold the samples of an earlier one, whatever their unit.
+
+    returned  name of the earlier one by name
+    """
+    found: dict[str, str] = {}
+    for one, other in combinations(recordings, 2):
+        if one.name not in found and one.name != other.name and _is_copy(one, other):
+            found.setdefault(other.name, one.name)
+    return found
+
+
+def remarks_on_set(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ...]:
+    """Return what is remarkable about single recordings beside the others: name and sentence."""
+    found = [
+        (copy, f"{copy} holds the same samples as {original}: it tests nothing that was fitted "
+         f"to {original}, and is left out")
+        for copy, original in copies(recordings).items()
+    ]  # fmt: skip
+    odd = {misfit.name for misfit in misfits(recordings)}
+    for axis in sorted({r.axis for r in recordings}):
+        own = [r for r in recordings if r.axis == axis and _drives(r, axis) and r.name not in odd]
+        found += _beside_the_widest(own, axis)
+        found += _of_other_rate(own)
+    return tuple(found)
+
+
+def _beside_the_widest(recordings: Sequence[Recording], axis: str) -> list[tuple[str, str]]:
+    if len(recordings) < 2:
+        return []
+    ranges = {r.name: _range(r.voltage_V(axis)) for r in recordings}
+    widest, (low_V, high_V) = max(ranges.items(), key=lambda item: item[1][1] - item[1][0])
+    found = []
+    for name, (least_V, most_V) in ranges.items():
+        if most_V - least_V <= STILL * (high_V - low_V):
+            found.append(
+                (name, f"{name}: the drive of axis {axis} moves by {told(most_V - least_V, 'V')}, "
+                 f"less than a hundredth of the {told(high_V - low_V, 'V')} of {widest}: nothing "
+                 "is learned of the hysteresis from it")
+            )  # fmt: skip
+        elif least_V > high_V or most_V < low_V:
+            found.append(
+                (name, f"{name}: the drive of axis {axis} goes from {told(least_V, 'V')} to "
+                 f"{told(most_V, 'V')} and never meets that of {widest}, {told(low_V, 'V')} to "
+                 f"{told(high_V, 'V')}: is an offset missing? (offset = {{ voltage = ... }})")
+            )  # fmt: skip
+    return found
+
+
+def _of_other_rate(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
+    found = []
+    for one, other in combinations(recordings, 2):
+        slow, fast = sorted((one, other), key=lambda r: r.sampling_rate_Hz)
+        if abs(fast.sampling_rate_Hz / slow.sampling_rate_Hz / 1000 - 1) < _THOUSAND / 10:
+            found.append(
+                (slow.name, f"{slow.name} is sampled at {slow.sampling_rate_Hz:.9g} Hz, "
+                 f"{fast.name} a thousand times as fast: are the times of one in milliseconds?")
+            )  # fmt: skip
+    return found
+
+
+def _drives(recording: Recording, axis: str) -> bool:
+    pair = (Quantity.VOLTAGE, Quantity.DISPLACEMENT)
+    return all(recording.find(quantity, axis) is not None for quantity in pair)
+
+
+def _range(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _answer(recording: Recording, axis: str) -> _Answer | None:
+    """Return the gain at the lowest frequencies of the drive.
+
+    None where the drive does not move, where the sensor shows little but its noise, and where a
+    feedback holds it: then it is the drive that answers.
+    """
+    voltage_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    held = any(p.kind == "closed_loop" and p.place == f"axis {axis}" for p in recording.problems)
+    if held or len(voltage_V) < 8 or not np.ptp(voltage_V) > 0:
+        return None
+    if not np.ptp(displacement_m) > NOISE_ONLY * noise_rms(displacement_m):
+        return None
+    drive = np.fft.rfft(voltage_V - voltage_V.mean())[1:]
+    response = np.fft.rfft(displacement_m - displacement_m.mean())[1:]
+    power = np.abs(drive) ** 2
+    # Both neighbours of the last line are taken in: a sine is seldom whole in the recording.
+    last = int(np.searchsorted(np.cumsum(power), _POWER * power.sum())) + 2
+    drive, response, power = drive[:last], response[:last], power[:last]
+    cross = complex(np.vdot(drive, response))
+    energy = float(power.sum() * (np.abs(response) ** 2).sum())
+    lines_Hz = np.arange(1, last + 1) * recording.sampling_rate_Hz / len(voltage_V)
+    return _Answer(
+        recording=recording,
+        gain_m_per_V=cross.real / float(power.sum()),
+        coherence=abs(cross) / math.sqrt(energy) if energy > 0 else 0.0,
+        frequency_Hz=float((lines_Hz[: len(power)] * power).sum() / power.sum()),
+        voltage_V=_range(voltage_V),
+    )
+
+
+def _usual(answers: Sequence[_Answer]) -> _Answer:
+    """Return the answer that most others agree with.
+
+    Among equals one that goes up with the drive, as most stages do, and of these the widest drive.
+    """
+
+    def agreeing(one: _Answer) -> tuple[int, bool, float]:
+        ratios = [other.gain_m_per_V / one.gain_m_per_V for other in answers]
+        alike = sum(1 / _OTHER_GAIN < ratio < _OTHER_GAIN for ratio in ratios)
+        return alike, one.gain_m_per_V > 0, one.voltage_V[1] - one.voltage_V[0]
+
+    return max(answers, key=agreeing)
+
+
+def _misfit(odd: _Answer, usual: _Answer) -> Misfit:
+    ratio = odd.gain_m_per_V / usual.gain_m_per_V
+    size = abs(ratio)
+    spans = [a.voltage_V[1] - a.voltage_V[0] for a in (odd, usual)]
+    # What is off is the drive where its range, and not the stroke, is off by as much.
+    is_drive = abs(math.log(size * spans[0] / spans[1])) < abs(math.log(spans[0] / spans[1]))
+    likely, lines = _reason(ratio, is_drive=is_drive)
+    name, other = odd.recording.name, usual.recording.name
+    reason = (
+        f"{name} moves {_gain(odd)} (drive {_volts(odd)}), {other} {_gain(usual)} (drive "
+        f"{_volts(usual)}), {_times(ratio)}: {likely}"
+    )
+    return Misfit(name=name, reason=reason, lines=lines)
+
+
+def _reason(ratio: float, *, is_drive: bool) -> tuple[str, str]:
+    """Return what a ratio of gains looks like, and the line that would mend it."""
+    size, sign = abs(ratio), "-" if ratio < 0 else ""
+    turned = " and of the other polarity" if ratio < 0 else ""
+    if 1 / _OTHER_GAIN < size < _OTHER_GAIN:
+        return (
+            "drive or sensor is of the other polarity",
+            "scale = { voltage = -1 }   # or displacement = -1",
+        )
+    thousands = math.log10(size) / 3
+    if round(thousands) and abs(thousands - round(thousands)) < _THOUSAND / 3:
+        factor = 10.0 ** (3 * round(thousands))
+        if is_drive:
+            return (
+                f"the drive is in another unit{turned}",
+                f"scale = {{ voltage = {sign}{factor:g} }}",
+            )
+        return (
+            f"the displacement is in another unit{turned}",
+            f"scale = {{ displacement = {sign}{1 / factor:g} }}",
+        )
+    nearest = min(_MONITORS, key=lambda monitor: abs(math.log(size / monitor)))
+    if is_drive and abs(math.log(size / nearest)) < _MONITOR:
+        return (
+            f"its drive is the output of a 1/{nearest} monitor, or the command in front of the "
+            f"amplifier{turned}",
+            f"scale = {{ voltage = {sign}{nearest} }}",
+        )
+    return (
+        f"it is of another axis, stage or range of the sensor{turned}",
+        'axis = "..."   # or scale = { displacement = ... }',
+    )
+
+
+def _gain(answer: _Answer) -> str:
+    return f"{told(answer.gain_m_per_V, 'm')} per volt"
+
+
+def _volts(answer: _Answer) -> str:
+    return " to ".join(told(end, "V") for end in answer.voltage_V)
+
+
+def _times(ratio: float) -> str:
+    if 1 / _OTHER_GAIN < abs(ratio) < _OTHER_GAIN:
+        return "the other way"
+    size = abs(ratio)
+    many = f"{significant(max(size, 1 / size))} times {'as much' if size > 1 else 'less'}"
+    return f"{many}, the other way" if ratio < 0 else many
+
+
+def _file(name: str) -> str:
+    """Return the name of the file, of which a recording may be a part."""
+    return json.dumps(name.partition(" (part ")[0])
+
+
+def _is_copy(one: Recording, other: Recording) -> bool:
+    kinds = [{(c.quantity, c.axis) for c in r.channels} for r in (one, other)]
+    if one.samples != other.samples or kinds[0] != kinds[1] or not _drives(one, one.axis):
+        return False
+    # A few samples tell most pairs apart, before whole recordings are compared.
+    for step in (max(one.samples // _FEW, 1), 1):
+        drives = [_standard(r.voltage_V(one.axis)[::step]) for r in (one, other)]
+        if _rms(drives[0] - drives[1]) > _SAME_DRIVE:
+            return False
+    displacement_m = one.displacement_m(one.axis)
+    spread_m = float(displacement_m.std())
+    if not spread_m > 0:
+        return False
+    responses = [_standard(r.displacement_m(one.axis)) for r in (one, other)]
+    return _rms(responses[0] - responses[1]) <= _COPY * noise_rms(displacement_m) / spread_m
+
+
+def _standard(values: Array) -> Array:
+    spread = float(values.std())
+    return np.asarray((values - values.mean()) / spread) if spread > 0 else values - values.mean()
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

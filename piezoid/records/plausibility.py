@@ -1,0 +1,98 @@
+"""What is remarkable about drive and response together: a stage nobody sells, a sensor held."""
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.readable import told
+from piezoid.records.faults import noise_rms
+from piezoid.records.recording import Problem, Quantity, Recording
+
+# Tubes move some nm per volt of their electrodes, stacks 0.1 to 1 um, levers and benders 10 um;
+# by the command in front of an amplifier up to 40 um (an objective's). Beyond, and below a tenth
+# of a nanometre, a unit or a monitor is the likelier reason.
+_LEAST_m_per_V, _MOST_m_per_V = 1e-10, 5e-5
+# A sensor that shows less than so many times its noise says nothing of a gain.
+NOISE_ONLY = 20.0
+# Held is a sensor whose means over a hundredth of the recording stay within the noise of single
+# samples for at least ten of them, while the drive goes where it would move by five times that
+# noise. Where the whole recording shows no motion to know that by, the drive goes through three
+# tenths of its range: in the hold of a real approach (30 s, capacitive sensor) it is 0.57.
+_BLOCKS = 100
+_HELD_BLOCKS = 10
+_UNMOVED = 5.0
+_DRIVE_SHARE = 0.3
+
+
+def remarks_on(recording: Recording) -> tuple[Problem, ...]:
+    """Return remarks on every axis that has a drive and a displacement.
+
+    kinds  ``implausible_gain``, ``closed_loop``
+    """
+    found: list[Problem] = []
+    for axis in recording.axes:
+        drive = recording.find(Quantity.VOLTAGE, axis)
+        response = recording.find(Quantity.DISPLACEMENT, axis)
+        if drive is None or response is None:
+            continue
+        found += _implausible(drive.values, response.values, axis)
+        found += _held(recording, drive.values, response.values, axis)
+    return tuple(found)
+
+
+def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Problem]:
+    drive_V, stroke_m = float(np.ptp(voltage_V)), float(np.ptp(displacement_m))
+    if not drive_V > 0 or not stroke_m > 0:
+        return []
+    gain = stroke_m / drive_V
+    # A sensor that shows nothing but noise says nothing of the gain.
+    is_noise = stroke_m < NOISE_ONLY * noise_rms(displacement_m)
+    if _LEAST_m_per_V <= gain <= _MOST_m_per_V or is_noise:
+        return []
+    text = (
+        f"a drive of {told(drive_V, 'V')} and a displacement of {told(stroke_m, 'm')} are "
+        f"{told(gain, 'm')} per volt; stacks, tubes and benders, amplifier included, make from "
+        f"{told(_LEAST_m_per_V, 'm')} to {told(_MOST_m_per_V, 'm')}: is a unit wrong, or the "
+        "drive a monitor's output?"
+    )
+    return [Problem(kind="implausible_gain", place=f"axis {axis}", text=text)]
+
+
+def _held(
+    recording: Recording, voltage_V: Array, displacement_m: Array, axis: str
+) -> list[Problem]:
+    """Tell a sensor that stands while the drive moves: under feedback, or out of order."""
+    size = len(voltage_V) // _BLOCKS
+    if size < 4 or not np.ptp(voltage_V) > 0 or not np.ptp(displacement_m) > 0:
+        return []
+    drive_V, response_m = (
+        values[: size * _BLOCKS].reshape(_BLOCKS, size).mean(axis=1)
+        for values in (voltage_V, displacement_m)
+    )
+    noise_m, stroke_m = noise_rms(displacement_m), float(np.ptp(response_m))
+    first, last = _longest_within(response_m, noise_m)
+    share = float(np.ptp(drive_V[first:last]) / np.ptp(voltage_V))
+    is_seen = stroke_m > NOISE_ONLY * noise_m
+    wanted = _UNMOVED * noise_m / stroke_m if is_seen else _DRIVE_SHARE
+    # What gives the same number for ever is stuck or dead, which is said elsewhere.
+    if last - first < _HELD_BLOCKS or share < wanted or not np.ptp(response_m[first:last]) > 0:
+        return []
+    moved_V = float(np.ptp(drive_V[first:last]))
+    within_m = float(np.ptp(displacement_m[first * size : last * size]))
+    begin_s, end_s = (edge * size / recording.sampling_rate_Hz for edge in (first, last))
+    text = (
+        f"from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within {told(within_m, 'm')} "
+        f"while the drive moves by {told(moved_V, 'V')}: recorded under feedback, it seems, where "
+        "the drive's answer is the data; or the sensor does not see the motion"
+    )
+    return [Problem(kind="closed_loop", place=f"axis {axis}", text=text)]
+
+
+def _longest_within(values: Array, span: float) -> tuple[int, int]:
+    """Return the longest run, (first, behind the last), that stays within a span."""
+    best, first = (0, 0), 0
+    for last in range(1, len(values) + 1):
+        while np.ptp(values[first:last]) > span:
+            first += 1
+        if last - first > best[1] - best[0]:
+            best = first, last
+    return best

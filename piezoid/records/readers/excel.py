@@ -1,0 +1,100 @@
+"""Excel workbooks: the sheet that holds a table, read as the text it shows."""
+
+import datetime
+import math
+import zipfile
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from piezoid.errors import UnreadableFileError
+from piezoid.records.readers.archive import members
+from piezoid.records.readers.foreign import reading
+from piezoid.records.readers.heading_lines import HEAD_LINES, find_start
+from piezoid.records.readers.reader import Reader
+from piezoid.records.readers.source import Source, check_growth, unreadable
+from piezoid.records.readers.text_table import read_text
+from piezoid.records.recording import Problem
+from piezoid.records.table import RawTable
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+def recognises(source: Source) -> bool:
+    """Tell a workbook by its parts; a damaged archive by the part or the suffix that is left."""
+    names = members(source)
+    return "xl/workbook.xml" in names or (bool(names) and source.suffix in (".xlsx", ".xlsm"))
+
+
+def read(source: Source) -> RawTable:
+    """Read the first sheet that holds rows of numbers, and name the others that do."""
+    with reading(source, "Excel"):
+        import openpyxl  # noqa: F401 -- pandas reads with it, and says less where it is missing
+        import pandas as pd
+
+        _refuse_damaged(source)
+        with source.open() as stream:
+            with zipfile.ZipFile(stream) as archive:
+                check_growth(source, sum(item.file_size for item in archive.infolist()))
+            stream.seek(0)
+            sheets = pd.read_excel(
+                stream, sheet_name=None, header=None, dtype=object, engine="openpyxl"
+            )
+    texts = {str(name): _text(frame) for name, frame in sheets.items() if frame.size}
+    if not texts:
+        raise unreadable(
+            source.name,
+            f"its {len(sheets)} sheets are empty",
+            needed="a sheet with headings and rows of numbers",
+            remedy="Save the workbook again, or export the recording as CSV.",
+        )
+    held = [name for name, text in texts.items() if _has_rows(source, text)]
+    table = read_text(source, texts[held[0] if held else next(iter(texts))], "Excel")
+    return replace(table, problems=(*_unread(held), *table.problems))
+
+
+def _refuse_damaged(source: Source) -> None:
+    with source.open() as stream:
+        if not zipfile.is_zipfile(stream):
+            raise unreadable(
+                source.name,
+                "the workbook is cut short or damaged: the directory at its end is missing",
+                needed="a whole workbook",
+                remedy="Copy the file again from where it was written, or export it as CSV.",
+            )
+
+
+def _unread(held: list[str]) -> tuple[Problem, ...]:
+    if len(held) < 2:
+        return ()
+    names = ", ".join(map(repr, held[1:]))
+    text = f"sheet {held[0]!r} is read; {names} hold rows of numbers as well and are not read"
+    return (Problem(kind="other_sheets", place=f"sheet {held[0]!r}", text=text),)
+
+
+def _has_rows(source: Source, text: str) -> bool:
+    try:
+        find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
+    except UnreadableFileError:
+        return False
+    return True
+
+
+def _text(frame: "DataFrame") -> str:
+    rows = frame.itertuples(index=False, name=None)
+    return "\n".join("\t".join(map(_cell, row)) for row in rows) + "\n"
+
+
+def _cell(value: object) -> str:
+    """Return what a cell holds: a number with every digit, a time as a clock shows it."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
+        return ""
+    if isinstance(value, datetime.datetime | datetime.time):
+        return "" if value != value else value.isoformat()
+    if isinstance(value, datetime.timedelta):
+        seconds = value.total_seconds()
+        return f"{int(seconds // 3600)}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
+    return repr(value) if isinstance(value, float) else " ".join(str(value).split())
+
+
+READER = Reader(name="Excel", suffixes=(".xlsx",), recognises=recognises, read=read)

@@ -1,0 +1,43 @@
+"""Recordings of one stage before a fit: none is left out without a word."""
+
+from pathlib import Path
+
+import pytest
+
+from piezoid.errors import RecordingError
+from piezoid.identification.fit import moving, unfitted
+from piezoid.records.ingest import ingest_all
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+from tests.records.messy.writers import NAMES, columns, lines, text
+
+
+def read(folder: Path, **tables: list[str]) -> tuple[Recording, ...]:
+    for name, rows in tables.items():
+        text(rows)(folder / f"{name}.csv")
+    return ingest_all([folder / f"{name}.csv" for name in tables])
+
+
+def test_a_copy_in_another_unit_is_left_out_and_named(tmp_path: Path) -> None:
+    in_nm = lines(table=columns() * [1, 1, 1e3], names=(*NAMES[:2], "position [nm]"))
+    recordings = read(tmp_path, sweep=lines(), again=in_nm)
+    assert [r.name for r in moving(recordings, "x")] == ["sweep.csv"]
+    (said,) = unfitted(recordings, Lab()).remarks
+    assert said.startswith("again.csv holds the same samples as sweep.csv")
+
+
+def test_a_drive_that_hardly_moves_is_named_and_names_no_stage(tmp_path: Path) -> None:
+    resting = columns()
+    resting[:, 1:] = 1e-3 * resting[::-1, 1:] + [50, 9]
+    rows = lines(table=resting, written="{:.6f}".format)
+    recordings = read(tmp_path, resting=rows, sweep=lines())
+    assert [r.name for r in moving(recordings, "x")] == ["sweep.csv"]
+    stage = unfitted(recordings, Lab())
+    assert stage.stage == "sweep"
+    assert any("resting.csv: the drive of axis x moves by" in said for said in stage.remarks)
+
+
+def test_a_file_of_the_other_polarity_ends_before_the_fit(tmp_path: Path) -> None:
+    recordings = read(tmp_path, sweep=lines(), turned=lines(table=columns() * [1, -1, 1]))
+    with pytest.raises(RecordingError, match=r"turned.csv moves .* the other polarity"):
+        unfitted(recordings, Lab())

@@ -1,0 +1,294 @@
+"""Clocks, containers, units and scales that are messy."""
+
+import numpy as np
+
+from tests.records.messy.writers import (
+    BY_NUMBER,
+    COPY,
+    COUNTS,
+    EVERY,
+    FIT,
+    NAMES,
+    SAMPLES,
+    VOLTAGE_V,
+    Messy,
+    POSITION_um,
+    TIME_s,
+    across_midnight,
+    at,
+    clock_of_day,
+    columns,
+    cut_excel,
+    excel,
+    held,
+    iso,
+    jpk,
+    lines,
+    matlab,
+    matlab_table,
+    plain_sheet,
+    second_sheet,
+    stamped,
+    structured,
+    text,
+    twice,
+    two_rates,
+    with_rows,
+    zipped_csv,
+)
+
+MEANINGS: tuple[Messy, ...] = (
+    Messy(
+        name="newest_first.csv",
+        wrong="the newest row first",
+        write=with_rows(lambda rows: [rows[0], *rows[:0:-1]]),
+        refused="the newest row stands first",
+        lines="reverse = true\n",
+    ),
+    Messy(
+        name="rows_twice.csv",
+        wrong="60 rows written twice",
+        write=with_rows(twice),
+        kept=EVERY,
+        problems=frozenset({"repeated_rows"}),
+    ),
+    Messy(
+        name="block_twice.csv",
+        wrong="a block of 60 rows written again",
+        write=with_rows(lambda rows: [*rows[:161], *rows[101:161], *rows[161:]]),
+        kept=EVERY,
+        problems=frozenset({"repeated_rows"}),
+    ),
+    Messy(
+        name="jitter.csv",
+        wrong="stamps that scatter by 5 %",
+        write=text(
+            lines(
+                table=columns()
+                + np.outer(np.random.default_rng(3).normal(0, 5e-5, SAMPLES), [1, 0, 0]),
+                written="{:.6f}".format,
+            )
+        ),
+        kept=EVERY,
+        problems=frozenset({"jitter"}),
+    ),
+    Messy(
+        name="gap.csv",
+        wrong="40 samples lost",
+        write=text(lines(table=columns(at(*range(150, 190))))),
+        kept=at(*range(150, 190)),
+        breaks=1,
+        problems=frozenset({"gap"}),
+    ),
+    Messy(
+        name="stall.csv",
+        wrong="a clock that stands and catches up",
+        write=text(
+            lines(
+                table=np.column_stack(
+                    [
+                        np.where((EVERY > 99) & (EVERY < 110), TIME_s[100], TIME_s),
+                        VOLTAGE_V,
+                        POSITION_um,
+                    ]
+                )
+            )
+        ),
+        kept=EVERY,
+        problems=frozenset({"duplicate_time"}),
+    ),
+    Messy(
+        name="coarse_clock.csv",
+        wrong="stamps printed to a hundredth of a second",
+        write=text(
+            lines(table=np.column_stack([np.floor(TIME_s * 100) / 100, VOLTAGE_V, POSITION_um]))
+        ),
+        kept=EVERY,
+    ),
+    Messy(
+        name="clock_time.csv",
+        wrong="times as `14:05:03.250`",
+        write=stamped([clock_of_day(k) for k in range(SAMPLES)]),
+        kept=EVERY,
+    ),
+    Messy(
+        name="clock_comma.txt",
+        wrong="times as `14:05:03,250` between tabs",
+        write=stamped([clock_of_day(k, ",") for k in range(SAMPLES)], "\t"),
+        kept=EVERY,
+    ),
+    Messy(
+        name="midnight.csv",
+        wrong="dates, day or month first, across midnight",
+        write=stamped(across_midnight()),
+        kept=EVERY,
+    ),
+    Messy(
+        name="iso.csv",
+        wrong="dates of ISO 8601",
+        write=stamped(iso(), heading="timestamp"),
+        kept=EVERY,
+    ),
+    Messy(
+        name="random_clock.csv",
+        wrong="no uniform clock",
+        write=text(
+            lines(
+                table=np.column_stack(
+                    [
+                        np.cumsum(np.random.default_rng(4).uniform(0, 2e-3, SAMPLES)),
+                        VOLTAGE_V,
+                        POSITION_um,
+                    ]
+                ),
+                written="{:.6f}".format,
+            )
+        ),
+        refused="needed are samples at a uniform rate",
+    ),
+    Messy(name="sheet.xlsx", wrong="an Excel workbook", write=excel(plain_sheet), kept=EVERY),
+    Messy(
+        name="second_sheet.xlsx",
+        wrong="the run on the second sheet, a summary on the third",
+        write=excel(second_sheet),
+        kept=EVERY,
+        problems=frozenset({"other_sheets"}),
+    ),
+    Messy(
+        name="cut.xlsx",
+        wrong="an Excel workbook cut short",
+        write=cut_excel,
+        refused="cut short or damaged",
+    ),
+    Messy(
+        name="old.xls",
+        wrong="a workbook of Excel 97",
+        write=lambda path: (
+            path.write_bytes(b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(600)) and None
+        ),
+        refused="a workbook of Excel 97",
+    ),
+    Messy(
+        name="curve.jpk-force",
+        wrong="a force curve of JPK, which is a zip archive",
+        write=jpk,
+        refused="it is a JPK archive",
+    ),
+    Messy(
+        name="run.zip",
+        wrong="a CSV file in a zip archive",
+        write=zipped_csv,
+        refused="it is a zip archive that holds 'run.csv'",
+    ),
+    Messy(name="structured.npy", wrong="an array with named fields", write=structured, kept=EVERY),
+    Messy(
+        name="on_its_side.mat",
+        wrong="a 3 x 400 matrix",
+        write=matlab(data=columns().T),
+        refused="no column is a drive voltage or a displacement",
+        lines=BY_NUMBER,
+        mended=frozenset({"transposed"}),
+    ),
+    Messy(
+        name="complex.mat",
+        wrong="a complex response, and a vector of another length",
+        write=matlab(
+            time_s=TIME_s,
+            voltage_V=VOLTAGE_V,
+            position_um=POSITION_um,
+            response=np.exp(1j * TIME_s),
+            window=np.ones(77),
+        ),
+        kept=EVERY,
+        problems=frozenset({"complex", "other_length"}),
+    ),
+    Messy(
+        name="timetable.mat",
+        wrong="a MATLAB timetable",
+        write=matlab_table,
+        refused="objects that only MATLAB can open: 'run' \\(timetable\\)",
+    ),
+    Messy(
+        name="counts.csv",
+        wrong="a sensor in counts",
+        write=text(lines(table=columns() * [1, 1, 1e4], names=(*NAMES[:2], "position [counts]"))),
+        refused="is a displacement in counts",
+        lines=COUNTS,
+    ),
+    Messy(
+        name="dac.csv",
+        wrong="a drive in counts of the converter",
+        write=text(
+            lines(
+                table=columns() * [1, 1000, 1],
+                names=("time [s]", "drive [counts]", "position [um]"),
+            )
+        ),
+        refused="is a voltage in counts",
+        lines="scale = { voltage = 0.001 }\n",
+    ),
+    Messy(
+        name="tube.csv",
+        wrong="150 mV that move 16 um",
+        write=text(
+            lines(
+                table=columns() * [1, 3.75, 1], names=("time [s]", "voltage [mV]", "position [um]")
+            )
+        ),
+        lines="scale = { voltage = 266.6666666666667 }\n",
+        kept=EVERY,
+        problems=frozenset({"implausible_gain"}),
+    ),
+    Messy(
+        name="kilovolts.csv",
+        wrong="kilovolts under a heading of volts, beside a clean file",
+        write=text(lines(table=columns() * [1, 1e-3, 1], written="{:.7f}".format)),
+        problems=FIT | COPY | {"implausible_gain"},
+        lines="scale = { voltage = 1000 }\n",
+        mended=COPY,
+        beside=True,
+        kept=EVERY,
+    ),
+    Messy(
+        name="monitor.csv",
+        wrong="the 1/15 monitor of the drive, beside a clean file",
+        write=text(lines(table=columns() * [1, 1 / 15, 1], written="{:.7f}".format)),
+        problems=FIT | COPY,
+        lines="scale = { voltage = 15 }\n",
+        mended=COPY,
+        beside=True,
+        kept=EVERY,
+    ),
+    Messy(
+        name="polarity.csv",
+        wrong="the other polarity, beside a clean file",
+        write=text(lines(table=columns() * [1, -1, 1])),
+        problems=FIT,
+        lines="scale = { voltage = -1 }\n",
+        mended=COPY,
+        beside=True,
+        kept=EVERY,
+    ),
+    Messy(
+        name="nanometres.csv",
+        wrong="the same run in nanometres, beside the clean file",
+        write=text(lines(table=columns() * [1, 1, 1e3], names=(*NAMES[:2], "position [nm]"))),
+        problems=COPY,
+        beside=True,
+        kept=EVERY,
+    ),
+    Messy(
+        name="two_rates.csv",
+        wrong="256 Hz, then 2048 Hz",
+        write=two_rates,
+        problems=frozenset({"several_rates"}),
+        kept=np.zeros(0, dtype=int),
+    ),
+    Messy(
+        name="held.csv",
+        wrong="the sensor held by a feedback while the drive creeps",
+        write=held,
+        problems=frozenset({"closed_loop"}),
+        kept=np.zeros(0, dtype=int),
+    ),
+)

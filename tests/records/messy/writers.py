@@ -1,0 +1,218 @@
+"""What a messy file is, and the writers that several of them share."""
+
+import io
+import struct
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+SAMPLES = 400
+RATE_Hz = 1000.0
+EVERY = np.arange(SAMPLES)
+TIME_s = EVERY / RATE_Hz
+_noise = np.random.default_rng(42).normal(0, 0.003, SAMPLES)
+VOLTAGE_V = np.round(50 + 40 * np.sin(2 * np.pi * 5 * TIME_s), 3)
+POSITION_um = np.round(9 + 8 * np.sin(2 * np.pi * 5 * TIME_s - 0.2) + _noise, 4)
+NAMES = ("time [s]", "voltage [V]", "position [um]")
+LONG = 4096  # samples of the files whose rate changes
+
+Write = Callable[[Path], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Messy:
+    """One file.
+
+    name      of the file; its suffix may matter
+    wrong     what is wrong with it, for people
+    write     writes it
+    kept      the samples of the truth that must come out; None where it is refused
+    refused   what the refusal must say
+    problems  the kinds of problems that must be told, these and no others
+    breaks    how often memory is interrupted
+    lines     of its entry in lab.toml, with which a refused file is read
+    mended    the problems told then
+    beside    whether it is inspected beside the clean file
+    """
+
+    name: str
+    wrong: str
+    write: Write
+    kept: np.ndarray | None = None
+    refused: str = ""
+    problems: frozenset[str] = frozenset()
+    breaks: int = 0
+    lines: str = ""
+    mended: frozenset[str] = frozenset()
+    beside: bool = False
+
+
+def columns(k: np.ndarray = EVERY) -> np.ndarray:
+    return np.column_stack([TIME_s, VOLTAGE_V, POSITION_um])[k]
+
+
+def lines(
+    separator: str = ",",
+    decimal: str = ".",
+    *,
+    table: np.ndarray | None = None,
+    names: Sequence[str] = NAMES,
+    written: Callable[[float], str] = "{:.4f}".format,
+) -> list[str]:
+    rows = columns() if table is None else table
+    text = [[written(value).replace(".", decimal) for value in row] for row in rows]
+    return [separator.join(names), *(separator.join(row) for row in text)]
+
+
+def text(rows: Sequence[str], *, end: str = "\n", encoding: str = "utf-8") -> Write:
+    def write(path: Path) -> None:
+        path.write_bytes((end.join(rows) + end).encode(encoding))
+
+    return write
+
+
+def with_rows(edit: Callable[[list[str]], list[str]], **named: object) -> Write:
+    return text(edit(lines(**named)))  # type: ignore[arg-type]
+
+
+def grouped(value: float, mark: str, decimal: str) -> str:
+    return f"{value:,.2f}".replace(",", "_").replace(".", decimal).replace("_", mark)
+
+
+def clock_of_day(k: int, mark: str = ".") -> str:
+    at = datetime(2026, 3, 1, 14, 5, 3, 250000) + timedelta(seconds=float(TIME_s[k]))
+    return at.strftime("%H:%M:%S") + f"{mark}{at.microsecond // 1000:03d}"
+
+
+def stamped(first: Sequence[str], separator: str = ",", heading: str = "time") -> Write:
+    rows = [row.split(",", 1)[1].replace(",", separator) for row in lines()[1:]]
+    above = separator.join((heading, *NAMES[1:]))
+    return text([above, *(separator.join(pair) for pair in zip(first, rows, strict=True))])
+
+
+def across_midnight() -> list[str]:
+    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
+    at = [start + timedelta(seconds=float(t)) for t in TIME_s]
+    return [f"{t:%d/%m/%Y %H:%M:%S}.{t.microsecond // 1000:03d}" for t in at]
+
+
+def iso() -> list[str]:
+    start = datetime(2026, 3, 1, 23, 59, 59, 800000)
+    return [(start + timedelta(seconds=float(t))).isoformat() for t in TIME_s]
+
+
+def two_rates(path: Path) -> None:
+    half = LONG // 2
+    time_s = np.concatenate([np.arange(half) / 256, half / 256 + np.arange(half) / 2048])
+    phase = 2 * np.pi * 2 * time_s
+    noise = np.random.default_rng(5).normal(0, 0.003, LONG)
+    table = np.column_stack([time_s, 50 + 40 * np.sin(phase), 9 + 8 * np.sin(phase - 0.2) + noise])
+    text(lines(table=table, written="{:.9g}".format))(path)
+
+
+def held(path: Path) -> None:
+    time_s = np.arange(LONG) / RATE_Hz
+    noise_um = np.random.default_rng(6).normal(0, 0.002, LONG)
+    ramp = np.clip(time_s / 0.5, 0, 1)
+    after_s = np.maximum(time_s - 0.5, 0)
+    voltage_V = 10 + 50 * ramp - 1.5 * np.log1p(after_s / 0.05)
+    table = np.column_stack([time_s, voltage_V, 2 + 10 * ramp + noise_um])
+    text(lines(table=table, written="{:.6f}".format))(path)
+
+
+def excel(cells: Callable[[object], None]) -> Write:
+    def write(path: Path) -> None:
+        import openpyxl
+
+        book = openpyxl.Workbook()
+        cells(book)
+        book.save(path)
+
+    return write
+
+
+def plain_sheet(book: object) -> None:
+    sheet = book.active  # type: ignore[attr-defined]
+    sheet.append(NAMES)
+    for row in columns().tolist():
+        sheet.append(row)
+
+
+def second_sheet(book: object) -> None:
+    sheet = book.active  # type: ignore[attr-defined]
+    sheet.append(["operator", "Ada"])
+    other = book.create_sheet("run 7")  # type: ignore[attr-defined]
+    other.append(["stage 42"])
+    other.append(NAMES)
+    for k, row in enumerate(columns().tolist()):
+        other.append([datetime.fromisoformat(iso()[k]).time() if k < 0 else row[0], *row[1:]])
+    more = book.create_sheet("summary")  # type: ignore[attr-defined]
+    more.append(["mean", 3.0, 4.0])
+    more.append(["std", 1.0, 2.0])
+
+
+def cut_excel(path: Path) -> None:
+    excel(plain_sheet)(path)
+    path.write_bytes(path.read_bytes()[:4000])
+
+
+def jpk(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.properties", "jpk-data-file=spm-forcefile\n")
+        archive.writestr("segments/0/segment-header.properties", "")
+
+
+def zipped_csv(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("run.csv", "\n".join(lines()))
+
+
+def matlab(**held_there: object) -> Write:
+    def write(path: Path) -> None:
+        from scipy.io import savemat
+
+        savemat(path, held_there)
+
+    return write
+
+
+def _element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+
+def matlab_table(path: Path) -> None:
+    """Write a timetable as MATLAB 5 does: an opaque variable that refers to its bookkeeping."""
+    from scipy.io import savemat
+
+    held_there, reference = io.BytesIO(), io.BytesIO()
+    savemat(held_there, {"note": "made by hand"})
+    savemat(reference, {"x": np.array([[0xDD000000, 2, 1, 1, 1, 1]], dtype=np.uint32)})
+    flags = _element(6, struct.pack("<II", 17, 0))
+    names = b"".join(_element(1, word) for word in (b"run", b"MCOS", b"timetable"))
+    body = flags + names + reference.getvalue()[128:]
+    path.write_bytes(held_there.getvalue() + _element(14, body))
+
+
+def structured(path: Path) -> None:
+    kinds = [(name, np.float64) for name in NAMES]
+    table = np.array([tuple(row) for row in columns().tolist()], dtype=kinds)
+    np.save(path, table)
+
+
+def twice(rows: list[str]) -> list[str]:
+    return [row for k, row in enumerate(rows) for _ in range(2 if 100 < k <= 160 else 1)]
+
+
+def at(*places: int) -> np.ndarray:
+    return np.setdiff1d(EVERY, places)
+
+
+FIT = frozenset({"does_not_fit"})
+COPY = frozenset({"beside_the_others"})
+COUNTS = "scale = { displacement = 1e-10 }\n"
+UNITS = 'units = { time = "s", voltage = "V", displacement = "um" }\n'
+BY_NUMBER = "columns = { time = 1, voltage = 2, displacement = 3 }\n" + UNITS

@@ -1,0 +1,244 @@
+"""Files as laboratories leave them: read with the true values, or refused for the true reason."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from piezoid.errors import LabFileError, RecordingError
+from piezoid.records.comparison import copies, refuse_misfits
+from piezoid.records.ingest import ingest, ingest_all
+from piezoid.records.inspection import inspect_files
+from piezoid.records.lab import Lab, read_lab
+from piezoid.records.recording import Channel, Quantity, Recording
+from tests.records.messy.outcomes import FILES, inspected, table
+from tests.records.messy.writers import (
+    SAMPLES,
+    VOLTAGE_V,
+    Messy,
+    POSITION_um,
+    RATE_Hz,
+    columns,
+    lines,
+    text,
+)
+from tests.records.tables import lab_with
+
+REFUSED = [m for m in FILES if m.refused]
+READ = [m for m in FILES if not m.refused]
+MENDED = [m for m in FILES if m.lines]
+DOCUMENT = Path(__file__).parents[2] / "docs" / "messy_files.md"
+
+
+def named(messy: Messy) -> str:
+    return messy.name
+
+
+def lab_for(messy: Messy, folder: Path, entry: str) -> Lab:
+    (folder / "lab.toml").write_text(f'[[recording]]\nfile = "{messy.name}"\n{entry}')
+    return read_lab(folder / "lab.toml")
+
+
+def assert_true_values(path: Path, lab: Lab, kept: np.ndarray, breaks: int) -> None:
+    recording = ingest(path, lab)
+    assert recording.sampling_rate_Hz == RATE_Hz
+    assert len(recording.breaks) == breaks
+    np.testing.assert_allclose(recording.voltage_V(), VOLTAGE_V[kept], atol=2e-5)
+    np.testing.assert_allclose(recording.displacement_m(), 1e-6 * POSITION_um[kept], atol=2e-11)
+
+
+@pytest.mark.parametrize("messy", READ, ids=named)
+def test_what_is_odd_about_a_file_is_told_and_nothing_else(messy: Messy, tmp_path: Path) -> None:
+    found = inspected(messy, tmp_path)
+    assert [one.refusal for one in found] == [None] * len(found)
+    assert {problem.kind for one in found for problem in one.problems} == messy.problems
+
+
+@pytest.mark.parametrize("messy", [m for m in READ if not m.lines], ids=named)
+def test_a_file_that_can_be_read_gives_the_true_values(messy: Messy, tmp_path: Path) -> None:
+    messy.write(tmp_path / messy.name)
+    if messy.kept is not None and len(messy.kept):
+        assert_true_values(tmp_path / messy.name, Lab(), messy.kept, messy.breaks)
+
+
+@pytest.mark.parametrize("messy", REFUSED, ids=named)
+def test_a_file_that_cannot_be_read_is_refused_for_its_reason(
+    messy: Messy, tmp_path: Path
+) -> None:
+    messy.write(tmp_path / messy.name)
+    with pytest.raises(RecordingError, match=messy.refused) as caught:
+        ingest(tmp_path / messy.name)
+    # The lines that mend it stand in the refusal itself, where it can know them.
+    for key in re.findall(r"^(reverse|separator|decimal|scale)\b", messy.lines, re.MULTILINE):
+        assert key in caught.value.remedy or messy.name == "strange_mark.csv"
+
+
+@pytest.mark.parametrize("messy", MENDED, ids=named)
+def test_the_lines_of_lab_toml_give_the_true_values(messy: Messy, tmp_path: Path) -> None:
+    messy.write(tmp_path / messy.name)
+    lab = lab_for(messy, tmp_path, messy.lines)
+    assert_true_values(tmp_path / messy.name, lab, np.arange(SAMPLES), 0)
+    found = inspected(messy, tmp_path, messy.lines)
+    kinds = {problem.kind for one in found for problem in one.problems}
+    assert kinds == messy.mended
+
+
+def test_the_document_says_what_happens() -> None:
+    assert table() in DOCUMENT.read_text()
+
+
+def test_stretches_of_several_rates_keep_their_own_clock(tmp_path: Path) -> None:
+    (messy,) = (m for m in FILES if m.name == "two_rates.csv")
+    path = tmp_path / messy.name
+    messy.write(path)
+    slow, fast = ingest_all([path])
+    assert (slow.sampling_rate_Hz, fast.sampling_rate_Hz) == (256, 2048)
+    assert slow.samples + fast.samples == 4096
+    time_s = np.genfromtxt(path, delimiter=",", skip_header=1)[:, 0]
+    # The sum of the steps is the duration, but for the one step between the two.
+    assert slow.duration_s + fast.duration_s == pytest.approx(np.ptp(time_s), abs=1 / 256)
+    with pytest.raises(RecordingError, match="2 stretches of different rate: 256 Hz for"):
+        ingest(path)
+
+
+def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path: Path) -> None:
+    (messy,) = (m for m in FILES if m.name == "two_rates.csv")
+    messy.write(tmp_path / messy.name)
+    lab = lab_for(messy, tmp_path, "start_s = 8.5\nstop_s = 8.75\n")
+    fast = ingest(tmp_path / messy.name, lab)
+    assert fast.sampling_rate_Hz == 2048
+    assert fast.duration_s == pytest.approx(0.25, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("kilovolts.csv", r"1000 times as much: the drive is in another unit.*voltage = 1000"),
+        ("monitor.csv", r"15\.0 times as much: its drive is the output of a 1/15 monitor"),
+        ("polarity.csv", r"the other way: drive or sensor is of the other polarity"),
+    ],
+)
+def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
+    name: str, reason: str, tmp_path: Path
+) -> None:
+    (messy,) = (m for m in FILES if m.name == name)
+    messy.write(tmp_path / name)
+    text(lines())(tmp_path / "clean.csv")
+    recordings = ingest_all([tmp_path / "clean.csv", tmp_path / name])
+    with pytest.raises(RecordingError) as caught:
+        refuse_misfits(recordings)
+    assert re.search(reason, str(caught.value), re.DOTALL)
+    assert f'file = "{name}"' in caught.value.remedy
+
+
+def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> None:
+    text(lines())(tmp_path / "clean.csv")
+    text(lines(table=columns() * [1, 1, 1e3]))(tmp_path / "nm_as_um.csv")
+    found = inspect_files([tmp_path / "clean.csv", tmp_path / "nm_as_um.csv"])
+    (said,) = (p.text for p in found[1].problems if p.kind == "does_not_fit")
+    assert said.endswith("the displacement is in another unit")
+
+
+def test_a_chirp_through_a_mode_and_a_small_loop_fit_a_sweep(rng: np.random.Generator) -> None:
+    rate_Hz = 10000.0
+    time_s = np.arange(0, 3, 1 / rate_Hz)
+    drives_V = {
+        "sweep": 50 + 40 * signal.sawtooth(2 * np.pi * time_s, 0.5),
+        "chirp": 50 + 10 * signal.chirp(time_s, 1, 3, 2000),
+        "fast": 50 + 5 * np.sin(2 * np.pi * 700 * time_s),
+        "small": 50 + np.sin(2 * np.pi * 5 * time_s),
+    }
+    pole = 2 * np.pi * 650
+    mode = signal.bilinear([pole**2], [1, pole / 30, pole**2], rate_Hz)
+    recordings = []
+    for name, drive_V in drives_V.items():
+        response_m = 2e-7 * (drive_V[0] + signal.lfilter(*mode, drive_V - drive_V[0]))
+        noisy_m = response_m + rng.normal(0, 2e-9, len(time_s))
+        channels = ((Quantity.VOLTAGE, drive_V), (Quantity.DISPLACEMENT, noisy_m))
+        recordings.append(
+            Recording(
+                name=name,
+                digest=name,
+                axis="x",
+                sampling_rate_Hz=rate_Hz,
+                channels=tuple(
+                    Channel(quantity=kind, axis="x", values=values, label=kind.name)
+                    for kind, values in channels
+                ),
+            )
+        )
+    refuse_misfits(recordings)
+    assert not copies(recordings)
+
+
+def test_two_runs_of_one_drive_are_no_copies(tmp_path: Path, rng: np.random.Generator) -> None:
+    again = columns() + np.outer(rng.normal(0, 0.003, SAMPLES), [0, 0, 1])
+    text(lines())(tmp_path / "first.csv")
+    text(lines(table=again))(tmp_path / "second.csv")
+    assert not copies(ingest_all([tmp_path / "first.csv", tmp_path / "second.csv"]))
+
+
+def test_a_part_in_which_a_feedback_holds_the_sensor_contradicts_no_gain(tmp_path: Path) -> None:
+    (messy,) = (m for m in FILES if m.name == "held.csv")
+    messy.write(tmp_path / "whole.csv")
+    rows = (tmp_path / "whole.csv").read_text().splitlines()
+    text(rows[:600])(tmp_path / "approach.csv")
+    text([rows[0], *rows[600:]])(tmp_path / "hold.csv")
+    recordings = ingest_all([tmp_path / "approach.csv", tmp_path / "hold.csv"])
+    assert [p.kind for r in recordings for p in r.problems] == ["closed_loop"]
+    refuse_misfits(recordings)
+
+
+def test_an_entry_about_a_file_that_is_nowhere_is_named(tmp_path: Path) -> None:
+    text(lines())(tmp_path / "sweep.csv")
+    (tmp_path / "lab.toml").write_text('[[recording]]\nfile = "swep.csv"\n')
+    lab = read_lab(tmp_path / "lab.toml")
+    with pytest.raises(LabFileError, match=r"'swep.csv' is about a file.*is 'sweep.csv' meant"):
+        ingest_all([tmp_path / "sweep.csv"], lab)
+    (tmp_path / "swep.csv").write_text("it is there, and not asked for today")
+    assert ingest_all([tmp_path / "sweep.csv"], lab)
+
+
+def test_rows_that_run_backwards_are_refused_without_a_named_clock_too(tmp_path: Path) -> None:
+    rows = lines()
+    text([rows[0], *rows[:0:-1]])(tmp_path / "run.csv")
+    entry = {"columns": {"voltage": 2, "displacement": 3}, "sampling_rate_Hz": 1000.0}
+    with pytest.raises(RecordingError, match="the newest row stands first"):
+        ingest(tmp_path / "run.csv", lab_with(**entry))
+    turned = ingest(tmp_path / "run.csv", lab_with(**entry, reverse=True))
+    np.testing.assert_allclose(turned.voltage_V(), VOLTAGE_V)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    ['separator = "ab"', 'decimal = ";"', "heading_row = 0", "scale = { voltage = 0 }"],
+)
+def test_what_no_text_table_can_be_is_refused_in_lab_toml(entry: str, tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text(f'[[recording]]\nfile = "run.csv"\n{entry}\n')
+    with pytest.raises(LabFileError):
+        read_lab(tmp_path / "lab.toml")
+
+
+def test_the_writing_of_what_is_no_text_is_not_declared(tmp_path: Path) -> None:
+    np.save(tmp_path / "run.npy", columns())
+    with pytest.raises(LabFileError, match=r"decimal of run.npy is declared, which is npy"):
+        ingest_all(
+            [tmp_path / "run.npy"],
+            read_lab(_lab(tmp_path, '[[recording]]\nfile = "run.npy"\ndecimal = ","\n')),
+        )
+
+
+def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> None:
+    above = (
+        "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
+    )
+    text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
+    with pytest.raises(RecordingError, match=r"scale = \{ voltage = 0\.00457763672 \}"):
+        ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
+
+
+def _lab(folder: Path, content: str) -> Path:
+    (folder / "lab.toml").write_text(content)
+    return folder / "lab.toml"
