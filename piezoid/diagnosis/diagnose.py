@@ -9,11 +9,11 @@ from piezoid.diagnosis.absence import absent
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.diagnosis.worth import worth_of
@@ -67,7 +67,8 @@ def diagnose(
         numbers = worth_of(
             found, chosen, model=model, lab=declared, scales=scales, progress=progress
         )
-    return _diagnosis(wanted, with_stamps(found, chosen), numbers)
+    ingested = with_ingested(found, chosen, found.first.stroke_m)
+    return _diagnosis(wanted, ingested, numbers)
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:

@@ -20,6 +20,7 @@ from piezoid.identification.hysteresis.order import (
     bent_shapes,
     choose_shape,
 )
+from piezoid.identification.hysteresis.outlying import left_out_of, without_outliers
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
@@ -49,6 +50,7 @@ class Prepared:
     pieces: tuple[Piece, ...]
     settings: Settings
     transients: tuple[Transient, ...]
+    said: tuple[str, ...]
 
 
 def estimate_axis(
@@ -111,10 +113,17 @@ def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Pro
     settings = Settings(
         longest_lag_s=longest_lag_s(pieces), sensor_pole_Hz=rig.sensor_bandwidth_Hz
     )
-    rough = search(pieces, FIRST_SHAPE, replace(settings, rows=CHOOSING_ROWS, iterations=12))
+    quick = replace(settings, rows=CHOOSING_ROWS, iterations=12)
+    rough = search(pieces, FIRST_SHAPE, quick)
+    clean = without_outliers(rough)
+    said = left_out_of(pieces, clean)
+    if said:
+        rough = search(clean, FIRST_SHAPE, quick)
     pieces, transients = without_transients(rough)
     settings = replace(settings, lag_s=rough.operator.lag_s)
-    return Prepared(scales=scales, pieces=pieces, settings=settings, transients=transients)
+    return Prepared(
+        scales=scales, pieces=pieces, settings=settings, transients=transients, said=said
+    )
 
 
 def longest_lag_s(pieces: Sequence[Piece]) -> float:
@@ -169,7 +178,10 @@ def _axis_model(
         verdict=Verdict(
             applies=not against,
             reason=against,
-            remarks=remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+            remarks=(
+                *ready.said,
+                *remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+            ),
         ),
         quality=_quality(fitted, choice, ready.pieces, stroke_m),
         uncertainty=summarise(found, fitted.task.coordinates, scales),

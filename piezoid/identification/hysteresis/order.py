@@ -19,6 +19,7 @@ from piezoid.identification.hysteresis.search import (
     transferred,
 )
 from piezoid.numerics.arrays import Array
+from piezoid.operators.chain import Samples
 
 ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
@@ -183,24 +184,30 @@ def _is_continued(training: Sequence[Piece], testing: Sequence[Piece]) -> bool:
     return bool({p.recording for p in testing} & {p.recording for p in training})
 
 
+def _after(part: Piece, whole: Piece) -> Samples:
+    """Return the samples of a piece that count behind the part of it."""
+    return replace(whole, first=part.last).counting()
+
+
 def _unseen_rows(training: Sequence[Piece], testing: Sequence[Piece]) -> int:
     if _is_continued(training, testing):
-        return sum(whole.last - part.last for part, whole in zip(training, testing, strict=True))
-    return sum(piece.rows for piece in testing)
+        pairs = zip(training, testing, strict=True)
+        return sum(len(_after(part, whole)) for part, whole in pairs)
+    return sum(len(piece.counting()) for piece in testing)
 
 
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
     if _is_continued(training, testing):
         return np.concatenate(
             [
-                (continued(fitted, i, part) - part.response)[part.last : whole.last]
+                (continued(fitted, i, part) - part.response)[_after(part, whole)]
                 for i, (part, whole) in enumerate(zip(training, testing, strict=True))
             ]
         )
     other = transferred(fitted, testing)
     return np.concatenate(
         [
-            (continued(other, i, piece) - piece.response)[piece.first : piece.last]
+            (continued(other, i, piece) - piece.response)[piece.counting()]
             for i, piece in enumerate(testing)
         ]
     )
