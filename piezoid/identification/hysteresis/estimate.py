@@ -11,6 +11,7 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
+from piezoid.identification.hysteresis.lag_rivals import lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
     Choice,
@@ -25,11 +26,12 @@ from piezoid.identification.hysteresis.physical import envelope_stretch, physica
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
+from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import Fitted, Settings, search
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
-from piezoid.identification.quality import FitQuality, Order, Verdict
+from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import reversals_of
@@ -79,9 +81,27 @@ def estimate_axis(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
     against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
+    limits = _limits(ready, choice, progress)
     progress("final fit")
     fitted = _final(ready, choice)
-    return _axis_model(recordings, axis, rig, ready, choice, fitted, against)
+    found = _axis_model(recordings, axis, rig, ready, choice, fitted, against)
+    return replace(found, quality=replace(found.quality, limits=limits))
+
+
+def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[Limit, ...]:
+    """Return what was never measured; where no speed was varied, beside what a lag leaves."""
+    scope = scope_of(ready.pieces)
+    if not scope.has_one_speed or scope.branches < 2:
+        return scope.limits()
+    progress("a lag of second order, without hysteresis")
+    plain, late = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
+    height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
+    return scope.limits(
+        " (of the range, plays and a lag leave "
+        f"{100 * choice.best.held_out_rms / height:.2g} %, a lag of second order without "
+        f"hysteresis {100 * plain.held_out_rms / height:.2g} %, with a delay besides "
+        f"{100 * late.held_out_rms / height:.2g} %)"
+    )
 
 
 def bent_trials(
