@@ -115,13 +115,18 @@ def _typical(curves: Sequence[Array]) -> tuple[Array, float]:
     return np.asarray(median), scatter / float(np.sqrt(len(curves)))
 
 
+def widest_opening(pieces: Sequence[Piece]) -> float:
+    """Return how far the widest loop opens, scaled units."""
+    return max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+
+
 def _only_lag(
     pieces: Sequence[Piece],
     choice: Choice,
     settings: Settings,
     progress: Callable[[str], None],
 ) -> str:
-    widest = max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+    widest = widest_opening(pieces)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     if widest < WIDE * height:
         return ""

@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.applicability import reason_in_fit, reason_in_loops
+from piezoid.identification.hysteresis.applicability import (
+    AS_GOOD,
+    WIDE,
+    reason_in_fit,
+    reason_in_loops,
+    widest_opening,
+)
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
@@ -33,6 +39,7 @@ from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.readable import told
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import reversals_of
 
@@ -81,27 +88,34 @@ def estimate_axis(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
     against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
-    limits = _limits(ready, choice, progress)
+    limits, only_lag = _limits(ready, choice, progress)
     progress("final fit")
     fitted = _final(ready, choice)
-    found = _axis_model(recordings, axis, rig, ready, choice, fitted, against)
+    found = _axis_model(recordings, axis, rig, ready, choice, fitted, only_lag or against)
     return replace(found, quality=replace(found.quality, limits=limits))
 
 
-def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[Limit, ...]:
-    """Return what was never measured; where no speed was varied, beside what a lag leaves."""
+def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
+    """Return what was never measured, and why no hysteresis was seen where a lag does as well.
+
+    A lag of second order is tried where no speed was varied: only there can it be a loop.
+    """
     scope = scope_of(ready.pieces)
     if not scope.has_one_speed or scope.branches < 2:
-        return scope.limits()
+        return scope.limits(), ""
     progress("a lag of second order, without hysteresis")
-    plain, late = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
-    return scope.limits(
-        " (of the range, plays and a lag leave "
-        f"{100 * choice.best.held_out_rms / height:.2g} %, a lag of second order without "
-        f"hysteresis {100 * plain.held_out_rms / height:.2g} %, with a delay besides "
-        f"{100 * late.held_out_rms / height:.2g} %)"
+    plain, late = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
+    best, plays = min(plain.held_out_rms, late.held_out_rms), choice.best.held_out_rms
+    left = (
+        f"of the range, plays and a lag leave {100 * plays / height:.2g} %, a lag of second order "
+        f"without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
+        f"{told(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay besides "
+        f"{100 * late.held_out_rms / height:.2g} %"
     )
+    wide = widest_opening(ready.pieces) > WIDE * height
+    only = f"the loop is phase lag, not hysteresis: {left}"
+    return scope.limits(f" ({left})"), only if wide and best <= AS_GOOD * plays else ""
 
 
 def bent_trials(

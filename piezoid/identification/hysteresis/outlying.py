@@ -21,6 +21,9 @@ FAR = 8.0  # times: one of 1e15 normal residuals
 WIDTH = 9  # samples of the median, of which four may be wrong
 AROUND = 10  # samples on either side that say whether it rings
 RINGING = 0.7  # of these
+STEEP = 0.8  # of its distance from the median: less is a corner
+SOLE = 0.9  # of a pair's, for a corner is three quarters
+PASSES = 3  # one of two beside each other may hide the other
 MOST = 0.1  # of a piece: more are no outliers
 
 
@@ -60,8 +63,21 @@ def _without(piece: Piece, error: Array) -> Piece:
 
 def outlying(error: Array) -> Samples:
     """Return which samples of a residual stand out of their neighbours, increasing."""
+    found = np.zeros(0, dtype=np.intp)
     if len(error) < 4 * WIDTH:
-        return np.zeros(0, dtype=np.intp)
+        return found
+    place, left = np.arange(len(error)), error
+    for _ in range(PASSES):
+        fresh = _standing_out(left)
+        if not len(fresh):
+            break
+        found = np.union1d(found, fresh)
+        good = np.setdiff1d(place, found)
+        left = np.interp(place, good, error[good])
+    return found
+
+
+def _standing_out(error: Array) -> Samples:
     reach = WIDTH // 2
     padded = np.pad(error, reach, mode="reflect", reflect_type="odd")
     apart = np.abs(
@@ -73,4 +89,23 @@ def outlying(error: Array) -> Samples:
         return np.zeros(0, dtype=np.intp)
     near = [apart[max(k - AROUND, 0) : k + AROUND + 1] for k in far.tolist()]
     local = np.array([np.quantile(values, RINGING) for values in near])
-    return np.asarray(far[apart[far] > FAR * local])
+    far = far[apart[far] > FAR * local]
+    return np.asarray(far[_steep(error, far) > STEEP * apart[far]])
+
+
+def _steep(error: Array, places: Samples) -> Array:
+    """Return how far samples, alone or with the one beside them, stand off those next to them.
+
+    At a corner of the residual, where a branch begins that the fit does not follow, a sample
+    stands half as far off its two neighbours as off the median of nine, or three quarters off the
+    next but one.
+    """
+    padded = np.pad(error, 2, mode="edge")
+    at, off = places + 2, []
+    alone = np.abs(padded[at] - 0.5 * (padded[at - 1] + padded[at + 1]))
+    for side in (-1, 1):
+        pair = padded[at] - 0.5 * (padded[at - side] + padded[at + 2 * side])
+        other = padded[at + side] - 0.5 * (padded[at - side] + padded[at + 2 * side])
+        both = np.where(pair * other > 0.0, np.minimum(np.abs(pair), np.abs(other)), 0.0)
+        off.append(both * SOLE)
+    return np.asarray(np.max([alone, *off], axis=0))
