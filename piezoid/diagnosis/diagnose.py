@@ -93,6 +93,8 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
     stroke_m = outcome.first.stroke_m
     noise = outcome.final.noise
+    if numbers.model is not None:  # one figure wherever it is told
+        noise = numbers.model.quality.noise_rms_m / stroke_m
     findings = [
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),

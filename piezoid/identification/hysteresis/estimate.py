@@ -33,7 +33,8 @@ from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
 from piezoid.identification.hysteresis.scope import scope_of
-from piezoid.identification.hysteresis.search import Fitted, Settings, search
+from piezoid.identification.hysteresis.search import Fitted, Settings, continued, search
+from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
@@ -250,18 +251,25 @@ def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
     return tuple(starts)
 
 
+def _pooled(noise: Sequence[float], rows: Sequence[int]) -> float:
+    return float(np.sqrt(np.average(np.square(noise), weights=rows)))
+
+
 def _quality(
     fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
     minimum = fitted.minimum
     height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
-    noise = max(white_noise_rms(piece.response[piece.first : piece.last]) for piece in pieces)
+    noise = [
+        sensor_noise(piece, continued(fitted, index, piece) - piece.response)
+        for index, piece in enumerate(pieces)
+    ]
     return FitQuality(
         rms_m=minimum.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=height * stroke_m,
-        noise_rms_m=noise * stroke_m,
+        noise_rms_m=stroke_m * _pooled(noise, [piece.rows for piece in pieces]),
         rows=sum(piece.rows for piece in pieces),
         kkt_gap=fitted.kkt_gap,
         gradient=minimum.gradient,

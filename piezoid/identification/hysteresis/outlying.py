@@ -63,18 +63,13 @@ def _without(piece: Piece, error: Array) -> Piece:
 
 def outlying(error: Array) -> Samples:
     """Return which samples of a residual stand out of their neighbours, increasing."""
-    found = np.zeros(0, dtype=np.intp)
-    if len(error) < 4 * WIDTH:
-        return found
-    place, left = np.arange(len(error)), error
+    good = np.arange(len(error))
     for _ in range(PASSES):
-        fresh = _standing_out(left)
+        fresh = _standing_out(error[good]) if len(good) > 4 * WIDTH else good[:0]
         if not len(fresh):
             break
-        found = np.union1d(found, fresh)
-        good = np.setdiff1d(place, found)
-        left = np.interp(place, good, error[good])
-    return found
+        good = np.delete(good, fresh)
+    return np.setdiff1d(np.arange(len(error)), good)
 
 
 def _standing_out(error: Array) -> Samples:
