@@ -8,9 +8,10 @@ import typer
 from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.model import ActuatorModel, AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid_cli.calibration import Calibration
     from piezoid_cli.controllers import Controllers
@@ -99,6 +100,8 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
                 "reason": axis.verdict.reason,
                 "held_out_rms_m": axis.quality.held_out_rms_m,
                 "held_out_rms_percent": axis.quality.held_out_rms_percent,
+                "held_out_kind": axis.quality.held_out_kind,
+                "limits": [limit.reason for limit in axis.quality.limits],
                 "noise_rms_m": axis.quality.noise_rms_m,
                 "error_bound_m": axis.certificate.bound_m,
                 "causes": named.get(name),
@@ -167,11 +170,19 @@ def _show_model(model: "ActuatorModel") -> None:
     for remark in model.remarks:
         console.print(plain(remark, style="dim"))
     for axis in model.axes.values():
-        if not axis.verdict.applies:
-            reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."
-            console.print(plain(reason, style="bold red"))
-        for remark in axis.verdict.remarks:
-            console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
+        _show_axis(axis, console)
+
+
+def _show_axis(axis: "AxisModel", console: "Console") -> None:
+    quality = axis.quality
+    if not axis.verdict.applies:
+        reason = f"axis {axis.axis}: the model class does not apply: {axis.verdict.reason}."
+        console.print(plain(reason, style="bold red"))
+    for limit in quality.limits:
+        console.print(plain(f"axis {axis.axis}: {limit.reason}.", style="yellow"))
+    said = f"the held-out error is on {quality.held_out_words}."
+    for remark in (said, *axis.verdict.remarks):
+        console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
 
 
 def _show_tip(tip: "TunnellingModel") -> None:
@@ -208,8 +219,8 @@ def _table(model: "ActuatorModel") -> "Table":
             plain(axis.axis),
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
-            told(axis.lag.time_s, "s"),
-            told(quality.held_out_rms_m, "m"),
+            "loop or lag" if quality.lag_is_open else told(axis.lag.time_s, "s"),
+            told(quality.held_out_rms_m, "m") + ("" if quality.is_tested else " in sample"),
             f"{quality.held_out_rms_percent:.3f} %",
             told(quality.noise_rms_m, "m"),
         )

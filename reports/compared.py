@@ -173,7 +173,8 @@ def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) 
 def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     """Return the residual that a healthy stage would leave with this effect, of this size."""
     effect = next(one for one in EFFECTS if one.name == name)
-    healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, trace.measured_m)
+    measured_m = trace.recording.displacement_m(axis.axis)
+    healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
     healthy = _reading(trace.recording, axis.axis, healthy_m)
     share = size_m / max(float(np.ptp(healthy_m)), 1e-30)
     faulty_m = healthy_m

@@ -91,7 +91,7 @@ def _other(trace: Trace) -> tuple[Array, Array]:
 
 def _window(trace: Trace) -> tuple[Array, Array]:
     """A twentieth of the stroke around the middle, so that periods can be seen."""
-    middle, span = float(np.median(trace.measured_m)), float(np.ptp(trace.measured_m))
+    middle, span = float(np.nanmedian(trace.measured_m)), trace.range_m
     near = np.abs(trace.measured_m - middle) < span / 40.0
     return _same(np.where(near, trace.measured_m, np.nan))
 

@@ -4,6 +4,7 @@ from piezoid.identification.model import AxisModel
 from piezoid_reports.traces import Trace, rms
 
 GOOD, MIDDLING = 90, 50
+CONTRADICTION = 0.9  # times the noise: what no model can leave, but for chance
 WORDS = {"good": "good", "middling": "usable with care", "bad": "poor"}
 UNSCORED = ("middling", "no score")
 REFUSED = ("bad", "does not apply")
@@ -14,7 +15,9 @@ def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
 
         100 (line - held out) / (line - noise),   all rms
 
-    100: only the sensor's noise is left; 0: no better than a straight line.
+    100: only the sensor's noise is left; 0: no better than a straight line. It is no more than
+    what was never measured allows; and no error below what is called noise is perfect, for one of
+    the two is wrong.
     """
     if not axis.verdict.applies or not traces:
         return None
@@ -22,7 +25,10 @@ def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
     if line_m <= noise_m:
         return None
     share = (line_m - axis.quality.held_out_rms_m) / (line_m - noise_m)
-    return round(100 * min(max(share, 0.0), 1.0))
+    most = min((limit.most for limit in axis.quality.limits), default=100)
+    if axis.quality.held_out_rms_m < CONTRADICTION * noise_m:
+        most = min(most, GOOD - 1)
+    return min(round(100 * min(max(share, 0.0), 1.0)), most)
 
 
 def line_rms_m(traces: tuple[Trace, ...]) -> float:

@@ -18,7 +18,7 @@ class Trace:
     recording   as it was ingested
     time_s      (samples,)  s, from its first sample
     voltage_V   (samples,)  V
-    measured_m  (samples,)  m
+    measured_m  (samples,)  m; NaN where nothing was measured: a gap in every curve
     modelled_m  (samples,)  m; NaN where the model says nothing or the fit left the rows out
     line_m      (samples,)  m; the best straight line of all recordings of the axis, each with its
                 own zero: what one would have without a hysteresis model. NaN where the model is
@@ -35,6 +35,11 @@ class Trace:
     def counted(self) -> int:
         """How many samples the fit used."""
         return int(np.isfinite(self.modelled_m).sum())
+
+    @property
+    def range_m(self) -> float:
+        """Range of what was measured."""
+        return float(np.nanmax(self.measured_m) - np.nanmin(self.measured_m))
 
     @property
     def residual_m(self) -> Array:
@@ -83,6 +88,7 @@ def _counted(axis_model: AxisModel, recording: Recording) -> Array:
     parts = [p for p in recording.pieces if np.isfinite(modelled_m[p]).all()]
     for part, start in zip(parts, starts_of(axis_model, recording), strict=True):
         counts[part.start + start.first : part.start + start.last] = True
+    counts[list(recording.bridged)] = False
     modelled_m[~counts] = np.nan
     return modelled_m
 
@@ -94,9 +100,10 @@ def _common_slope(pairs: Sequence[tuple[Array, Array]]) -> float:
 
 
 def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:
-    voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis).copy()
+    measured_m[list(recording.bridged)] = np.nan
     counts = np.isfinite(modelled_m)
-    zero_m = float(np.mean((measured_m - slope_m_per_V * voltage_V)[counts]))
+    zero_m = float(np.nanmean((measured_m - slope_m_per_V * voltage_V)[counts]))
     line_m = np.where(counts, zero_m + slope_m_per_V * voltage_V, np.nan)
     return Trace(
         recording=recording,

@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 
@@ -14,7 +15,28 @@ NEAR_NOISE = 2.0
 WANDERING = 5e-4  # of the range: a zero that moves further is not sensor noise
 LOOSE = 0.2  # of the loop's width: an interval wider than that leaves the width open
 FEW_BLOCKS = 10
-OTHERS = "other recordings"  # what the held-out error was tested on, as the fit calls it
+
+
+# what was never measured, in a few words, and the recording that would
+REMEDY = {
+    "branch": (
+        "that only one branch was recorded",
+        "Record whole cycles of the drive, up and down, several times.",
+    ),
+    "loop": (
+        "that only one loop was recorded",
+        "Record at least two cycles, and some of smaller size.",
+    ),
+    "speed": (
+        "that the rate was never varied",
+        "Repeat the same drive ten times slower: a loop that stays as wide is hysteresis, one "
+        "that shrinks is lag.",
+    ),
+    "amplitude": (
+        "that every branch has one amplitude",
+        "Record reversals of decreasing size over the whole range.",
+    ),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,9 +85,22 @@ def _class_does_not_apply(judged: Judged) -> Weakness | None:
     )
 
 
+def _never_measured(judged: Judged) -> Weakness | None:
+    """Tell the gravest lack of the data; one recording, or one amplitude, has a later rule."""
+    for limit in judged.axis.quality.limits:
+        if limit.lack in REMEDY:
+            what, remedy = REMEDY[limit.lack]
+            return Weakness(
+                what=what,
+                why=f"{limit.reason[:1].upper()}{limit.reason[1:]}.",
+                remedy=remedy,
+            )
+    return None
+
+
 def _one_excitation(judged: Judged) -> Weakness | None:
     recordings = {start.recording for start in judged.axis.starts}
-    if judged.axis.quality.held_out_kind == OTHERS or len(recordings) > 1:
+    if judged.axis.quality.held_out_kind == OTHER_RECORDINGS or len(recordings) > 1:
         return None
     return Weakness(
         what="that it was tested on parts of its only recording",
@@ -161,6 +196,7 @@ def _times(value: float, reference: float) -> str:
 
 RULES: tuple[Rule, ...] = (
     _class_does_not_apply,
+    _never_measured,
     _one_excitation,
     _few_blocks,
     _loose_loop,

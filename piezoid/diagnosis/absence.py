@@ -37,6 +37,17 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     return _bounded(found, outcome)
 
 
+def unsought(effect: Effect, against: str) -> NotDetected:
+    """Say of an effect that it was not looked for, because the model class does not apply."""
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=None,
+        detection_limit_m=None,
+        reason=f"not looked for, because the model class does not apply: {against}",
+        next_experiment=effect.experiment,
+    )
+
+
 def _sought(effect: Effect, outcome: Outcome) -> Screened | None:
     """Return where the effect was sought: of two ways, the one in which more may be hidden."""
     ways = (effect.name, f"{effect.name} {BETWEEN}")

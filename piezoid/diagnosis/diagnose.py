@@ -5,20 +5,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.absence import absent, unsought
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
-from piezoid.diagnosis.search import Outcome, search
+from piezoid.diagnosis.search import Outcome, search, without_causes
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, lacking, moving, rig_of
-from piezoid.identification.hysteresis.pieces import scales_of
+from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
+from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.hands import Hands
 from piezoid.records.lab import Lab
@@ -59,19 +60,27 @@ def diagnose(
         raise lacking(recordings, f"a drive voltage and a displacement{what}")
     declared = lab or Lab()
     progress("fitting the envelope")
-    found = search(
-        view_on(recordings, axis=wanted, lab=declared), Hands(told=progress, count=threads)
-    )
     chosen = moving(recordings, wanted)
+    scales, hands = scales_of(chosen, wanted), Hands(told=progress, count=threads)
+    view = view_on(recordings, axis=wanted, lab=declared)
+    if model is None:
+        against = reason_in_loops(pieces_of(chosen, wanted, scales, rig_of(declared, wanted)))
+    else:
+        against = "" if model.verdict.applies else model.verdict.reason
+    found = without_causes(view, against, hands) if against else search(view, hands)
     progress("refitting the simulation")
     if model is None:
         numbers = simulated(found)
+        if numbers.final > 2.0 * UNEXPLAINED and not against:
+            against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
+            found = without_causes(view, against, hands)
+            numbers = simulated(found)
     else:
-        scales = scales_of(chosen, wanted)
         numbers = worth_of(
             found, chosen, model=model, lab=declared, scales=scales, progress=progress
         )
-    return _diagnosis(wanted, with_stamps(found, chosen), numbers)
+    ingested = with_ingested(found, chosen, found.first.stroke_m)
+    return _diagnosis(wanted, ingested, numbers)
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -88,13 +97,19 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
 def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
     stroke_m = outcome.first.stroke_m
     noise = outcome.final.noise
+    if numbers.model is not None:  # one figure wherever it is told
+        noise = numbers.model.quality.noise_rms_m / stroke_m
     findings = [
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
     ]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     named = {finding.effect for finding in findings}
-    unseen = [absent(effect, outcome) for effect in EFFECTS if effect.name not in named]
+    unseen = [
+        unsought(effect, outcome.against) if outcome.against else absent(effect, outcome)
+        for effect in EFFECTS
+        if effect.name not in named
+    ]
     return Diagnosis(
         axis=axis,
         stroke_m=2.0 * stroke_m,

@@ -42,6 +42,7 @@ class Outcome:
     rivals    effects that would explain as much in the place of an accepted one, by its name
     screened  the last word on each effect that was not accepted
     held_back structure that speaks, but beside more than it can be told from
+    against   why the class does not apply, so that no cause is looked for; empty where it does
     """
 
     first: View
@@ -52,6 +53,7 @@ class Outcome:
     rivals: Rivals
     screened: Mapping[str, Screened]
     held_back: tuple[str, ...] = ()
+    against: str = ""
 
 
 def search(view: View, hands: Hands = ALONE) -> Outcome:
@@ -73,6 +75,27 @@ def search(view: View, hands: Hands = ALONE) -> Outcome:
         screened={**_dropped(final, {*named, *far.screened}), **far.screened},
     )
     return _with_structure(found, hands)
+
+
+def without_causes(view: View, against: str, hands: Hands = ALONE) -> Outcome:
+    """Look for faults of the data alone, where the class of model does not apply.
+
+    against  why it does not
+
+    Whatever stands for a cause there would stand for the missing class. A slip of the clock is
+    told by readings against a model, and is not looked for either.
+    """
+    clean, faults = repaired(view, hands, but=SLIP)
+    return Outcome(
+        first=view,
+        clean=clean,
+        final=clean,
+        faults=faults,
+        causes=(),
+        rivals={},
+        screened={},
+        against=against,
+    )
 
 
 def _best_grown(clean: View, faults: Mapping[str, Fault], hands: Hands) -> Grown:

@@ -37,20 +37,52 @@ class Order:
     held_out_rms_m: float
 
 
+OTHER_RECORDINGS = "other recordings"
+SECOND_HALF = "second half"
+BLOCKS = "blocks of several seconds, in five folds"
+IN_SAMPLE = "none, one loop"
+
+_HELD_OUT = {
+    OTHER_RECORDINGS: "whole recordings left out of the fit in turn, to which nothing but a "
+    "constant zero and the first memory was fitted",
+    SECOND_HALF: "the second half of its only recording, which the fit did not see, with the zero "
+    "where the first half left it",
+    BLOCKS: "blocks of several seconds inside the same recordings, left out in five folds, with "
+    "one constant zero for each recording",
+    IN_SAMPLE: "the very samples it was fitted to, for one loop leaves nothing to test on",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limit:
+    """Something that was never measured, so that no fit can know it.
+
+    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one
+    reason  half a sentence
+    most    score that a fit can have with it, 0 to 100
+    """
+
+    lack: str
+    reason: str
+    most: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class FitQuality:
     """How good the fit is, on what it saw and on what it did not.
 
     rms_m                residual on the data of the fit
     held_out_rms_m       free-run simulation error on rows the fit did not see
-    held_out_kind        ``other recordings`` or ``second half``
+    held_out_kind        ``OTHER_RECORDINGS``, ``SECOND_HALF``, ``BLOCKS``, or ``IN_SAMPLE``: then
+                         it is the residual on the data of the fit
     range_m              displacement range of the rows that counted
-    noise_rms_m          white noise of the sensor, from third differences
+    noise_rms_m          white noise of the sensor, from repeated periods or from third differences
     rows                 rows of the final search
     kkt_gap              of the convex start
     gradient             largest scaled derivative no bound holds, at the end of the search
     converged            whether the last step changed the cost by less than one part in 1e5
     orders               every shape tried, with its held-out error
+    limits               what was never measured, the gravest first
     """
 
     rms_m: float
@@ -63,11 +95,27 @@ class FitQuality:
     gradient: float
     converged: bool
     orders: tuple[Order, ...]
+    limits: tuple[Limit, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("rms_m", "held_out_rms_m", "range_m", "noise_rms_m"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected zero or more")
+
+    @property
+    def is_tested(self) -> bool:
+        """Whether anything was held out at all."""
+        return self.held_out_kind != IN_SAMPLE
+
+    @property
+    def held_out_words(self) -> str:
+        """Which data the held-out error is of, to follow "on"."""
+        return _HELD_OUT.get(self.held_out_kind, self.held_out_kind)
+
+    @property
+    def lag_is_open(self) -> bool:
+        """Whether a lag cannot be told from a width of the loop: no rate was ever varied."""
+        return any(limit.lack in ("speed", "branch") for limit in self.limits)
 
     @property
     def held_out_rms_percent(self) -> float:

@@ -174,6 +174,7 @@ def _quality_to_json(quality: FitQuality) -> dict[str, Any]:
         "gradient": quality.gradient,
         "converged": quality.converged,
         "orders": [dataclasses.asdict(order) for order in quality.orders],
+        "limits": [dataclasses.asdict(limit) for limit in quality.limits],
     }
 
 

@@ -22,6 +22,7 @@ from piezoid.records.clock import (
 from piezoid.records.conversion import Assigned
 from piezoid.records.faults import faults_of
 from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.lost_readings import LeftOut, Sensed, left_out
 from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.own_axis import incomplete, own_axis, several_axes
 from piezoid.records.plausibility import remarks_on
@@ -169,7 +170,13 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         kept, {*clock.breaks, *_skips(kept, once), *_segments(table, kept)}, clock.bridged
     )
     rows = rows.cut(_part(entry, clock, len(rows.place)))
-    channels = tuple(_channel(assigned, rows) for assigned in assignment.channels)
+    lost = left_out(
+        [_sensed(assigned, rows) for assigned in assignment.channels], rows.told(table)
+    )
+    channels = tuple(
+        _channel(assigned, rows, number, lost)
+        for number, assigned in enumerate(assignment.channels)
+    )
     return Recording(
         name=table.name,
         digest=table.digest,
@@ -177,13 +184,14 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
         sampling_rate_Hz=clock.sampling_rate_Hz,
         channels=channels,
         breaks=rows.breaks,
-        bridged=rows.bridged,
+        bridged=tuple(sorted({*rows.bridged, *lost.samples})),
         problems=(
             *table.problems,
             *assignment.problems,
             *repeat_problems,
             *row_problems,
             *clock.problems,
+            *lost.problems,
             *faults_of(
                 table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
             ),
@@ -362,12 +370,24 @@ def _part(entry: RecordingEntry, clock: Clock, samples: int) -> slice:
     return slice(start, stop)
 
 
-def _channel(assigned: Assigned, rows: SampleRows) -> Channel:
+def _sensed(assigned: Assigned, rows: SampleRows) -> Sensed:
+    assert assigned.quantity is not None
+    return Sensed(
+        quantity=assigned.quantity,
+        axis=assigned.axis,
+        place=assigned.column.place,
+        unit=assigned.unit.symbol,
+        factor=assigned.unit.factor,
+        values=rows.values(assigned.column.values),
+    )
+
+
+def _channel(assigned: Assigned, rows: SampleRows, number: int, lost: LeftOut) -> Channel:
     assert assigned.quantity is not None
     column = assigned.column
     return Channel(
         quantity=assigned.quantity,
         axis=assigned.axis,
-        values=rows.values(assigned.values),
+        values=lost.of(number, rows.values(assigned.values)),
         label=column.label or f"column {column.number}",
     )

@@ -51,13 +51,16 @@ class Problem:
     kind     a short name: ``gap``, ``duplicate_time``, ``jitter``, ``dead``, ``saturated``, ...
     place    where: a column, a line, a time
     text     one sentence with the number and its unit
-    samples  of a clock's fault: how many are missing, have a stamp again, or were stepped back
+    samples  of a clock's fault: how many are missing, have a stamp again, or were stepped back; of
+             lost readings: how many
+    farthest how far the farthest of these stands off, SI units
     """
 
     kind: str
     place: str
     text: str
     samples: int = 0
+    farthest: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,8 +74,8 @@ class Recording:
     channels          at least one; all of the same length; one per quantity and axis
     breaks            (count,)  first sample after each gap in time, increasing; memory of what
                       happened inside a gap is lost there
-    bridged           (count,)  samples that were lost one at a time: halfway between neighbours,
-                      and no measurement
+    bridged           (count,)  samples that are no measurement, lost one at a time or written
+                      without one: on straight lines between their neighbours
     problems          what was odd about the file, in the order of its columns
 
     A recording holds no NaN: rows that had one were cut at the ends or are behind a break.

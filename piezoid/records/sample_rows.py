@@ -1,12 +1,13 @@
 """SampleRows: rows of a table that become samples, and where one between two is missing."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.records.table import RawTable
 
 Rows = NDArray[np.intp]
 
@@ -51,6 +52,10 @@ class SampleRows:
             breaks=tuple(b - first for b in self.breaks if first < b < last),
             bridged=tuple(b - first for b in self.bridged if first <= b < last),
         )
+
+    def told(self, table: RawTable) -> Callable[[int], str]:
+        """Return how messages call a sample: the place of its row, or of the one in front."""
+        return lambda sample: table.place_of_row(int(self.kept[int(self.place[sample])]))
 
     def values(self, column: Array) -> Array:
         """Return a column's samples, straight between two rows where one is lost."""

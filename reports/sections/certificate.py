@@ -35,6 +35,16 @@ def _sentence(axis: AxisModel) -> str:
         f"class, for every drive between {told(middle_V - found.reach_V, 'V')} and "
         f"{told(middle_V + found.reach_V, 'V')} that changes no faster than "
         f"{told(found.slew_V_per_s, 'V/s')}, at the temperature and load of the recordings."
+        f"{_one_speed(axis)}"
+    )
+
+
+def _one_speed(axis: AxisModel) -> str:
+    if not axis.quality.lag_is_open:
+        return ""
+    return (
+        " It holds at the speed of the recordings alone: no other was recorded, and where the "
+        "loop is a lag its width goes with the speed."
     )
 
 

@@ -1,7 +1,5 @@
 """The loops, with the model over the measurement."""
 
-import numpy as np
-
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
@@ -42,7 +40,7 @@ def render(page: Page) -> Section | None:
 
 
 def _loop(page: Page, axis: AxisModel, trace: Trace) -> Figure:
-    left_m, range_m = rms(trace.residual_m), float(np.ptp(trace.measured_m))
+    left_m, range_m = rms(trace.residual_m), trace.range_m
     return _figure(
         page,
         trace,
@@ -115,7 +113,7 @@ def _table(page: Page, axis: AxisModel) -> Table:
                 trace.recording.name,
                 f"{told(float(trace.voltage_V.min()), 'V')} to "
                 f"{told(float(trace.voltage_V.max()), 'V')}",
-                told(float(np.ptp(trace.measured_m)), "m"),
+                told(trace.range_m, "m"),
                 told(rms(trace.line_residual_m), "m"),
                 told(rms(trace.residual_m), "m"),
             )

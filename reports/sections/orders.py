@@ -21,10 +21,13 @@ def _table(axis: AxisModel) -> Table:
     least_m = min((order.held_out_rms_m for order in quality.orders), default=0.0)
     alone = len({start.recording for start in axis.starts}) == 1
     kind = "the second half of the only recording" if alone else "recordings left out in turn"
+    if not quality.is_tested:
+        kind = "the rows of the fit itself, for one loop leaves nothing to test on"
     return Table(
         caption=(
             f"Axis {axis.axis}: free-run error on {kind}. After the choice the final fit uses "
-            "every row, and drops plays and dead zones it does not need."
+            "every row, and drops plays and dead zones it does not need; the error in the verdict "
+            f"is on {quality.held_out_words}."
         ),
         columns=(
             "plays",

@@ -107,7 +107,7 @@ def _rest(axis: AxisModel, known: Known) -> Table:
     low_V, high_V = axis.voltage_V
     rows = [
         ("width of the full loop", told_between(width_m, half_m, "m"), ""),
-        ("lag", _shown("lag_s", axis.lag.time_s, known, "s"), _on_lag(axis)),
+        ("lag", *_lag(axis, known)),
         ("voltage offset", told(axis.hysteresis.voltage_offset_V, "V", 4), "middle of the drive"),
         (
             "displacement offset",
@@ -152,6 +152,12 @@ def _on_play(axis: AxisModel, i: int, known: Known, limits: Mapping[str, float])
 def _sign_of(name: str, known: Known) -> str:
     value, half = known.get(name, (0.0, 0.0))
     return "interval holds 0" if half > 0.0 and abs(value) <= half else ""
+
+
+def _lag(axis: AxisModel, known: Known) -> tuple[str, str]:
+    if axis.quality.lag_is_open and axis.lag.kind != "none":
+        return "not told", "a width of the loop or a lag: the rate was never varied"
+    return _shown("lag_s", axis.lag.time_s, known, "s"), _on_lag(axis)
 
 
 def _on_lag(axis: AxisModel) -> str:

@@ -81,10 +81,21 @@ def _verified(found: Verification | None) -> str:
 
 def _applies(good: list[AxisModel], wrong: list[AxisModel]) -> str:
     if not wrong:
-        return f"The hysteresis model applies to {_axes(good)}."
+        return f"The hysteresis model applies to {_axes(good)}{_as_far_as(good)}."
     reasons = "; ".join(f"axis {axis.axis}: {axis.verdict.reason}" for axis in wrong)
     also = f", though it does to {_axes(good)}" if good else ""
     return f"The hysteresis model does not apply to {_axes(wrong)}{also} ({reasons})."
+
+
+def _as_far_as(good: list[AxisModel]) -> str:
+    """Say what was never measured on the axis of which least was, the gravest lack alone."""
+    lacking = [axis for axis in good if axis.quality.limits]
+    if not lacking:
+        return ""
+    worst = min(lacking, key=lambda axis: axis.quality.limits[0].most)
+    limit = worst.quality.limits[0]
+    whose = f" of axis {worst.axis}" if len(good) > 1 else ""
+    return f" as far as can be told{whose}, for {limit.reason} (a score of at most {limit.most})"
 
 
 def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
@@ -98,8 +109,9 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
     quality = worst.quality
     alone = len(good) + len(wrong) == 1
     whose = "On data" if alone else f"On data of axis {worst.axis}"
+    seen = "it was not fitted to" if quality.is_tested else "it was fitted to"
     return (
-        f"{whose} it was not fitted to{_least_known(good)}, it misses the measured "
+        f"{whose} {seen}{_least_known(good)} ({quality.held_out_words}), it misses the measured "
         f"displacement by {told(quality.held_out_rms_m, 'm')} rms, "
         f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
@@ -153,7 +165,7 @@ def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:
     held = axis.quality
     return (
         f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, the model "
-        f"{told(held.held_out_rms_m, 'm')} on held-out data, "
+        f"{told(held.held_out_rms_m, 'm')} on {held.held_out_words}, "
         f"{percent(held.held_out_rms_m / held.range_m)} of the range; the sensor's noise is "
         f"{told(held.noise_rms_m, 'm')} rms. "
     )

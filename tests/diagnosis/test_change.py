@@ -3,10 +3,12 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from piezoid.diagnosis.change import change_since
 from piezoid.identification.extensions import FirstOrderLag, GainChange, ThermalDrift
+from piezoid.identification.quality import Verdict
 from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
 
 
@@ -32,6 +34,47 @@ def test_more_than_a_sensitivity_is_not_given_to_it() -> None:
     found = change_since(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
     assert "more than the sensitivity changed" in found.sentence
     assert found.refitted_m < 0.9 * found.other_gain_m
+
+
+def with_readings(recording, displacement_m):
+    channels = tuple(
+        replace(channel, values=displacement_m) if channel.label == "y" else channel
+        for channel in recording.channels
+    )
+    return replace(recording, channels=channels)
+
+
+def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file() -> None:
+    more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.12, later=("fast.csv",))
+    sparked = []
+    for recording in recordings_of(more):
+        reading_m = np.array(recording.displacement_m())
+        reading_m[77::83] += 0.4e-6
+        sparked.append(with_readings(recording, reading_m))
+    found = change_since(known_model(), sparked)
+    assert found.gain_ratio[0] == pytest.approx(1.12, abs=2e-3)
+    assert "the sensitivity alone changed" in found.sentence
+    assert "12." in found.sentence
+    assert not found.holds
+
+
+def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so() -> None:
+    strange = [
+        with_readings(recording, 2e-6 * np.sin(np.arange(recording.samples) / 97.0))
+        for recording in recordings_of()
+    ]
+    found = change_since(known_model(), strange)
+    assert not found.holds
+    assert "does not hold" in found.sentence
+    assert "% of the motion" in found.sentence
+
+
+def test_a_model_that_never_applied_holds_nowhere() -> None:
+    never = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
+    found = change_since(never, recordings_of())
+    assert not found.holds
+    assert "still holds" not in found.sentence
+    assert "loops turn back" in found.sentence
 
 
 def test_what_belonged_to_the_recordings_of_then_is_left_behind() -> None:

@@ -14,6 +14,7 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_evidence import judged_of
@@ -25,7 +26,6 @@ from piezoid.diagnosis.slips_instead import (
     slips_instead,
     stand_better,
 )
-from piezoid.diagnosis.stamps import with_stamps
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Problem, Quantity
@@ -116,12 +116,13 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
         rivals={},
         screened={},
     )
-    assert with_stamps(found, [whole]) is found
+    assert with_ingested(found, [whole], STROKE_m) is found
     told = [whole, replace(whole, name="b", problems=problems)]
-    fault = with_stamps(found, told).faults["timestamp_fault"]
+    fault = with_ingested(found, told, STROKE_m).faults["timestamp_fault"]
     assert fault.value == 48.0
     assert fault.p_value < 1e-6
-    assert with_stamps(replace(found, faults={}), told).faults["timestamp_fault"].value == 43.0
+    alone = with_ingested(replace(found, faults={}), told, STROKE_m)
+    assert alone.faults["timestamp_fault"].value == 43.0
 
 
 def quickening() -> tuple[np.ndarray, np.ndarray]:

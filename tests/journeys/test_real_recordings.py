@@ -51,3 +51,12 @@ def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> 
     assert model.quality.held_out_rms_percent < 0.35  # a quick additive model leaves 0.54
     assert any("left out" in remark for remark in model.verdict.remarks)
     assert any("zero moves" in remark for remark in model.verdict.remarks)
+
+
+def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path) -> None:
+    model = fit(ingest_all([realdata / "objective_lag" / "triangles.csv.gz"]))["x"]
+    quality = model.quality
+    assert quality.lag_is_open
+    assert min(limit.most for limit in quality.limits) <= 50
+    (reason,) = [limit.reason for limit in quality.limits if limit.lack == "speed"]
+    assert "a lag of second order without hysteresis 0.5" in reason

@@ -22,6 +22,8 @@ from piezoid.readable import told
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
+BINS = 20  # of the drive, in each of which the branches are averaged
+BUTTERFLY = 0.25  # of the displacement range: how far both ends stand from an extreme between
 TURNING = 0.05  # of the displacement range: how far a branch may turn back
 UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
@@ -46,6 +48,9 @@ def _loops(piece: Piece) -> tuple[Loop, ...]:
 def reason_in_loops(pieces: Sequence[Piece]) -> str:
     """Return what in the loops themselves, before any fit, rules the class out."""
     for piece in pieces:
+        butterfly = _butterfly(piece)
+        if butterfly:
+            return f"{piece.name}: {butterfly}"
         loops = [loop for loop in _loops(piece) if loop.span > 0.4]
         if loops:
             height = float(np.ptp(piece.response[piece.first : piece.last]))
@@ -53,6 +58,30 @@ def reason_in_loops(pieces: Sequence[Piece]) -> str:
             against = _turning(loops, height, noise) or _crossing(loops, height, noise)
             if against:
                 return f"{piece.name}: {against}"
+    return ""
+
+
+def _butterfly(piece: Piece) -> str:
+    """Return whether the mean displacement has its least or its most inside the drive's range."""
+    rows = slice(piece.first, piece.last)
+    drive, response = piece.drive[rows], piece.response[rows]
+    edges = np.linspace(drive.min(), drive.max(), BINS + 1)
+    place = np.searchsorted(edges[1:-1], drive)
+    count = np.bincount(place, minlength=BINS)
+    if np.ptp(drive) < 0.4 or not count.all():
+        return ""
+    mean = np.bincount(place, response, BINS) / count
+    height = float(np.ptp(response))
+    for way, extreme in ((mean, "least"), (-mean, "most")):
+        left, right = float(way[0] - way.min()), float(way[-1] - way.min())
+        if min(left, right) > BUTTERFLY * height:
+            return (
+                f"the loop reverses its sign (a butterfly): the displacement turns back at its "
+                f"{extreme} inside the range of the drive, {100 * left / height:.0f} % and "
+                f"{100 * right / height:.0f} % of its range from where it is at the two ends, as "
+                "of a ceramic driven beyond its coercive field, an electrostrictor, or a reading "
+                "without its sign; a sum of plays rises with the drive throughout"
+            )
     return ""
 
 
@@ -86,13 +115,18 @@ def _typical(curves: Sequence[Array]) -> tuple[Array, float]:
     return np.asarray(median), scatter / float(np.sqrt(len(curves)))
 
 
+def widest_opening(pieces: Sequence[Piece]) -> float:
+    """Return how far the widest loop opens, scaled units."""
+    return max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+
+
 def _only_lag(
     pieces: Sequence[Piece],
     choice: Choice,
     settings: Settings,
     progress: Callable[[str], None],
 ) -> str:
-    widest = max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
+    widest = widest_opening(pieces)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     if widest < WIDE * height:
         return ""

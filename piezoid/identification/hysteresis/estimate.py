@@ -5,12 +5,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.applicability import reason_in_fit, reason_in_loops
+from piezoid.identification.hysteresis.applicability import (
+    AS_GOOD,
+    WIDE,
+    reason_in_fit,
+    reason_in_loops,
+    widest_opening,
+)
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
+from piezoid.identification.hysteresis.lag_rivals import lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
     Choice,
@@ -20,16 +27,20 @@ from piezoid.identification.hysteresis.order import (
     bent_shapes,
     choose_shape,
 )
+from piezoid.identification.hysteresis.outlying import left_out_of, without_outliers
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
-from piezoid.identification.hysteresis.search import Fitted, Settings, search
+from piezoid.identification.hysteresis.scope import scope_of
+from piezoid.identification.hysteresis.search import Fitted, Settings, continued, search
+from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
-from piezoid.identification.quality import FitQuality, Order, Verdict
+from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.readable import told
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import reversals_of
 
@@ -49,6 +60,7 @@ class Prepared:
     pieces: tuple[Piece, ...]
     settings: Settings
     transients: tuple[Transient, ...]
+    said: tuple[str, ...]
 
 
 def estimate_axis(
@@ -77,9 +89,34 @@ def estimate_axis(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
     against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
+    limits, only_lag = _limits(ready, choice, progress)
     progress("final fit")
     fitted = _final(ready, choice)
-    return _axis_model(recordings, axis, rig, ready, choice, fitted, against)
+    found = _axis_model(recordings, axis, rig, ready, choice, fitted, only_lag or against)
+    return replace(found, quality=replace(found.quality, limits=limits))
+
+
+def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
+    """Return what was never measured, and why no hysteresis was seen where a lag does as well.
+
+    A lag of second order is tried where no speed was varied: only there can it be a loop.
+    """
+    scope = scope_of(ready.pieces)
+    if not scope.has_one_speed or scope.branches < 2:
+        return scope.limits(), ""
+    progress("a lag of second order, without hysteresis")
+    height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
+    plain, late = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
+    best, plays = min(plain.held_out_rms, late.held_out_rms), choice.best.held_out_rms
+    left = (
+        f"of the range, plays and a lag leave {100 * plays / height:.2g} %, a lag of second order "
+        f"without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
+        f"{told(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay besides "
+        f"{100 * late.held_out_rms / height:.2g} %"
+    )
+    wide = widest_opening(ready.pieces) > WIDE * height
+    only = f"the loop is phase lag, not hysteresis: {left}"
+    return scope.limits(f" ({left})"), only if wide and best <= AS_GOOD * plays else ""
 
 
 def bent_trials(
@@ -111,10 +148,17 @@ def _prepare(recordings: Sequence[Recording], axis: str, rig: Rig, progress: Pro
     settings = Settings(
         longest_lag_s=longest_lag_s(pieces), sensor_pole_Hz=rig.sensor_bandwidth_Hz
     )
-    rough = search(pieces, FIRST_SHAPE, replace(settings, rows=CHOOSING_ROWS, iterations=12))
+    quick = replace(settings, rows=CHOOSING_ROWS, iterations=12)
+    rough = search(pieces, FIRST_SHAPE, quick)
+    clean = without_outliers(rough)
+    said = left_out_of(pieces, clean)
+    if said:
+        rough = search(clean, FIRST_SHAPE, quick)
     pieces, transients = without_transients(rough)
     settings = replace(settings, lag_s=rough.operator.lag_s)
-    return Prepared(scales=scales, pieces=pieces, settings=settings, transients=transients)
+    return Prepared(
+        scales=scales, pieces=pieces, settings=settings, transients=transients, said=said
+    )
 
 
 def longest_lag_s(pieces: Sequence[Piece]) -> float:
@@ -169,7 +213,10 @@ def _axis_model(
         verdict=Verdict(
             applies=not against,
             reason=against,
-            remarks=remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+            remarks=(
+                *ready.said,
+                *remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+            ),
         ),
         quality=_quality(fitted, choice, ready.pieces, stroke_m),
         uncertainty=summarise(found, fitted.task.coordinates, scales),
@@ -204,18 +251,25 @@ def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
     return tuple(starts)
 
 
+def _pooled(noise: Sequence[float], rows: Sequence[int]) -> float:
+    return float(np.sqrt(np.average(np.square(noise), weights=rows)))
+
+
 def _quality(
     fitted: Fitted, choice: Choice, pieces: Sequence[Piece], stroke_m: float
 ) -> FitQuality:
     minimum = fitted.minimum
     height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
-    noise = max(white_noise_rms(piece.response[piece.first : piece.last]) for piece in pieces)
+    noise = [
+        sensor_noise(piece, continued(fitted, index, piece) - piece.response)
+        for index, piece in enumerate(pieces)
+    ]
     return FitQuality(
         rms_m=minimum.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=height * stroke_m,
-        noise_rms_m=noise * stroke_m,
+        noise_rms_m=stroke_m * _pooled(noise, [piece.rows for piece in pieces]),
         rows=sum(piece.rows for piece in pieces),
         kkt_gap=fitted.kkt_gap,
         gradient=minimum.gradient,

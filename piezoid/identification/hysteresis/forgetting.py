@@ -53,6 +53,7 @@ def _transient(fitted: Fitted, index: int, piece: Piece) -> Transient | None:
     if forgotten < 2 or piece.rows - forgotten < max(MINIMUM_SAMPLES, piece.rows // 3):
         return None
     error = (continued(fitted, index, piece) - piece.response)[piece.first : piece.last]
+    error[piece.lost[(piece.lost >= piece.first) & (piece.lost < piece.last)] - piece.first] = 0.0
     before = float(np.sqrt(np.mean(error[:forgotten] ** 2)))
     after = float(np.sqrt(np.mean(error[forgotten:] ** 2)))
     if before <= MISFIT * after:

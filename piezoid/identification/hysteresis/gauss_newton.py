@@ -66,7 +66,7 @@ def rms_of(theta: Array, task: Task) -> float:
     """Return the rms of the residual over the rows that count."""
     total, count = 0.0, 0
     for index, piece in enumerate(task.pieces):
-        rows = slice(piece.first, piece.last, task.stride)
+        rows = piece.counting(task.stride)
         output = simulate(theta, task.coordinates, index, piece, task.sensor_pole_Hz)
         error = output[rows] - piece.response[rows]
         total += float(error @ error)

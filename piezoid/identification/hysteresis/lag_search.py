@@ -61,9 +61,12 @@ def _quick_error(
 ) -> float:
     total = 0.0
     for piece, column in zip(pieces, columns, strict=True):
-        keep = slice(piece.first, piece.last, max(1, piece.rows // ROWS))
+        stride = max(1, piece.rows // ROWS)
+        keep, counting = slice(piece.first, piece.last, stride), piece.counting(stride)
         rows = lagged(column, kind, lag_s, piece.sampling_rate_Hz, keep=keep)
-        triangle = _gathered(_signed(rows, piece.response[keep]))
+        if len(counting) < len(rows):
+            rows = rows[(counting - piece.first) // stride]
+        triangle = _gathered(_signed(rows, piece.response[counting]))
         total += nnls(triangle[:, :-1], triangle[:, -1])[1] ** 2 / len(rows)
     return total
 

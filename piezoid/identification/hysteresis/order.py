@@ -11,6 +11,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import (
     Fitted,
     Settings,
@@ -18,13 +19,17 @@ from piezoid.identification.hysteresis.search import (
     search,
     transferred,
 )
+from piezoid.identification.quality import IN_SAMPLE, OTHER_RECORDINGS, SECOND_HALF
 from piezoid.numerics.arrays import Array
+from piezoid.operators.chain import Samples
 
 ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
 BENDS = (3, 6)
 CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
+CLOSE_IN_SAMPLE = 1.15  # the error of the fit itself falls with every number more
 FOLDS = 3
+MANY = 12  # crossings of the middle: so many are more than one loop, whatever their noise
 ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 
@@ -59,7 +64,7 @@ class Choice:
 
     best    the chosen trial
     trials  all, in the order they were tried
-    kind    ``other recordings`` or ``second half``
+    kind    of what is held out, as ``FitQuality`` has it
     """
 
     best: Trial
@@ -85,7 +90,8 @@ def choose_shape(
                last, when they have had the most time
     """
     trials = [_try(pieces, shape, settings, progress) for shape in _shapes_of(orders)]
-    best = _smallest_close(trials)
+    close = CLOSE_IN_SAMPLE if is_untested(pieces) else CLOSE
+    best = _smallest_close(trials, close)
     late = [_try(pieces, replace(best.shape, lag=lag), settings, progress) for lag in LAGS[1:]]
     bent = [
         elsewhere(shape) or _try(pieces, shape, settings, progress)
@@ -93,9 +99,11 @@ def choose_shape(
     ]
     for other in (*bent, *late):
         trials.append(other)
-        if other.held_out_rms * CLOSE < best.held_out_rms:
+        if other.held_out_rms * close < best.held_out_rms:
             best = other
-    kind = "other recordings" if _recordings(pieces) > 1 else "second half"
+    kind = OTHER_RECORDINGS if _recordings(pieces) > 1 else SECOND_HALF
+    if is_untested(pieces):
+        kind = IN_SAMPLE
     return Choice(best=best, trials=tuple(trials), kind=kind)
 
 
@@ -113,9 +121,9 @@ def bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
     return tuple(replace(richest, bends=bends) for bends in BENDS)
 
 
-def _smallest_close(trials: Sequence[Trial]) -> Trial:
+def _smallest_close(trials: Sequence[Trial], close: float) -> Trial:
     least = min(trial.held_out_rms for trial in trials)
-    return next(trial for trial in trials if trial.held_out_rms <= CLOSE * least)
+    return next(trial for trial in trials if trial.held_out_rms <= close * least)
 
 
 def _try(
@@ -167,6 +175,9 @@ def _recordings(pieces: Sequence[Piece]) -> int:
 def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple[Piece, ...]]]:
     """Yield (training, testing): whole recordings in turn, or two halves of a single one."""
     count = _recordings(pieces)
+    if is_untested(pieces):
+        yield tuple(pieces), tuple(pieces)
+        return
     if count == 1:
         training = tuple(replace(p, last=p.first + p.rows // 2) for p in pieces)
         yield training, tuple(pieces)
@@ -179,28 +190,55 @@ def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple
             yield training, testing
 
 
+def is_untested(pieces: Sequence[Piece]) -> bool:
+    """Tell whether one loop is all there is: its second half is a branch the first never saw."""
+    if _recordings(pieces) > 1 or sum(map(_crossings, pieces)) > MANY:
+        return False
+    return scope_of(pieces).is_untested
+
+
+def _crossings(piece: Piece) -> int:
+    drive = piece.drive[piece.first : piece.last]
+    return int(np.count_nonzero(np.diff(np.signbit(drive - 0.5 * (drive.max() + drive.min())))))
+
+
 def _is_continued(training: Sequence[Piece], testing: Sequence[Piece]) -> bool:
     return bool({p.recording for p in testing} & {p.recording for p in training})
 
 
+def _after(part: Piece, whole: Piece) -> Samples:
+    """Return the samples of a piece that count behind the part of it."""
+    return replace(whole, first=part.last).counting()
+
+
 def _unseen_rows(training: Sequence[Piece], testing: Sequence[Piece]) -> int:
+    if training == testing:
+        return sum(len(piece.counting()) for piece in testing)
     if _is_continued(training, testing):
-        return sum(whole.last - part.last for part, whole in zip(training, testing, strict=True))
-    return sum(piece.rows for piece in testing)
+        pairs = zip(training, testing, strict=True)
+        return sum(len(_after(part, whole)) for part, whole in pairs)
+    return sum(len(piece.counting()) for piece in testing)
 
 
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
+    if training == testing:  # one loop: nothing is unseen
+        return np.concatenate(
+            [
+                (continued(fitted, i, piece) - piece.response)[piece.counting()]
+                for i, piece in enumerate(testing)
+            ]
+        )
     if _is_continued(training, testing):
         return np.concatenate(
             [
-                (continued(fitted, i, part) - part.response)[part.last : whole.last]
+                (continued(fitted, i, part) - part.response)[_after(part, whole)]
                 for i, (part, whole) in enumerate(zip(training, testing, strict=True))
             ]
         )
     other = transferred(fitted, testing)
     return np.concatenate(
         [
-            (continued(other, i, piece) - piece.response)[piece.first : piece.last]
+            (continued(other, i, piece) - piece.response)[piece.counting()]
             for i, piece in enumerate(testing)
         ]
     )

@@ -1,13 +1,14 @@
 """What the fit is given: uninterrupted pieces of drive and displacement in scaled units."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array, frozen
+from piezoid.operators.chain import Samples
 from piezoid.records.recording import Recording
 
 MINIMUM_SAMPLES = 20
@@ -50,6 +51,7 @@ class Piece:
     response          (samples,)  scaled, about zero
     centre_m          what was subtracted from the displacement before scaling
     first, last       rows that count; states are followed from sample 0 whatever ``first`` is
+    lost              (count,)  samples that are no measurement: they do not count
     """
 
     name: str
@@ -60,6 +62,7 @@ class Piece:
     centre_m: float
     first: int
     last: int
+    lost: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "drive", frozen(self.drive, "drive"))
@@ -67,8 +70,13 @@ class Piece:
 
     @property
     def rows(self) -> int:
-        """How many samples count."""
+        """How many samples there are from the first that counts to the last."""
         return self.last - self.first
+
+    def counting(self, stride: int = 1) -> Samples:
+        """Return every ``stride``-th of the samples that count, without those lost, (rows,)."""
+        sample = np.arange(self.first, self.last, stride)
+        return np.setdiff1d(sample, self.lost, assume_unique=True) if len(self.lost) else sample
 
 
 def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
@@ -124,6 +132,7 @@ def _piece(
     drive = (recording.voltage_V(axis)[part] - scales.voltage_offset_V) / scales.voltage_V
     measured_m = recording.displacement_m(axis)[part]
     centre_m = float((measured_m.max() + measured_m.min()) / 2)
+    bridged = np.array(recording.bridged, dtype=np.intp) - part.start
     return Piece(
         name=recording.name,
         recording=number,
@@ -133,6 +142,7 @@ def _piece(
         centre_m=centre_m,
         first=0,
         last=len(drive),
+        lost=bridged[(bridged >= 0) & (bridged < len(drive))],
     )
 
 

@@ -9,6 +9,7 @@ from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.order import Choice
 from piezoid.identification.hysteresis.search import Fitted
 from piezoid.identification.model import PieceStart
+from piezoid.identification.quality import IN_SAMPLE, SECOND_HALF
 from piezoid.operators.play import forgetting_sample
 from piezoid.readable import told
 
@@ -48,10 +49,15 @@ def _about_data(fitted: Fitted, transients: Sequence[Transient], choice: Choice)
         f"initial memory explains them ({t.misfit:.1f} times the later error)."
         for t in transients
     ]
-    if choice.kind == "second half":
+    if choice.kind == SECOND_HALF:
         said.append(
-            "Held-out error is from the second half of the only recording; another excitation "
-            "would test the model harder."
+            "The shape was chosen by its error on the second half of the only recording; another "
+            "excitation would test the model harder."
+        )
+    if choice.kind == IN_SAMPLE:
+        said.append(
+            "The model cannot be tested on one loop: a part left out would be a branch that the "
+            "rest never saw. The error told is that of the fit itself."
         )
     for piece in fitted.task.pieces:
         drive = piece.drive[piece.first : piece.last]

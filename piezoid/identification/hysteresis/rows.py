@@ -137,7 +137,7 @@ def rows_of(
     """Yield the rows of a piece that count, chunk by chunk, every ``stride``-th of them."""
     chain, late = chain_of(theta, coordinates, index, piece, sensor_pole)
     following = Following(chain, float(piece.drive[0]))
-    sample = np.arange(piece.first, piece.last, stride)
+    sample = piece.counting(stride)
     source = np.maximum(sample - late, 0)
     knots = theta[coordinates.offset_slice(index)]
     before = done = 0

@@ -82,7 +82,7 @@ def triangle_of(pieces: Sequence[Piece], threshold: Array, zones: Array, lag_s: 
     unknowns = plays + count + len(pieces)
     triangle = empty_triangle(unknowns)
     for index, piece in enumerate(pieces):
-        sample = np.arange(piece.first, piece.last, max(1, piece.rows // ROWS))
+        sample = piece.counting(max(1, piece.rows // ROWS))
         rows = np.zeros((len(sample), unknowns), order="F")
         _put_states(rows[:, :plays], sample, piece.drive, threshold)
         rows[:, plays : plays + count] = -unit.columns(_advanced(piece, lag_s, sample))

@@ -13,12 +13,12 @@ from piezoid.identification.joint.descent import Reached, search
 from piezoid.identification.joint.parts import Part, parts_of
 from piezoid.identification.joint.vector import State, Structure, state_of
 from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 STEPS = 10  # Gauss-Newton steps at most
 WHOLE = Structure()
-HELD_OUT_KIND = "blocks of several seconds, in five folds"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +98,7 @@ def _model(model: AxisModel, parts: Sequence[Part], reached: Reached, held_m: Ar
     stroke_m = abs(state.scales.displacement_m)
     starts = tuple(_start(state, index, part) for index, part in enumerate(parts))
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
-    kind = state.coordinates.shape.lag
+    kind, tested = state.coordinates.shape.lag, model.quality.is_tested
     return replace(
         model,
         hysteresis=physical(state.operator, state.scales, zero_m),
@@ -111,8 +111,8 @@ def _model(model: AxisModel, parts: Sequence[Part], reached: Reached, held_m: Ar
         quality=replace(
             model.quality,
             rms_m=reached.rms * stroke_m,
-            held_out_rms_m=reached.held_out_rms * stroke_m,
-            held_out_kind=HELD_OUT_KIND,
+            held_out_rms_m=(reached.held_out_rms if tested else reached.rms) * stroke_m,
+            held_out_kind=BLOCKS if tested else IN_SAMPLE,
             rows=reached.rows,
             converged=reached.converged,
         ),

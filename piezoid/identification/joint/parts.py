@@ -106,14 +106,14 @@ def _slices(recording: Recording, pieces: Sequence[Piece], number: int) -> list[
 
 def _rows(piece: Piece, share: int) -> Samples:
     if piece.rows <= share:
-        return np.arange(piece.first, piece.last)
+        return piece.counting()
     spread = np.random.default_rng(piece.rows).random(share)
     steps = (np.arange(share) + spread) * (piece.rows / share)
-    return np.unique(steps.astype(int)) + piece.first
+    return np.setdiff1d(np.unique(steps.astype(int)) + piece.first, piece.lost)
 
 
 def _within(piece: Piece, place: Samples) -> Samples:
-    return place[(place >= piece.first) & (place < piece.last)]
+    return np.setdiff1d(place[(place >= piece.first) & (place < piece.last)], piece.lost)
 
 
 def _folds(piece: Piece, place: Samples, number: int) -> Samples:

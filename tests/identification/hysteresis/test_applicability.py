@@ -41,7 +41,7 @@ def test_a_butterfly_loop_is_refused() -> None:
     plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
     model = fit([recording(drive, noisy(1e-7 * plays**2 + 1e-8 * plays))])["x"]
     assert not model.verdict.applies
-    assert "turns back" in model.verdict.reason
+    assert "butterfly" in model.verdict.reason
 
 
 def test_a_loop_that_opens_the_wrong_way_is_refused() -> None:

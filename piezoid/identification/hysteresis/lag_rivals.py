@@ -1,0 +1,162 @@
+"""Lags without hysteresis that stand beside plays: of second order, with and without a delay.
+
+    y = c + sum_k a_k x^k, k = 1..3,     x = w^2 / (s^2 + 2 d w s + w^2) e^(-s T) u
+
+At one speed a play sum imitates such a lag, and such a lag a loop: which of them it is, another
+speed tells. Three numbers are sought, what is linear is solved for at each of them; the error is
+on the rows that were held out of the plays as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.hysteresis.filters import later
+from piezoid.identification.hysteresis.order import folds_of, is_untested
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.numerics.arrays import Array
+from piezoid.operators.chain import Samples
+
+ROWS = 3000  # of all pieces together: three numbers need no more
+SAMPLES = 6000  # of one piece
+EVALUATIONS = 40
+POWERS = (1, 2, 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LagRival:
+    """A lag without hysteresis, as it was fitted.
+
+    frequency_Hz   undamped
+    damping        of critical
+    delay_s        0 where there is none
+    held_out_rms   scaled units
+    """
+
+    frequency_Hz: float
+    damping: float
+    delay_s: float
+    held_out_rms: float
+
+
+def lag_rivals(pieces: Sequence[Piece], longest_lag_s: float) -> tuple[LagRival, LagRival]:
+    """Return the best second-order lag without and with a delay."""
+    thin = tuple(map(_thinned, pieces))
+    plain = _fitted(thin, longest_lag_s, with_delay=False)
+    return plain, _fitted(thin, longest_lag_s, with_delay=True)
+
+
+def _thinned(piece: Piece) -> Piece:
+    """Return a piece at a lower rate: a lag that makes a loop is as long as many samples."""
+    stride = max(1, len(piece.drive) // SAMPLES)
+    lost = piece.lost[piece.lost % stride == 0] // stride
+    return replace(
+        piece,
+        sampling_rate_Hz=piece.sampling_rate_Hz / stride,
+        drive=piece.drive[::stride],
+        response=piece.response[::stride],
+        first=-(-piece.first // stride),
+        last=-(-piece.last // stride),
+        lost=lost,
+    )
+
+
+def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, with_delay: bool) -> LagRival:
+    squares, rows, found = 0.0, 0, np.zeros(3)
+    for training, testing in folds_of(pieces):
+        found = _searched(training, longest_lag_s, with_delay=with_delay)
+        learnt = [_columns(p, found, longest_lag_s) for p in training]
+        gain = _gains(training, learnt)
+        for number, piece in enumerate(testing):
+            sample = _tested(piece, training, number)
+            column = _columns(piece, found, longest_lag_s)[sample]
+            left = piece.response[sample] - column @ gain
+            own = [k for k, t in enumerate(training) if t.recording == piece.recording]
+            zero = _zero(training[own[0]], learnt[own[0]], gain) if own else float(left.mean())
+            squares += float(np.sum((left - zero) ** 2))
+            rows += len(sample)
+    frequency, damping, delay_s = _numbers(found, longest_lag_s)
+    return LagRival(
+        frequency_Hz=frequency,
+        damping=damping,
+        delay_s=delay_s,
+        held_out_rms=float(np.sqrt(squares / max(rows, 1))),
+    )
+
+
+def _tested(piece: Piece, training: Sequence[Piece], number: int) -> Samples:
+    """Return the samples of a piece that its training part, if it has one, did not see."""
+    sample = piece.counting()
+    if is_untested(training) or not any(t.recording == piece.recording for t in training):
+        return sample
+    return sample[sample >= training[number].last]
+
+
+def _zero(piece: Piece, columns: Array, gain: Array) -> float:
+    sample = piece.counting()
+    return float(np.mean(piece.response[sample] - columns[sample] @ gain))
+
+
+def _numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
+    """Return frequency, damping and delay: lag 2 d / w and delay are shares of the longest."""
+    lag_s, damping = float(np.exp(x[0])) * longest_lag_s, float(np.exp(x[1]))
+    return damping / (np.pi * lag_s), damping, max(float(x[2]), 0.0) * longest_lag_s
+
+
+def _searched(pieces: Sequence[Piece], longest_lag_s: float, *, with_delay: bool) -> Array:
+    import nlopt
+
+    count = 3 if with_delay else 2
+
+    def error(x: Array, _: Array) -> float:
+        whole = np.concatenate([x, np.zeros(3 - count)])
+        columns = [_columns(piece, whole, longest_lag_s) for piece in pieces]
+        return _left(pieces, columns)
+
+    best, least = np.zeros(3), np.inf
+    for share in (0.03, 0.3):
+        search = nlopt.opt(nlopt.LN_SBPLX, count)
+        search.set_min_objective(error)
+        search.set_lower_bounds([np.log(1e-3), np.log(0.05), 0.0][:count])
+        search.set_upper_bounds([np.log(2.0), np.log(5.0), 1.0][:count])
+        search.set_initial_step([0.7, 0.4, 0.1][:count])
+        search.set_maxeval(EVALUATIONS * (count - 1))
+        x = search.optimize(np.array([np.log(share), np.log(0.8), 0.02][:count]))
+        if search.last_optimum_value() < least:
+            least = search.last_optimum_value()
+            best = np.concatenate([x, np.zeros(3 - count)])
+    return best
+
+
+def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:
+    """Return the powers of the lagged drive of a piece, (samples, powers)."""
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
+    frequency_Hz, damping, delay_s = _numbers(x, longest_lag_s)
+    w = 2.0 * np.pi * frequency_Hz
+    continuous = ([w**2], [1.0, 2.0 * damping * w, w**2])
+    b, a, _ = cont2discrete(continuous, 1.0 / piece.sampling_rate_Hz, method="foh")
+    numerator = np.ravel(b)
+    lagged, _ = lfilter(numerator, a, piece.drive, zi=lfilter_zi(numerator, a) * piece.drive[0])
+    lagged = later(lagged, delay_s * piece.sampling_rate_Hz)
+    return np.column_stack([lagged**power for power in POWERS])
+
+
+def _centred(pieces: Sequence[Piece], columns: Sequence[Array]) -> tuple[Array, Array]:
+    """Return columns and responses at some rows, each piece about its own mean."""
+    stride = max(1, sum(piece.rows for piece in pieces) // ROWS)
+    rows = [piece.counting(stride) for piece in pieces]
+    left = [c[r] - c[r].mean(axis=0) for c, r in zip(columns, rows, strict=True)]
+    right = [p.response[r] - p.response[r].mean() for p, r in zip(pieces, rows, strict=True)]
+    return np.concatenate(left), np.concatenate(right)
+
+
+def _gains(pieces: Sequence[Piece], columns: Sequence[Array]) -> Array:
+    return np.asarray(np.linalg.lstsq(*_centred(pieces, columns), rcond=None)[0])
+
+
+def _left(pieces: Sequence[Piece], columns: Sequence[Array]) -> float:
+    left, right = _centred(pieces, columns)
+    gain = np.linalg.lstsq(left, right, rcond=None)[0]
+    return float(np.mean((right - left @ gain) ** 2))

@@ -1,0 +1,106 @@
+"""Readings that stand out of a first fit: left out before the fit that counts.
+
+    d[k] = e[k] - median(e[k-4..k+4]),   out where |d| > 8 max(s, local), s = 1.4826 median |d|
+
+What a rough fit does not follow is smooth beside a single wrong reading, so the residual tells it
+where the response itself is steep. Where many neighbours stand out as far, it rings: ``local`` is
+the 70 % quantile of |d| around. [Hampel 1974]
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.search import Fitted, continued
+from piezoid.numerics.arrays import Array
+from piezoid.operators.chain import Samples
+
+FAR = 8.0  # times: one of 1e15 normal residuals
+WIDTH = 9  # samples of the median, of which four may be wrong
+AROUND = 10  # samples on either side that say whether it rings
+RINGING = 0.7  # of these
+STEEP = 0.8  # of its distance from the median: less is a corner
+SOLE = 0.9  # of a pair's, for a corner is three quarters
+PASSES = 3  # one of two beside each other may hide the other
+MOST = 0.1  # of a piece: more are no outliers
+
+
+def without_outliers(fitted: Fitted) -> tuple[Piece, ...]:
+    """Return the pieces of a fit with single readings that stand out of it counted as lost."""
+    return tuple(
+        _without(piece, continued(fitted, index, piece) - piece.response)
+        for index, piece in enumerate(fitted.task.pieces)
+    )
+
+
+def left_out_of(before: Sequence[Piece], after: Sequence[Piece]) -> tuple[str, ...]:
+    """Return one sentence for every piece of which readings were left out."""
+    said = []
+    for old, new in zip(before, after, strict=True):
+        count = len(new.lost) - len(old.lost)
+        if count:
+            said.append(
+                f"{new.name}: {count} single readings ({100 * count / new.rows:.2g} %) that stand "
+                "far out of their neighbours and of the fit were left out."
+            )
+    return tuple(said)
+
+
+def _without(piece: Piece, error: Array) -> Piece:
+    out = outlying(error)
+    out = out[(out >= piece.first) & (out < piece.last)]
+    if not len(out):
+        return piece
+    lost = np.union1d(piece.lost, out)
+    place = np.arange(len(piece.response))
+    good = np.setdiff1d(place, lost)
+    return replace(
+        piece, response=np.interp(place, good, piece.response[good]), lost=lost.astype(np.intp)
+    )
+
+
+def outlying(error: Array) -> Samples:
+    """Return which samples of a residual stand out of their neighbours, increasing."""
+    good = np.arange(len(error))
+    for _ in range(PASSES):
+        fresh = _standing_out(error[good]) if len(good) > 4 * WIDTH else good[:0]
+        if not len(fresh):
+            break
+        good = np.delete(good, fresh)
+    return np.setdiff1d(np.arange(len(error)), good)
+
+
+def _standing_out(error: Array) -> Samples:
+    reach = WIDTH // 2
+    padded = np.pad(error, reach, mode="reflect", reflect_type="odd")
+    apart = np.abs(
+        error - np.median(np.lib.stride_tricks.sliding_window_view(padded, WIDTH), axis=1)
+    )
+    scale = 1.4826 * float(np.median(apart))
+    far = np.flatnonzero(apart > FAR * scale)
+    if scale == 0.0 or len(far) > MOST * len(error):
+        return np.zeros(0, dtype=np.intp)
+    near = [apart[max(k - AROUND, 0) : k + AROUND + 1] for k in far.tolist()]
+    local = np.array([np.quantile(values, RINGING) for values in near])
+    far = far[apart[far] > FAR * local]
+    return np.asarray(far[_steep(error, far) > STEEP * apart[far]])
+
+
+def _steep(error: Array, places: Samples) -> Array:
+    """Return how far samples, alone or with the one beside them, stand off those next to them.
+
+    At a corner of the residual, where a branch begins that the fit does not follow, a sample
+    stands half as far off its two neighbours as off the median of nine, or three quarters off the
+    next but one.
+    """
+    padded = np.pad(error, 2, mode="edge")
+    at, off = places + 2, []
+    alone = np.abs(padded[at] - 0.5 * (padded[at - 1] + padded[at + 1]))
+    for side in (-1, 1):
+        pair = padded[at] - 0.5 * (padded[at - side] + padded[at + 2 * side])
+        other = padded[at + side] - 0.5 * (padded[at - side] + padded[at + 2 * side])
+        both = np.where(pair * other > 0.0, np.minimum(np.abs(pair), np.abs(other)), 0.0)
+        off.append(both * SOLE)
+    return np.asarray(np.max([alone, *off], axis=0))

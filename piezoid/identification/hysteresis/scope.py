@@ -1,0 +1,165 @@
+"""What recordings can show at all, before any number of the fit is believed.
+
+A branch that was never driven, a speed or an amplitude at which nothing was recorded: no residual
+tells of them. Each such lack is a sentence and the most that a score may be with it.
+"""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.quality import Limit
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.sweep import reversals_of
+
+LARGE = 0.2  # of the drive's range: a branch that shows a loop
+SMALL = 0.02  # of the same: less is no reversal
+ALIKE = 1.5  # how far the spans of two branches may differ to be compared at two speeds
+FASTER = 2.0  # a loop that a lag makes is twice as wide at twice the speed: more than any doubt
+OTHER_SIZE = 1.25  # times the span of the smallest: reversals of more than one size
+# the most a score may be: none of them is "good" (90), and what leaves open whether there is a
+# loop, or what it is, is no more than "usable with care" (50)
+MOST = {"branch": 20, "loop": 40, "speed": 50, "amplitude": 70, "recording": 85}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Branch:
+    """One monotone run of the drive, in scaled units.
+
+    recording     its number
+    span          signed
+    speed_per_s   without sign
+    is_whole      from one reversal to the next; the first and the last of a piece are not
+    """
+
+    recording: int
+    span: float
+    speed_per_s: float
+    is_whole: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scope:
+    """What was recorded, of everything a fit is asked about later.
+
+    branches    that are large
+    loops       pairs of a rising and a falling one of nearly equal span, next to each other
+    recordings  how many
+    speeds      ratio of the fastest to the slowest of like branches of one direction
+    amplitudes  ratio of the largest span to the smallest between two reversals
+    """
+
+    branches: int
+    loops: int
+    recordings: int
+    speeds: float
+    amplitudes: float
+
+    @property
+    def is_untested(self) -> bool:
+        """Whether no part can be left out that the rest has seen the like of."""
+        return self.recordings == 1 and self.loops < 2
+
+    @property
+    def has_one_speed(self) -> bool:
+        """Whether a width of the loop cannot be told from a lag."""
+        return self.speeds < FASTER
+
+    def limits(self, lag: str = "") -> tuple[Limit, ...]:
+        """Return what was never measured, the gravest first.
+
+        lag  what lags without hysteresis leave, beside the fit
+        """
+        found = []
+        if self.branches < 2:
+            found.append(
+                (
+                    "branch",
+                    "only one branch was recorded: hysteresis is the difference of two, and none "
+                    "was measured; the error is that of the fit",
+                )
+            )
+        elif self.is_untested:
+            found.append(
+                (
+                    "loop",
+                    "only one loop was recorded: no part of it can be left out to test the model "
+                    "on, and the error is that of the fit",
+                )
+            )
+        if self.branches > 1 and self.has_one_speed:
+            found.append(
+                (
+                    "speed",
+                    "every branch was driven at one speed: the width of the loop cannot be told "
+                    f"from a lag{lag}, and nothing is known at other speeds",
+                )
+            )
+        if self.amplitudes < OTHER_SIZE:
+            found.append(
+                ("amplitude", "every branch has one amplitude: no smaller loop was ever measured")
+            )
+        if self.recordings == 1:
+            found.append(("recording", "there is only one recording: no other drive was tested"))
+        return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in found)
+
+
+def scope_of(pieces: Sequence[Piece]) -> Scope:
+    """Return what these pieces hold."""
+    branches = [branch for piece in pieces for branch in branches_of(piece)]
+    largest = max((abs(branch.span) for branch in branches), default=0.0)
+    large = [branch for branch in branches if abs(branch.span) > LARGE * largest]
+    pairs = itertools.pairwise(branches)
+    loops = sum(
+        min(abs(a.span), abs(b.span)) > max(LARGE * largest, 0.8 * max(abs(a.span), abs(b.span)))
+        and a.recording == b.recording
+        for a, b in pairs
+    )
+    whole = [branch for branch in branches if branch.is_whole] or branches
+    spans = [abs(branch.span) for branch in whole if abs(branch.span) > SMALL * largest]
+    return Scope(
+        branches=len(large),
+        loops=(loops + 1) // 2,
+        recordings=len({piece.recording for piece in pieces}),
+        speeds=max((_speeds(large, way) for way in (1.0, -1.0)), default=1.0),
+        amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
+    )
+
+
+def branches_of(piece: Piece) -> list[Branch]:
+    """Return the monotone runs of a piece's drive, in their order."""
+    drive = piece.drive[piece.first : piece.last]
+    turns = reversals_of(drive, max(6 * white_noise_rms(drive), 0.02))
+    found = []
+    for first, last in zip((0, *turns), (*turns, len(drive) - 1), strict=True):
+        run = drive[first : last + 1]
+        span = float(run[-1] - run[0])
+        if abs(span) <= 0.02 or len(run) < 3:
+            continue
+        # a rest in front of a run, or behind it, is none of it
+        inside = np.abs(run - 0.5 * (run[0] + run[-1])) < 0.4 * abs(span)
+        moving_s = max(int(np.count_nonzero(inside)), 1) / piece.sampling_rate_Hz
+        found.append(
+            Branch(
+                recording=piece.recording,
+                span=span,
+                speed_per_s=0.8 * abs(span) / moving_s,
+                is_whole=first > 0 and last < len(drive) - 1,
+            )
+        )
+    return found
+
+
+def _speeds(branches: Sequence[Branch], way: float) -> float:
+    """Return the largest ratio of the speeds of two branches of one direction and like span."""
+    ordered = sorted((b for b in branches if b.span * way > 0.0), key=lambda b: abs(b.span))
+    largest, first = 1.0, 0
+    for last, branch in enumerate(ordered):
+        while abs(branch.span) > ALIKE * abs(ordered[first].span):
+            first += 1
+        near = [other.speed_per_s for other in ordered[first : last + 1]]
+        largest = max(largest, max(near) / min(near))
+    return largest

@@ -1,0 +1,49 @@
+"""The sensor's noise, right where the drive itself moves from sample to sample."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.sensor_noise import sensor_noise
+from tests.laws import LAWS, recorded, triangles
+
+NOISE_um = 0.02
+
+
+def jumping(samples: int) -> np.ndarray:
+    return np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, samples // 4), 4)
+
+
+def drawn(samples: int) -> np.ndarray:
+    return np.random.default_rng(2).uniform(-1.0, 1.0, samples)
+
+
+def coarse(samples: int) -> np.ndarray:
+    return np.round(triangles(samples // 300, 300) / 0.05) * 0.05
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("drive", [jumping, drawn, coarse, lambda n: triangles(n // 300, 300)])
+def test_repeated_periods_measure_the_noise(tmp_path: Path, law: str, drive) -> None:
+    once = drive(1200)
+    field = np.tile(once, 3)
+    moved_um = 10.0 * LAWS[law](field)
+    reading_um = moved_um + NOISE_um * np.random.default_rng(3).standard_normal(len(field))
+    recording = recorded(tmp_path, field, reading_um)
+    scales = scales_of((recording,), "x")
+    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    for residual in (np.zeros(len(field)), -piece.response):  # whatever a model leaves
+        found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+        assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.15)
+
+
+def test_without_periods_what_the_model_leaves_tells_it(tmp_path: Path) -> None:
+    field, noise_um = drawn(3000), NOISE_um * np.random.default_rng(3).standard_normal(3000)
+    recording = recorded(tmp_path, field, 10.0 * LAWS["duhem"](field) + noise_um)
+    scales = scales_of((recording,), "x")
+    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    residual = -noise_um * 1e-6 / scales.displacement_m
+    found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+    assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)

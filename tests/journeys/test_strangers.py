@@ -1,0 +1,87 @@
+"""Recordings as strangers make them: a file in, the verdict a physicist would give out."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid_datasets.virtual_lab.signals import first_order
+from tests.laws import LAWS, RATE_Hz, triangles, write
+
+PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+
+
+def piezoid(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    done = subprocess.run(
+        [*PIEZOID, *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def noise_um(samples: int) -> Array:
+    return np.asarray(0.008 * np.random.default_rng(4).standard_normal(samples))
+
+
+def verdict_of(page: Path) -> tuple[str, str]:
+    """Return the first sentences of a report, and the score of its axis."""
+    text = page.read_text()
+    text = re.sub(r"<[^>]+>", " ", text[text.find('id="verdict"') :])
+    text = re.sub(r"\s+", " ", text.replace("\u202f", " "))
+    score = re.search(r"(\d+) of 100", text)
+    return text[:1500], "" if score is None else score[1]
+
+
+def calibrated(folder: Path, field: Array, reading_um: Array) -> tuple[str, int, str]:
+    """Return the verdict, the score and what the terminal says of one recording."""
+    sweep = write(folder / "sweep.csv", field, reading_um)
+    done = piezoid("fit", sweep, "--out", folder / "stage")
+    verdict, score = verdict_of(folder / "stage/report.html")
+    return verdict, int(score), " ".join(done.stdout.split())
+
+
+def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
+    field = triangles(1, 900)
+    verdict, score, said = calibrated(
+        tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(900)
+    )
+    assert "only one loop was recorded" in verdict.partition(". ")[0]
+    assert "cannot be tested on one loop" in said
+    assert "On data it was fitted to" in verdict
+    assert score <= 40
+    quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
+    assert quality["held_out_rms_percent"] < 0.3
+
+
+def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
+    field = np.linspace(-1.0, 0.0, 125)
+    reading_um = 10 * LAWS["wall_pinning"](field) + noise_um(125)
+    verdict, score, _ = calibrated(tmp_path, field, reading_um)
+    assert "only one branch was recorded" in verdict.partition(". ")[0]
+    assert score <= 20
+
+
+def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
+    field = triangles(6, 500)
+    late = first_order(first_order(field, 0.03, RATE_Hz, -1.0), 0.05, RATE_Hz, -1.0)
+    sweep = write(tmp_path / "sweep.csv", field, 40 * late + noise_um(len(field)))
+    done = piezoid("fit", sweep, "--out", tmp_path / "stage")
+    assert done.returncode == 1
+    assert "is phase lag, not hysteresis" in verdict_of(tmp_path / "stage/report.html")[0]
+    assert "single readings" not in done.stdout  # corners of the residual are no outliers
+
+
+def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
+    field = triangles(6, 500)
+    late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
+    verdict, score, said = calibrated(tmp_path, field, late + noise_um(len(field)))
+    assert "cannot be told from a lag" in said
+    assert "loop or lag" in said
+    assert "ten times slower" in verdict
+    assert score <= 50
+    page = (tmp_path / "stage/report.html").read_text()
+    assert "It holds at the speed of the recordings alone" in page

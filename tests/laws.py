@@ -1,0 +1,92 @@
+"""Hysteresis laws that are not ours, and recordings of them as strangers make them."""
+
+from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array
+from piezoid.records.ingest import ingest
+from piezoid.records.recording import Recording
+from piezoid_datasets.virtual_lab.truths import TRUTHS
+
+Law = Callable[[Array], Array]
+RATE_Hz = 500.0
+CYCLED = np.array([1.0, -1.0, 1.0, -1.0])
+
+
+def _of_the_laboratory(number: int) -> Law:
+    ceramic = TRUTHS[number].draw(np.random.default_rng(7))
+    return lambda field: np.asarray(sum(ceramic.respond(field, CYCLED)))
+
+
+def _dahl(field: Array) -> Array:
+    """Friction that saturates: dz = du (1 - z sgn(du) / 0.15)."""
+    state, found = 0.0, np.empty_like(field)
+    for k, step in enumerate(np.diff(field, prepend=field[0]).tolist()):
+        state = min(max(state + step * (1.0 - state * np.sign(step) / 0.15), -0.15), 0.15)
+        found[k] = state
+    return field + 0.03 * field**2 - 0.5 * found
+
+
+def _duhem(field: Array) -> Array:
+    """Coleman and Hodgdon's law with a cubic anhysteretic curve."""
+    state, found = 0.0, np.empty_like(field)
+    for k, step in enumerate(np.diff(field, prepend=field[0]).tolist()):
+        rest = 0.9 * field[k] + 0.1 * field[k] ** 3 - state
+        state += 1.3 * abs(step) * rest + 0.25 * step
+        found[k] = state
+    return np.asarray(0.5 * field + 0.5 * found)
+
+
+def _plays(field: Array) -> Array:
+    """A sum of twelve plays behind a saturation."""
+    total = np.array(field)
+    for threshold in np.linspace(0.05, 0.8, 12).tolist():
+        state, found = field[0], np.empty_like(field)
+        for k, value in enumerate(field.tolist()):
+            state = min(max(state, value - threshold), value + threshold)
+            found[k] = state
+        total += 0.05 * np.exp(-2.0 * threshold) * found
+    return np.asarray(np.tanh(0.6 * total) / 0.6)
+
+
+LAWS: Mapping[str, Law] = {
+    **{truth.name: _of_the_laboratory(number) for number, truth in enumerate(TRUTHS)},
+    "dahl": _dahl,
+    "duhem": _duhem,
+    "plays": _plays,
+}
+
+
+def triangles(cycles: int, samples: int, shrinking: float = 0.0) -> Array:
+    """Return a triangle from -1 whose cycles shrink by a share each, (cycles * samples,)."""
+    phase = np.arange(cycles * samples) / samples
+    wave = 1.0 - np.abs(2.0 * (phase % 1.0) - 1.0)
+    size = np.clip(1.0 - shrinking * np.floor(phase), 0.1, 1.0)
+    return np.asarray(size * (2.0 * wave - 1.0))
+
+
+@cache
+def swept_um(law: str) -> tuple[Array, Array]:
+    """Return a drive of eight shrinking triangles, and what a law makes of it, in micrometres."""
+    field = triangles(8, 300, 0.1)
+    noise = 0.008 * np.random.default_rng(1).standard_normal(len(field))
+    return field, np.asarray(6.0 + 10.0 * LAWS[law](field) + noise)
+
+
+def write(path: Path, field: Array, reading_um: Array, *, rate_Hz: float = RATE_Hz) -> Path:
+    """Write a drive of +-5 V and a reading as a laboratory does; return where."""
+    lines = ["time [s],voltage [V],displacement [um]"]
+    lines += [
+        f"{k / rate_Hz:.6f},{5.0 * u:.5f},{y:.6f}"
+        for k, (u, y) in enumerate(zip(field.tolist(), reading_um.tolist(), strict=True))
+    ]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def recorded(folder: Path, field: Array, reading_um: Array, **how: float) -> Recording:
+    """Return a drive and a reading as they come back from a file."""
+    return ingest(write(folder / "sweep.csv", field, reading_um, **how))
