@@ -16,7 +16,13 @@ STEPS = {
         to_json=lambda: b'{"digest": "d"}', refused={}
     ),
     "piezoid.export.stage.export_stage": PARAMETERS,
-    "piezoid.verification.stage.verify_stage": SimpleNamespace(passed=True),
+    "piezoid.verification.shipping.shipping_of": SimpleNamespace(
+        parameters=PARAMETERS,
+        verification=SimpleNamespace(passed=True),
+        refused=None,
+        refused_verification=None,
+        reasons={},
+    ),
 }
 
 
@@ -47,11 +53,10 @@ def test_a_controller_that_was_verified_ships(monkeypatch: pytest.MonkeyPatch) -
 def test_an_axis_that_does_not_ship_is_told_and_keeps_no_other_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(
-        STEPS,
-        "piezoid.export.stage.export_stage",
-        SimpleNamespace(unshipped={"z": "ceiling_A is missing"}),
-    )
+    rest = SimpleNamespace(unshipped={"z": "ceiling_A is missing"})
+    step = "piezoid.verification.shipping.shipping_of"
+    ships = SimpleNamespace(**{**vars(STEPS[step]), "parameters": rest})
+    monkeypatch.setitem(STEPS, step, ships)
     found = controller(monkeypatch)
     assert found.verification is not None
     assert found.unshipped == {"z": "ceiling_A is missing"}
