@@ -79,8 +79,8 @@ def failure_of(verdict: Verdict) -> str:
     """Return what was found and what is allowed, in units that are read at a glance."""
 
     def shown(value: float) -> str:
-        if verdict.unit == "s":
-            return told(value, "s")
+        if verdict.unit in ("s", "m"):
+            return told(value, verdict.unit)
         return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
 
     found, allowed = shown(verdict.value), shown(verdict.limit)

@@ -173,14 +173,14 @@ def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
         "every run" if verdict.scenario == _EVERY else verdict.scenario,
         _measured(verdict, verdict.value),
         _measured(verdict, verdict.limit),
-        "" if verdict.unit in ("1", "s") else verdict.unit,
+        "" if verdict.unit in ("1", "s", "m") else verdict.unit,
         "passed" if verdict.passed else "failed",
     )
 
 
 def _measured(verdict: Verdict, value: float) -> str:
-    """Return a number of a verdict; a time carries its unit."""
-    return told(value, "s") if verdict.unit == "s" else significant(value)
+    """Return a number of a verdict; times and distances carry their unit."""
+    return told(value, verdict.unit) if verdict.unit in ("s", "m") else significant(value)
 
 
 def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:

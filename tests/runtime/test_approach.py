@@ -181,3 +181,13 @@ def test_a_moment_of_bad_readings_is_waited_for_without_moving():
     run = shown(controller, np.full(5, np.nan))
     assert set(run.voltage_V) == {reached}
     assert shown(controller, [1e-12]).voltage_V[0] == pytest.approx(reached + STEP_V)
+
+
+def test_a_tip_that_fled_from_a_step_up_searches_where_the_surface_was():
+    """The loop flees by millivolts in a sample from readings that are late: that is no contact."""
+    controller = started(volts=1.0, approach_step_V=1e-5)
+    shown(controller, np.full(10, SET_A))
+    fled = shown(controller, np.full(10, 10 * SET_A)).voltage_V[-1]
+    run = shown(controller, np.full(5000, 1e-12))
+    assert fled < 1.0 - 5e-3
+    assert run.voltage_V.max() == pytest.approx(1.02, abs=2e-4)
