@@ -59,7 +59,7 @@ def joint_sentence(law: GapLaw, loop: LoopPlant, joint: JointBarrier) -> str:
     """Return whether sweeps and closed loop agree, with both barriers, as a sentence."""
     if joint.barrier_eV is not None:
         common = told_interval(joint.barrier_eV, joint.barrier_interval_eV, "eV")
-        return f"sweeps and loop agree. Both together, weighted: {common}."
+        return f"Sweeps and loop agree. Both together, weighted: {common}."
     low, high = (significant(end, 4) for end in joint.barrier_interval_eV)
     sweeps = told_interval(law.barrier_eV, law.barrier_interval_eV, "eV")
     looped = told_interval(loop.barrier_eV, loop.barrier_interval_eV, "eV")

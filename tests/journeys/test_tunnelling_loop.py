@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,26 @@ def test_sweeps_and_loop_agree_and_give_one_barrier(junction: dict[str, Any]) ->
     assert abs(loop - joint["barrier_eV"]) < 0.15 * joint["barrier_eV"]
 
 
+def test_an_extension_declared_wrong_makes_sweeps_and_loop_disagree_aloud(
+    made: Path, tmp_path: Path
+) -> None:
+    """A fifth too short: the loop's barrier comes out 1.44 times the sweeps'."""
+    folder = made / "recordings"
+    lab = (folder / "lab.toml").read_text()
+    (old,) = re.findall(r"gain_m_per_V = \S+", lab)
+    (tmp_path / "lab.toml").write_text(
+        lab.replace(old, f"gain_m_per_V = {float(old.split()[-1]) / 1.2:g}")
+    )
+    files = [folder / "loop_1.csv", folder / "spectroscopy.dat"]
+    status, shown = run("fit", *files, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "fit")
+    assert status == 0, shown
+    assert "Sweeps and loop disagree" in shown
+    found = json.loads((tmp_path / "fit" / "model.json").read_bytes())["tunnelling"]
+    assert found["joint"]["barrier_eV"] is None
+    low, high = found["joint"]["barrier_interval_eV"]
+    assert low < found["gap_law"]["barrier_eV"] < found["loop_plant"]["barrier_eV"] < high
+
+
 def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, str]) -> None:
     folder, shown = fitted
     page = (folder / "report.html").read_text()
@@ -127,7 +148,7 @@ def test_the_report_shows_the_loop_and_the_naive_estimate(fitted: tuple[Path, st
         "The naive estimate, a plain transfer function",
         "step of the drive",
         "mains, 60 Hz",
-        "sweeps and loop agree",
+        "Sweeps and loop agree",
     ):
         assert words in page
     assert "From 3 closed loops: apparent barrier" in shown

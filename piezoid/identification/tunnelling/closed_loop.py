@@ -20,6 +20,7 @@ from piezoid.identification.tunnelling.confidence import Confidence, Reason
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,
+    DriveMode,
     InstrumentFit,
     LEAST_POLE_Hz,
     bounds_of_logs,
@@ -71,6 +72,7 @@ class ClosedLoopFit:
     dither_share           gamma^2 over all lines: how much of the drive's power is dither
     confidence, reasons    how far to trust it
     declared_pole_Hz       of the current sensor; None where it is not declared
+    mode                   of the tip's drive, beside the plant; None where none was seen
     """
 
     label: str
@@ -90,6 +92,7 @@ class ClosedLoopFit:
     confidence: Confidence
     reasons: tuple[Reason, ...]
     declared_pole_Hz: float | None = None
+    mode: DriveMode | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "logs", frozen(self.logs, "logs"))
@@ -110,6 +113,7 @@ def identify_closed_loop(
     drive_gain_relative_uncertainty: float = 0.0,
     sensor_pole_Hz: float | None = None,
     offset_A: Offset | None = None,
+    known_mode: DriveMode | None = None,
 ) -> ClosedLoopFit:
     """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
 
@@ -121,6 +125,8 @@ def identify_closed_loop(
                         10 %, which the intervals of delay and gain contain
     offset_A            of the current and its standard deviation, from sweeps; None: a few
                         picoamperes either way. Unseen, it turns ln K by offset over set point
+    known_mode          of the tip's drive, as another record of the rig has shown it; None: it is
+                        sought in this one
     drive_gain_m_per_V  g_z, extension of the tip per volt at the converter
     drive_gain_relative_uncertainty  standard uncertainty of g_z, it enters the barrier doubled;
                         default 0: the interval then speaks of the extension as declared
@@ -142,6 +148,7 @@ def identify_closed_loop(
             spectra.reference,
             amplifier_pole_Hz=amplifier_pole_Hz,
             sensor_pole_Hz=sensor_pole_Hz,
+            known_mode=known_mode,
             sampling_rate_Hz=record.sampling_rate_Hz,
         )
         through = fit.plant
@@ -177,6 +184,7 @@ def identify_closed_loop(
         confidence=confidence,
         reasons=reasons,
         declared_pole_Hz=sensor_pole_Hz,
+        mode=fit.mode,
     )
 
 

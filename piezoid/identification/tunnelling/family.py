@@ -110,16 +110,19 @@ def spread_family(fits: Sequence[ClosedLoopFit], *, drive_gain_m_per_V: float) -
 def mean_of(fits: Sequence[ClosedLoopFit]) -> tuple[Array, Array]:
     """Return the mean of several records' logs and half its 95 % interval, (3,) each.
 
-    Where the spread between records cannot be seen, only what each leaves uncertain counts. What
-    the declared poles leave open is the same in all of them and does not average.
+    Where the spread between records cannot be seen, what each leaves uncertain counts, or the
+    distance of two where that is more [Birge 1932]. What the declared poles leave open is the same
+    in all of them and does not average.
     """
     logs = np.array([fit.logs for fit in fits])
     own, between = _covariances(fits, logs)
     seen = between is not None
-    total = own if between is None else between + own
+    total = np.diag(own if between is None else between + own)
     reach = _quantile(len(fits)) if seen else _NORMAL_95
+    if not seen:
+        total = np.maximum(total, np.var(logs, axis=0, ddof=min(len(fits) - 1, 1)))
     alike = _NORMAL_95**2 * np.diag(_common(fits))
-    return logs.mean(axis=0), np.sqrt(reach**2 * np.diag(total) / len(fits) + alike)
+    return logs.mean(axis=0), np.sqrt(reach**2 * total / len(fits) + alike)
 
 
 def _covariance_of_next(fits: Sequence[ClosedLoopFit], logs: Array) -> tuple[Array, bool]:

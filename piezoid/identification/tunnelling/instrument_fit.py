@@ -89,6 +89,7 @@ def fit_with_instrument(
     *,
     amplifier_pole_Hz: float,
     sensor_pole_Hz: float | None = None,
+    known_mode: DriveMode | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
     """Return the plant at which the moments with an instrument vanish as well as they can.
@@ -96,6 +97,7 @@ def fit_with_instrument(
     spectra         of the loop
     instrument      (blocks, lines)  the reference
     sensor_pole_Hz  as declared, 10 % either way; None: found from the record alone
+    known_mode      of the drive, as another record of the rig has shown it; None: to be seen
 
     Moments are weighted by their variance over blocks; gain and pole are kept positive by their
     logarithms; the delay is sought from several starts, because a phase repeats.
@@ -105,6 +107,7 @@ def fit_with_instrument(
         instrument=instrument,
         amplifier_pole_Hz=amplifier_pole_Hz,
         declared_pole_Hz=sensor_pole_Hz,
+        known_mode=known_mode,
         sampling_rate_Hz=sampling_rate_Hz,
     )
     response = problem.response()
@@ -153,6 +156,7 @@ class _Moments:
     instrument: ComplexArray
     amplifier_pole_Hz: float
     declared_pole_Hz: float | None
+    known_mode: DriveMode | None
     sampling_rate_Hz: float
 
     def plant(self, logs: Array) -> JunctionPlant:
@@ -166,7 +170,7 @@ class _Moments:
 
     def mode(self, logs: Array) -> DriveMode | None:
         if len(logs) == 3:
-            return None
+            return self.known_mode
         return DriveMode(
             frequency_Hz=math.exp(logs[3]) * self.sampling_rate_Hz,
             quality=math.exp(logs[4]),

@@ -6,10 +6,15 @@ from dataclasses import replace
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.closed_loop import Offset, identify_closed_loop
+from piezoid.identification.tunnelling.closed_loop import (
+    ClosedLoopFit,
+    Offset,
+    identify_closed_loop,
+)
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.directions import DirectionShift, compare_directions
 from piezoid.identification.tunnelling.family import spread_family
+from piezoid.identification.tunnelling.instrument_fit import DriveMode
 from piezoid.identification.tunnelling.joint_barrier import join_barriers
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, loops_of
@@ -96,17 +101,25 @@ def fit_loops(
 
     offset  of the current, where sweeps have shown it
     """
-    fits = [
-        identify_closed_loop(
+
+    def identified(loop: LoopRecord, mode: DriveMode | None) -> ClosedLoopFit:
+        return identify_closed_loop(
             loop,
             amplifier_pole_Hz=rig.amplifier_pole_Hz,
             drive_gain_m_per_V=rig.drive_gain_m_per_V,
             drive_gain_relative_uncertainty=rig.extension_uncertainty,
             sensor_pole_Hz=rig.bandwidth_Hz,
             offset_A=offset,
+            known_mode=mode,
         )
-        for loop in loops
-    ]
+
+    fits = [identified(loop, None) for loop in loops]
+    shown = next((fit.mode for fit in fits if fit.mode is not None), None)
+    if shown is not None:  # of the drive, hence of every record, also where noise hides it
+        fits = [
+            identified(loop, shown) if fit.mode is None else fit
+            for loop, fit in zip(loops, fits, strict=True)
+        ]
     return describe_loop_plant(
         fits,
         spread_family(fits, drive_gain_m_per_V=rig.drive_gain_m_per_V),

@@ -38,8 +38,9 @@ _MOST_DRIFT = 0.25  # of the travel, standard deviation: with more, nobody would
 _INCONSTANT = 0.05
 _STRONG_DRIFT = 0.1  # of the sweep's speed: beyond it second orders are percents
 # 95 %, of that difference. Of 158 to and fro with hysteresis to 3 % and 1/f unrest to 2 pm, the
-# intervals held 91 % without it, 96 % with a half, 97 % with the whole.
-_UNCLOSED = 0.5
+# intervals held 91 % without it, 96 % with a half, 97 % with the whole; of 150 clipped ones 91 %
+# with a half.
+_UNCLOSED = 0.75
 _LEAST_CLEAR = 0.05  # of the decay: slower than this the height did not move against the drift
 
 

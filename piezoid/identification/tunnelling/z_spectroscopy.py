@@ -15,6 +15,7 @@ _SWEEP = re.compile(r"Current(?: \[(?!bwd)(?P<number>[^\]]+)\])?(?P<way> \[bwd\]
 _AVERAGE = "AVG"
 _BIAS_KEY = "Bias>Bias (V)"
 _TIMES_OF_A_ROW = ("Settling time (s)", "Integration time (s)")
+_MODULES = ("", "Z Spectroscopy>")  # what Nanonis writes in front of its own settings
 
 
 class _Name(NamedTuple):
@@ -75,11 +76,14 @@ def _named(column: Column) -> _Name | None:
 
 def _duration_s(table: RawTable, rows: int) -> float | None:
     """How long one way took; None where the head does not say, or says nothing readable."""
-    try:
-        each_s = sum(float(table.metadata[key]) for key in _TIMES_OF_A_ROW)
-    except (KeyError, ValueError):
-        return None
-    return rows * each_s if math.isfinite(each_s) and each_s > 0.0 else None
+    for module in _MODULES:
+        try:
+            each_s = sum(float(table.metadata[module + key]) for key in _TIMES_OF_A_ROW)
+        except (KeyError, ValueError):
+            continue
+        if math.isfinite(each_s) and each_s > 0.0:
+            return rows * each_s
+    return None
 
 
 def _bias_V(table: RawTable, name: _Name) -> float:

@@ -89,11 +89,12 @@ def test_one_way_alone_holds_the_drift_in_its_interval_and_says_so(
         assert any("one way only" in reason for reason in law.reasons)
 
 
+@pytest.mark.parametrize("module", ["", "Z Spectroscopy>"])
 def test_a_head_that_states_the_time_of_a_row_narrows_what_drift_may_be(
-    tmp_path: Path, rng: np.random.Generator
+    tmp_path: Path, rng: np.random.Generator, module: str
 ) -> None:
     height_m, away_A, _ = sweeps(rng)
-    fast = "Settling time (s)\t100E-6\t\nIntegration time (s)\t100E-6\t\n"
+    fast = f"{module}Settling time (s)\t100E-6\t\n{module}Integration time (s)\t100E-6\t\n"
     stated = law_of(fitted(tmp_path / "z.dat", height_m, away_A, head=fast))
     unstated = law_of(fitted(tmp_path / "z.dat", height_m, away_A))
     assert np.ptp(stated.decay_interval_per_m) < 0.1 * np.ptp(unstated.decay_interval_per_m)
