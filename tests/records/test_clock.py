@@ -115,6 +115,19 @@ def test_a_clock_that_stands_is_found_in_stamps_of_few_digits() -> None:
     assert (problem.kind, problem.place, problem.samples) == ("duplicate_time", "row 902", 4)
 
 
+def test_samples_that_repeat_stamps_of_few_digits_are_counted() -> None:
+    again = np.isin(np.arange(2000), np.arange(440, 500))
+    (problem,) = clock_of(np.round(np.repeat(np.arange(2000) / 1000, 1 + again), 3)).problems
+    assert (problem.kind, problem.samples) == ("duplicate_time", 60)
+
+
+def test_a_clock_whose_steps_do_not_sum_up_to_its_span_is_refused() -> None:
+    # Short bursts at ten times the rate are no stretches of their own, and no fault of stamps.
+    steps_s = np.where(np.arange(4000) % 200 < 40, 1e-4, 1e-3)
+    with pytest.raises(RecordingError, match=r"make 3\.999 s, while the stamps span 3\.27"):
+        clock_of(np.cumsum(steps_s))
+
+
 def test_a_clock_that_goes_backwards_is_a_break() -> None:
     time_s = TIME_s.copy()
     time_s[2500:] -= time_s[2500]

@@ -1,6 +1,5 @@
 """Excel workbooks: the sheet that holds a table, read as the text it shows."""
 
-import datetime
 import math
 import zipfile
 from dataclasses import replace
@@ -89,11 +88,11 @@ def _cell(value: object) -> str:
     """Return what a cell holds: a number with every digit, a time as a clock shows it."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
-    if isinstance(value, datetime.datetime | datetime.time):
-        return "" if value != value else value.isoformat()
-    if isinstance(value, datetime.timedelta):
-        seconds = value.total_seconds()
+    if hasattr(value, "total_seconds"):
+        seconds = float(value.total_seconds())
         return f"{int(seconds // 3600)}:{int(seconds // 60 % 60):02d}:{seconds % 60:09.6f}"
+    if hasattr(value, "isoformat"):
+        return str(value.isoformat())
     return repr(value) if isinstance(value, float) else " ".join(str(value).split())
 
 
