@@ -8,6 +8,7 @@ import numpy as np
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import OTHER_RECORDINGS
+from piezoid_reports.effect_words import words
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 
@@ -137,11 +138,23 @@ def _wandering_zero(judged: Judged) -> Weakness | None:
             remedy=mover.experiment,
         )
     return Weakness(
-        what=f"a zero that moves by {told(by_m, 'm')}, unexplained",
-        why=f"{moves}, but nothing here explains it.",
+        what=f"a zero that moves by {told(by_m, 'm')}, by drift or creep",
+        why=f"{moves}, and no held-out error did. It is {_times(by_m, axis.quality.noise_rms_m)} "
+        f"the sensor noise, and drift and creep are not separable in it{_bounds(judged)}.",
         remedy="Step to mid-range and hold the drive constant for ten minutes after warming up: "
         "creep slows down as it goes, thermal drift does not.",
     )
+
+
+def _bounds(judged: Judged) -> str:
+    """Say how much of either there may be, where a diagnosis bounds it."""
+    unseen = () if judged.diagnosis is None else judged.diagnosis.not_detected
+    known = [
+        f"{words(one.effect)} at {told(one.upper_bound_m, 'm')} rms"
+        for one in unseen
+        if one.effect in ("creep", "thermal_drift") and one.upper_bound_m is not None
+    ]
+    return f"; the diagnosis bounds {' and '.join(known)}" if known else ""
 
 
 def _far_from_noise(judged: Judged) -> Weakness | None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.absence import absent, unsought
+from piezoid.diagnosis.at_rest import diagnose_at_rest, is_at_rest
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
@@ -17,7 +18,7 @@ from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.view import View, view_of
 from piezoid.diagnosis.worth import worth_of
-from piezoid.identification.fit import axes_of, lacking, moving, rig_of
+from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
 from piezoid.identification.model import AxisModel
@@ -59,6 +60,10 @@ def diagnose(
         what = f" of axis {wanted}" if wanted else " of the same axis"
         raise lacking(recordings, f"a drive voltage and a displacement{what}")
     declared = lab or Lab()
+    resting = recorded_of(recordings, wanted)
+    if resting and all(is_at_rest(recording, wanted) for recording in resting):
+        progress("looking at a stage at rest")
+        return diagnose_at_rest(resting, wanted)
     progress("fitting the envelope")
     chosen = moving(recordings, wanted)
     scales, hands = scales_of(chosen, wanted), Hands(told=progress, count=threads)

@@ -14,6 +14,7 @@ from piezoid.identification.hysteresis.applicability import (
 )
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.cycles import trends_over_cycles
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
@@ -202,6 +203,12 @@ def _axis_model(
         float(np.abs(np.diff(u)).max()) * r.sampling_rate_Hz
         for u, r in zip(drives, recordings, strict=True)
     )
+    quality = _quality(fitted, choice, ready.pieces, stroke_m)
+    trends = [
+        said
+        for piece in ready.pieces
+        for said in trends_over_cycles(piece, stroke_m, quality.noise_rms_m / stroke_m)
+    ]
     return AxisModel(
         axis=axis,
         hysteresis=physical(fitted.operator, scales, zero_m),
@@ -215,10 +222,11 @@ def _axis_model(
             reason=against,
             remarks=(
                 *ready.said,
+                *trends,
                 *remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
             ),
         ),
-        quality=_quality(fitted, choice, ready.pieces, stroke_m),
+        quality=quality,
         uncertainty=summarise(found, fitted.task.coordinates, scales),
         certificate=certify(
             found,

@@ -93,7 +93,8 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
             raise ExcitationError(
                 f"{names}: the {what} of axis {axis} never changes",
                 needed="a sweep over the range the stage is used in",
-                remedy="Check which column is which, or record a sweep.",
+                remedy="Check which column is which, or record a sweep; drift, hum, other axes "
+                "and noise of a stage at rest are what piezoid diagnose tells.",
             )
     covariance = sum(
         float(np.sum((u - u.mean()) * (y - y.mean())))

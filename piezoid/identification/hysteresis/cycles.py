@@ -1,0 +1,88 @@
+"""Slow trends over many equal cycles, found cycle by cycle: gain, middle, and the two tips.
+
+    y_i = g_i c + z_i,     c the mean cycle,     trends of g_i, z_i and the tips by Theil and Sen
+
+One fit over all cycles averages what goes on slowly; one number a cycle shows it far below the
+noise of a sample.
+"""
+
+import numpy as np
+
+from piezoid.identification.dynamics.repetition import find_repetition
+from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.robust import spread_of, trend_of
+from piezoid.readable import told
+
+FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
+MOST = 1000  # that are compared: each with each
+SURE = 1e-3  # chance of such a trend where there is none, of four that are asked for
+GAIN = 2e-4  # a smaller change over all cycles means nothing to a controller
+TIP = 0.02  # of the samples of a cycle at either end of the drive
+WANDERS = 3.0  # times what the noise of its samples lets a tip scatter by
+
+
+def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str, ...]:
+    """Return one sentence for everything that goes on slowly over a piece's equal cycles.
+
+    stroke_m  what the number 1 of the response means
+    noise     white, of a sample, scaled units
+    """
+    rows = slice(piece.first, piece.last)
+    drive, response = piece.drive[rows], piece.response[rows]
+    found = find_repetition(drive) if np.ptp(drive) > 0.0 else None
+    if found is None or found.periods < FEWEST:
+        return ()
+    count, period = found.periods, found.period_samples
+    cycles = response[found.first : found.first + count * period].reshape(count, period)
+    around = drive[found.first : found.first + period]
+    mean = cycles.mean(axis=0) - cycles.mean()
+    middle = cycles.mean(axis=1)
+    gain = (cycles - middle[:, None]) @ mean / (mean @ mean)
+    width = max(int(TIP * period), 1)
+    order = np.argsort(around, kind="stable")
+    tips = {"upper": order[-width:], "lower": order[:width]}
+    place = np.arange(count, dtype=np.float64)
+    some = slice(None, None, max(1, count // MOST))
+    said = _gain(piece.name, place[some], gain[some], count)
+    for name, where in tips.items():
+        tip = cycles[:, where].mean(axis=1)
+        said += _tip(
+            piece.name, name, place[some], tip[some], (stroke_m, noise / width**0.5), count
+        )
+    return tuple(said)
+
+
+def _gain(name: str, place: Array, gain: Array, count: int) -> list[str]:
+    trend = trend_of(place, gain)
+    if trend is None:
+        return []
+    change, low, high = (end * (count - 1) for end in (trend.slope, *trend.ci95))
+    if trend.p_value > SURE or abs(change) < GAIN:
+        return []
+    return [
+        f"{name}: cycle by cycle the sensitivity goes by {100 * change:+.3g} % over {count} equal "
+        f"cycles (95 %: {100 * low:.3g} to {100 * high:.3g} %)."
+    ]
+
+
+def _tip(
+    name: str, tip: str, place: Array, level: Array, scale: tuple[float, float], count: int
+) -> list[str]:
+    stroke_m, noise = scale
+    trend = trend_of(place, level)
+    if trend is None:
+        return []
+    change = trend.slope * (count - 1)
+    # the first cycles may still forget what came before them: no scatter of the others
+    scatter = spread_of(level - trend.slope * place).sigma
+    goes = trend.p_value < SURE and abs(change) > WANDERS * noise
+    wanders = scatter > WANDERS * noise
+    if not (goes or wanders):
+        return []
+    parts = [f"goes by {told(change * stroke_m, 'm')}"] if goes else []
+    parts += [
+        f"wanders by {told(scatter * stroke_m, 'm')} rms about its trend, where the noise of its "
+        f"samples is {told(noise * stroke_m, 'm')}"
+    ] * wanders
+    return [f"{name}: over {count} equal cycles the {tip} tip {' and '.join(parts)}."]

@@ -1,0 +1,64 @@
+"""A drive at rest is a recording: drift, hum, other axes and noise are told of it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.numerics.arrays import Array
+from piezoid.records.ingest import ingest
+
+RATE_Hz, SAMPLES, NOISE_um = 500.0, 20_000, 0.003
+TIME_s = np.arange(SAMPLES) / RATE_Hz
+OTHER_V = 5.0 + 4.0 * np.sin(2.0 * np.pi * 0.31 * TIME_s)
+DRIFT_um = 0.02 * TIME_s / TIME_s[-1]
+CREEP_um = 0.02 * np.log1p(TIME_s)
+HUM_um = 0.004 * np.sin(2.0 * np.pi * 49.93 * TIME_s)
+COUPLED_um = 0.001 * OTHER_V
+
+
+def diagnosed(folder: Path, moved_um: Array) -> Diagnosis:
+    reading_um = 3.0 + moved_um + NOISE_um * np.random.default_rng(6).standard_normal(SAMPLES)
+    rows = zip(TIME_s.tolist(), OTHER_V.tolist(), reading_um.tolist(), strict=True)
+    lines = [f"{t:.4f},20.00,{u:.4f},{y:.6f}" for t, u, y in rows]
+    heading = "time [s],voltage_x [V],voltage_y [V],displacement_x [um]"
+    (folder / "rest.csv").write_text("\n".join([heading, *lines]) + "\n")
+    return diagnose([ingest(folder / "rest.csv")], axis="x")
+
+
+@pytest.mark.parametrize(
+    ("moved_um", "names"),
+    [
+        (np.zeros(SAMPLES), set()),
+        (DRIFT_um, {"thermal_drift"}),
+        (HUM_um, {"mains_interference"}),
+        (COUPLED_um, {"cross_coupling"}),
+        (
+            DRIFT_um + HUM_um + COUPLED_um,
+            {"thermal_drift", "mains_interference", "cross_coupling"},
+        ),
+    ],
+    ids=["nothing", "drift", "hum", "coupling", "all"],
+)
+def test_what_moves_a_stage_at_rest_is_named_and_sized(
+    tmp_path: Path, moved_um: Array, names: set[str]
+) -> None:
+    found = diagnosed(tmp_path, moved_um)
+    assert set(found.names) == names
+    assert 1e6 * found.noise_floor_rms_m == pytest.approx(NOISE_um, rel=0.1)
+    truth_um = {"thermal_drift": DRIFT_um, "mains_interference": HUM_um}
+    for finding in found.findings:
+        size_nm = 1e3 * float(np.std(truth_um.get(finding.effect, COUPLED_um)))
+        assert finding.size.value == pytest.approx(size_nm, rel=0.1)
+    assert {*found.names, *(one.effect for one in found.not_detected)} == {
+        effect.name for effect in EFFECTS
+    }
+
+
+def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path) -> None:
+    (finding,) = diagnosed(tmp_path, CREEP_um).findings
+    assert finding.not_separable_from == ("creep",)
+    assert "not separable" in finding.explanation
