@@ -10,6 +10,7 @@ from piezoid.diagnosis.at_rest import diagnose_at_rest, is_at_rest
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, search, without_causes
@@ -65,9 +66,9 @@ def diagnose(
         progress("looking at a stage at rest")
         return diagnose_at_rest(resting, wanted)
     progress("fitting the envelope")
-    chosen = moving(recordings, wanted)
+    chosen, shaped = told_apart(moving(recordings, wanted), wanted, model, declared)
     scales, hands = scales_of(chosen, wanted), Hands(told=progress, count=threads)
-    view = view_on(recordings, axis=wanted, lab=declared)
+    view = view_on(chosen, axis=wanted, lab=declared)
     if model is None:
         against = reason_in_loops(pieces_of(chosen, wanted, scales, rig_of(declared, wanted)))
     else:
@@ -84,8 +85,8 @@ def diagnose(
         numbers = worth_of(
             found, chosen, model=model, lab=declared, scales=scales, progress=progress
         )
-    ingested = with_ingested(found, chosen, found.first.stroke_m)
-    return _diagnosis(wanted, ingested, numbers)
+    diagnosis = _diagnosis(wanted, with_ingested(found, chosen, found.first.stroke_m), numbers)
+    return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:

@@ -8,6 +8,7 @@ Whatever fit and diagnosis put into a model is in here, or in the hysteresis its
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions.linear_mode import LinearMode, mode_spread
@@ -20,6 +21,8 @@ from piezoid.operators.linear import ContinuousSystem
 
 DECLARED_SPREAD = 0.1  # a data sheet's bandwidth is a round number for a typical specimen
 INSTANTANEOUS = 5.7  # sampling rates: of such a pole exp(-2 pi f / fs) is below float64's last bit
+CARRIES = 0.5  # of the gain at rest: a mode with less is not in series with the motion
+FAR_BELOW = 0.1  # of the lowest mode's frequency
 SAME_MODE = 0.1  # modes nearer than this part of their frequency are one
 _LEAST_SHARE = 0.1  # of a lag whose interval reaches zero: a pole needs some time constant
 
@@ -29,8 +32,9 @@ class LoopModel:
     """What lies between a drive and its reading, beside the hysteresis.
 
     front        in front of the hysteresis; gain 1 at rest
-    behind       linear and quick, behind it; gain 1 at rest
-    slow         creep, behind that; gain 1 at once: its output is the stage's position
+    behind       linear and quick, behind it
+    slow         creep, behind that; gain 1 at once: its output is the stage's position. All of
+                 it at rest has gain 1, or of a creep that a diagnosis found 1 before it
     sensor       from the position to the reading; gain 1 at rest
     delay_s      s, of everything
     effects      of every extension, as a loop feels it
@@ -47,6 +51,11 @@ class LoopModel:
     def gain(self) -> float:
         """Factor of the displacement, now."""
         return float(np.prod([effect.gain for effect in self.effects]))
+
+    @property
+    def quick_gain(self) -> float:
+        """Displacement at once over the hysteresis' output."""
+        return rest_gain(self.behind)
 
     @property
     def slow_gain(self) -> float:
@@ -96,7 +105,8 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
         behind, delay_s = _with_lag(axis, quick)
         delay_s += sum(effect.dead_time_s for effect in effects)
     else:
-        front, (behind, delay_s) = through(), _of_dynamics(axis, axis.dynamics, rate_Hz)
+        front, (behind, drawn, delay_s) = through(), _of_dynamics(axis, axis.dynamics, rate_Hz)
+        slow = [*drawn, *slow]
     return LoopModel(
         front=front,
         behind=behind,
@@ -189,17 +199,32 @@ def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[Continuou
 
 def _of_dynamics(
     axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
-) -> tuple[ContinuousSystem, float]:
-    """Return identified dynamics in front of the sensor, gain 1 at rest, and their delay."""
+) -> tuple[ContinuousSystem, list[ContinuousSystem], float]:
+    """Return identified dynamics in front of the sensor: quick ones, slow ones, and their delay.
+
+    A lag far below the mode that carries the motion is none of its sections: motion that goes on
+    slowly, or hysteresis that is larger for the larger part of a drive, which is slow. A loop
+    feels a gain between both ends of it.
+    """
     declared = tuple(
         known
         for known in dynamics.declared
         if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
     path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
-    known = path.realised()
-    rest = rest_gain(replace(known, delay_s=0.0))
-    scaled = replace(known, C=known.C / rest, D=known.D / rest, delay_s=0.0)
+    static = float(path.static_gain_m_per_V[0, 0])
+    apart = _is_drawn(path)
+    quick = replace(
+        path,
+        lag_frequency_Hz=path.lag_frequency_Hz[~apart],
+        lag_gain_m_per_V=path.lag_gain_m_per_V[~apart],
+        shape_covariance=_without_lags(path, apart),
+    )
+    known = quick.realised()
+    at_once = float(quick.static_gain_m_per_V[0, 0])
+    scaled = replace(known, C=known.C / static, D=known.D / static, delay_s=0.0)
+    lags = zip(path.lag_frequency_Hz[apart], path.lag_gain_m_per_V[apart, 0, 0], strict=True)
+    drawn = [_relaxing(float(f), float(gain) / at_once) for f, gain in lags]
     further = [
         system
         for extension in axis.extensions
@@ -207,7 +232,27 @@ def _of_dynamics(
         and not _is_known(dynamics, extension)
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
-    return cascade(scaled, *further), known.delay_s
+    return cascade(scaled, *further), drawn, known.delay_s
+
+
+def _is_drawn(path: LinearDynamics) -> NDArray[np.bool_]:
+    """Tell which lags of one path lie far below the modes that carry most of the motion."""
+    carried = float(path.mode_gain_m_per_V.sum() / path.static_gain_m_per_V[0, 0])
+    if not len(path.mode_frequency_Hz) or carried < CARRIES:
+        return np.zeros(len(path.lag_frequency_Hz), dtype=np.bool_)
+    return np.asarray(path.lag_frequency_Hz < FAR_BELOW * path.mode_frequency_Hz.min())
+
+
+def _without_lags(path: LinearDynamics, apart: NDArray[np.bool_]) -> Array:
+    modes = 2 * len(path.mode_frequency_Hz)
+    kept = np.concatenate([np.ones(modes, np.bool_), ~apart, np.ones(1, np.bool_)])
+    return np.asarray(path.shape_covariance[np.ix_(kept, kept)])
+
+
+def _relaxing(frequency_Hz: float, share: float) -> ContinuousSystem:
+    """Return 1 + share w / (s + w)."""
+    pole = first_order(frequency_Hz)
+    return replace(pole, C=share * pole.C, D=np.ones((1, 1)))
 
 
 def _is_known(dynamics: LinearDynamics, mode: LinearMode) -> bool:

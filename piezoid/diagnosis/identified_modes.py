@@ -1,0 +1,108 @@
+"""A mode that the fit has identified already: named, and kept out of the search for other causes.
+
+Recordings that a mode shapes tell its frequency and damping far better than a search for causes,
+and there they hide everything else: what hysteresis and slow causes do is looked for in the
+recordings that the mode leaves alone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.identification.dynamics.axis_dynamics import quasi_static
+from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
+from piezoid.identification.dynamics.confidence import resolved_modes
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.fit import rig_of
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.operators.linear import sample
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+
+NAME = "resonance"
+TREND = 3  # degree of the slow motion that no dynamics explain
+_LEAST_P = 1e-12
+
+
+def told_apart(
+    recordings: Sequence[Recording], axis: str, model: AxisModel | None, lab: Lab
+) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
+    """Split recordings into those to be searched, and those that an identified mode shapes.
+
+    The second part is empty where the model has no mode, or where no recording would be left.
+    """
+    known = None if model is None else model.dynamics
+    if known is None or not resolved_modes(known).any():
+        return tuple(recordings), ()
+    return quasi_static(recordings, axis, rig_of(lab, axis))
+
+
+def with_modes(
+    diagnosis: Diagnosis, model: AxisModel, shaped: Sequence[Recording], effects: int
+) -> Diagnosis:
+    """Return a diagnosis that names the mode of the model's dynamics.
+
+    shaped   recordings that it shapes: the errors with and without it are theirs
+    effects  how many were tried, for the p-value
+    """
+    dynamics = model.dynamics
+    if dynamics is None or not shaped:
+        return diagnosis
+    largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])))
+    frequency_Hz = float(dynamics.mode_frequency_Hz[largest])
+    low_Hz, high_Hz = dynamics.mode_frequency_interval_Hz()[largest].tolist()
+    before_m = _rms([_left_m(model, dynamics, r, modes=False) for r in shaped])
+    after_m = _rms([_left_m(model, dynamics, r, modes=True) for r in shaped])
+    effect = next(effect for effect in EFFECTS if effect.name == NAME)
+    gain = float(np.clip(1.0 - after_m / before_m, 0.0, 1.0)) if before_m > 0.0 else 0.0
+    names = ", ".join(recording.name for recording in shaped)
+    finding = Finding(
+        effect=NAME,
+        held_out_gain=gain,
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
+        p_value=min(1.0, _LEAST_P * effects),
+        share=before_m * gain / diagnosis.stroke_m,
+        size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
+        not_separable_from=(),
+        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} It is "
+        f"identified behind the hysteresis from {names}; the errors are of these recordings, "
+        "behind the hysteresis that the others tell, without the mode and with it.",
+        next_experiment=effect.experiment,
+        parameters={"frequency_Hz": frequency_Hz, "quality": _quality(dynamics, largest)},
+    )
+    findings = [f for f in diagnosis.findings if f.effect != NAME]
+    findings.append(finding)
+    findings.sort(key=lambda one: one.held_out_gain, reverse=True)
+    return replace(
+        diagnosis,
+        findings=tuple(findings),
+        not_detected=tuple(n for n in diagnosis.not_detected if n.effect != NAME),
+    )
+
+
+def _quality(dynamics: LinearDynamics, mode: int) -> float:
+    return float(0.5 / dynamics.mode_damping[mode])
+
+
+def _left_m(
+    model: AxisModel, dynamics: LinearDynamics, recording: Recording, *, modes: bool
+) -> Array:
+    """Return what is left of one recording behind its hysteresis, slow motion taken away."""
+    drive_V = voltage_behind_hysteresis(model, recording)
+    path = dynamics.path(model.axis, model.axis)
+    if modes:
+        moved_m, _ = sample(path.realised(), recording.sampling_rate_Hz).run(drive_V - drive_V[0])
+    else:
+        moved_m = float(path.static_gain_m_per_V[0, 0]) * (drive_V - drive_V[0])
+    left_m = recording.displacement_m(model.axis) - moved_m
+    time = np.linspace(-1.0, 1.0, len(left_m))
+    return np.asarray(left_m - np.polyval(np.polyfit(time, left_m, TREND), time))
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
