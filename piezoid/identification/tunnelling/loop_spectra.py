@@ -3,9 +3,9 @@
 All three signals are differenced first: G commutes with that, and drift, which would leak from
 the block edges over every line, becomes a constant. A periodic dither is cut into its periods, so
 that nothing leaks at all; any other is cut into tapered blocks, not overlapping, so that they
-are independent witnesses. What the drive did just before a block is answered inside it: with a
-plant of four samples' lag and blocks of 512 that takes 0.8 % off the gain. So the drive can be
-passed through a plant near the true one before it is cut, and only the ratio of both is left.
+are independent witnesses. What the drive did just before a block is answered inside it: with
+poles of 2 kHz and blocks of 512 that takes 0.2 % off the gain, more than noise does. So the drive
+can be passed through a plant near the true one before it is cut, and only the ratio is left.
 
 Lines at multiples of 50 and of 60 Hz are left out: mains hum repeats with every period whose
 length is a whole number of its cycles, and would pass for an answer to the dither.

@@ -82,7 +82,7 @@ class TunnellingModel:
     def from_json(content: Mapping[str, Any]) -> "TunnellingModel":
         """Return the record that ``to_json`` wrote, number for number."""
         law, loop = content["gap_law"], content["loop_plant"]
-        forward, backward = content["forward"], content["backward"]
+        forward, backward = content.get("forward"), content["backward"]
         shift, joint = content["shift"], content["joint"]
         return TunnellingModel(
             gap_law=None if law is None else _law_from_json(law),
