@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
+    UNEXPLAINED,
     WIDE,
     reason_in_fit,
     reason_in_loops,
@@ -48,6 +49,7 @@ from piezoid.records.sweep import reversals_of
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
+EXPLAINED = 0.5  # of what the same curve leaves without it: a lag that takes off less is no loop
 POLISH = 4  # Jacobians over every row once the thinned search is done
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]
@@ -107,7 +109,7 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
         return scope.limits(), ""
     progress("a lag of second order, without hysteresis")
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
-    plain, late = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
+    plain, late, none = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
     best, plays = min(plain.held_out_rms, late.held_out_rms), choice.best.held_out_rms
     left = (
         f"of the range, plays and a lag leave {100 * plays / height:.2g} %, a lag of second order "
@@ -116,8 +118,10 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
         f"{100 * late.held_out_rms / height:.2g} %"
     )
     wide = widest_opening(ready.pieces) > WIDE * height
-    only = f"the loop is phase lag, not hysteresis: {left}"
-    return scope.limits(f" ({left})"), only if wide and best <= AS_GOOD * plays else ""
+    explains = plain.rises and best < EXPLAINED * none.held_out_rms and best < UNEXPLAINED * height
+    is_lag = wide and explains and best <= AS_GOOD * plays
+    only = f"the loop is phase lag, not hysteresis: {left}" if is_lag else ""
+    return scope.limits(f" ({left})"), only
 
 
 def bent_trials(

@@ -22,6 +22,7 @@ ROWS = 3000  # of all pieces together: three numbers need no more
 SAMPLES = 6000  # of one piece
 EVALUATIONS = 40
 POWERS = (1, 2, 3)
+NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # as shares of the longest: none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,19 +33,23 @@ class LagRival:
     damping        of critical
     delay_s        0 where there is none
     held_out_rms   scaled units
+    rises          whether its curve rises over the whole range: one that turns is no stage's
     """
 
     frequency_Hz: float
     damping: float
     delay_s: float
     held_out_rms: float
+    rises: bool
 
 
-def lag_rivals(pieces: Sequence[Piece], longest_lag_s: float) -> tuple[LagRival, LagRival]:
-    """Return the best second-order lag without and with a delay."""
+def lag_rivals(
+    pieces: Sequence[Piece], longest_lag_s: float
+) -> tuple[LagRival, LagRival, LagRival]:
+    """Return the best second-order lag without and with a delay, and none: the cubic alone."""
     thin = tuple(map(_thinned, pieces))
-    plain = _fitted(thin, longest_lag_s, with_delay=False)
-    return plain, _fitted(thin, longest_lag_s, with_delay=True)
+    plain, late, none = (_fitted(thin, longest_lag_s, numbers=count) for count in (2, 3, 0))
+    return plain, late, none
 
 
 def _thinned(piece: Piece) -> Piece:
@@ -62,12 +67,14 @@ def _thinned(piece: Piece) -> Piece:
     )
 
 
-def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, with_delay: bool) -> LagRival:
-    squares, rows, found = 0.0, 0, np.zeros(3)
+def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, numbers: int) -> LagRival:
+    squares, rows, found, rises = 0.0, 0, np.zeros(3), True
     for training, testing in folds_of(pieces):
-        found = _searched(training, longest_lag_s, with_delay=with_delay)
+        found = _searched(training, longest_lag_s, numbers) if numbers else NO_LAG
         learnt = [_columns(p, found, longest_lag_s) for p in training]
         gain = _gains(training, learnt)
+        slope = np.polynomial.Polynomial([0.0, *gain.tolist()]).deriv()
+        rises &= bool((slope(np.linspace(-1.0, 1.0, 41)) > 0.0).all())
         for number, piece in enumerate(testing):
             sample = _tested(piece, training, number)
             column = _columns(piece, found, longest_lag_s)[sample]
@@ -82,6 +89,7 @@ def _fitted(pieces: Sequence[Piece], longest_lag_s: float, *, with_delay: bool) 
         damping=damping,
         delay_s=delay_s,
         held_out_rms=float(np.sqrt(squares / max(rows, 1))),
+        rises=rises,
     )
 
 
@@ -104,10 +112,8 @@ def _numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
     return damping / (np.pi * lag_s), damping, max(float(x[2]), 0.0) * longest_lag_s
 
 
-def _searched(pieces: Sequence[Piece], longest_lag_s: float, *, with_delay: bool) -> Array:
+def _searched(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Array:
     import nlopt
-
-    count = 3 if with_delay else 2
 
     def error(x: Array, _: Array) -> float:
         whole = np.concatenate([x, np.zeros(3 - count)])

@@ -4,7 +4,6 @@ A branch that was never driven, a speed or an amplitude at which nothing was rec
 tells of them. Each such lack is a sentence and the most that a score may be with it.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.sweep import reversals_of
 
 LARGE = 0.2  # of the drive's range: a branch that shows a loop
+ONE_LOOP = 3  # branches: from the middle up, down and back
 SMALL = 0.02  # of the same: less is no reversal
 ALIKE = 1.5  # how far the spans of two branches may differ to be compared at two speeds
 FASTER = 2.0  # a loop that a lag makes is twice as wide at twice the speed: more than any doubt
@@ -46,14 +46,12 @@ class Scope:
     """What was recorded, of everything a fit is asked about later.
 
     branches    that are large
-    loops       pairs of a rising and a falling one of nearly equal span, next to each other
     recordings  how many
     speeds      ratio of the fastest to the slowest of like branches of one direction
     amplitudes  ratio of the largest span to the smallest between two reversals
     """
 
     branches: int
-    loops: int
     recordings: int
     speeds: float
     amplitudes: float
@@ -61,7 +59,7 @@ class Scope:
     @property
     def is_untested(self) -> bool:
         """Whether no part can be left out that the rest has seen the like of."""
-        return self.recordings == 1 and self.loops < 2
+        return self.recordings == 1 and self.branches <= ONE_LOOP
 
     @property
     def has_one_speed(self) -> bool:
@@ -112,17 +110,10 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
     branches = [branch for piece in pieces for branch in branches_of(piece)]
     largest = max((abs(branch.span) for branch in branches), default=0.0)
     large = [branch for branch in branches if abs(branch.span) > LARGE * largest]
-    pairs = itertools.pairwise(branches)
-    loops = sum(
-        min(abs(a.span), abs(b.span)) > max(LARGE * largest, 0.8 * max(abs(a.span), abs(b.span)))
-        and a.recording == b.recording
-        for a, b in pairs
-    )
     whole = [branch for branch in branches if branch.is_whole] or branches
     spans = [abs(branch.span) for branch in whole if abs(branch.span) > SMALL * largest]
     return Scope(
         branches=len(large),
-        loops=(loops + 1) // 2,
         recordings=len({piece.recording for piece in pieces}),
         speeds=max((_speeds(large, way) for way in (1.0, -1.0)), default=1.0),
         amplitudes=max(spans, default=1.0) / min(spans, default=1.0),
