@@ -29,7 +29,7 @@ LEAST_SLOPE = 1e-3  # at which a first guess still has an inverse
 # Slopes are relative to the mean one. Of 860 stages that two strangers drew from nineteen laws
 # none has a branch flatter than a quarter of it. A fit without these limits puts a steep piece
 # beside a flat one, and the inverse of the flat one makes a loop oscillate.
-LEAST_BEHIND_TURN = 0.25
+LEAST_BEHIND_TURN = 0.4
 BENT = (0.4, 2.5)
 BENT_ENVELOPE = (0.5, 2.0)
 GREATEST_WEIGHT = 1e3
