@@ -19,7 +19,9 @@ from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import Specification, default_specification
+from piezoid.design.templates import Template
 from piezoid.errors import DesignError
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.loop_model import (
     DECLARED_SPREAD,
     INSTANTANEOUS,
@@ -29,6 +31,7 @@ from piezoid.identification.loop_model import (
     mode_half,
 )
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.frequency import decibel
 from piezoid.numerics.zero_order_hold import fraction, sample
 from piezoid.operators.analogue import cascade, first_order
 
@@ -74,19 +77,53 @@ def lateral_task(
     return LateralTask(
         families={form: family for form, family in families.items() if form in forms},
         bounds=bounds,
-        specification=default_specification(
+        specification=_careful(
+            axis,
             inverse,
-            voltage_min_V=max(axis.voltage_V[0], low_V),
-            voltage_max_V=min(axis.voltage_V[1], high_V),
-            sensor_noise_rms=axis.quality.noise_rms_m,
-            disturbance_rms=axis.quality.held_out_rms_m,
-            voltage_slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
+            default_specification(
+                inverse,
+                voltage_min_V=max(axis.voltage_V[0], low_V),
+                voltage_max_V=min(axis.voltage_V[1], high_V),
+                sensor_noise_rms=axis.quality.noise_rms_m,
+                disturbance_rms=axis.quality.held_out_rms_m,
+                voltage_slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
+            ),
         ),
         disturbances=Disturbances(
             motions=tuple((e.motion_m, e.motion_m_per_s) for e in loop.effects if e.motion_m > 0),
             readings=tuple((e.reading_Hz, e.reading_m) for e in loop.effects if e.reading_m > 0),
         ),
     )
+
+
+def shown_to_Hz(axis: AxisModel) -> float | None:
+    """Return the highest frequency at which recordings show the response; None: they do not."""
+    if axis.dynamics is not None:
+        return axis.dynamics.band_Hz[1]
+    modes_Hz = [e.frequency_Hz for e in axis.extensions if isinstance(e, LinearMode)]
+    if not modes_Hz:
+        return None
+    seen_Hz = 0.0 if axis.bandwidth is None else axis.bandwidth.highest_Hz
+    return max(seen_Hz, *modes_Hz)
+
+
+def _careful(axis: AxisModel, family: PlantFamily, asked: Specification) -> Specification:
+    """Return the default with a limit of the control effort beyond what recordings show.
+
+    A further mode up there adds to the response at most its share times its quality. Small gain:
+    with |Sup| at most 1/gain one that adds as much as the static gain destabilises nothing.
+    """
+    from_Hz, nyquist_Hz = shown_to_Hz(axis), 0.5 * family.nominal.sampling_rate_Hz
+    if from_Hz is None or not from_Hz < nyquist_Hz:
+        return asked
+    level_dB = -float(decibel(min(abs(member.gain) for member in family.members)))
+    unseen = Template(
+        name="control effort beyond the recordings",
+        function="Sup",
+        frequency_Hz=np.array([from_Hz, nyquist_Hz]),
+        upper_dB=np.array([level_dB, level_dB]),
+    )
+    return replace(asked, templates=(*asked.templates, unseen))
 
 
 def plant_family(axis: AxisModel, rate_Hz: float) -> PlantFamily:
@@ -178,7 +215,8 @@ def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     if loop.activation[0] > 0.0:
         least, greatest = axis.hysteresis.slope_sector_m_per_V
         reversible = least / (0.5 * (least + greatest))
-    return (1.0 - half) * reversible, (1.0 + half) * loop.slow_gain
+    low = (1.0 - half) * min(reversible, loop.quick_gain, 1.0)
+    return low, (1.0 + half) * max(loop.slow_gain, loop.quick_gain)
 
 
 def relative_gain_half(axis: AxisModel) -> float:
@@ -219,7 +257,21 @@ def assumptions_of(axis: AxisModel) -> tuple[str, ...]:
     known = (f"the declared poles ({poles}) are right to {100 * DECLARED_SPREAD:.0f} %",)
     return (
         *(known if poles else ()),
-        "the stage has no mode within the band of the loop that the model does not know",
+        _unseen(axis),
         f"the drive stays within {axis.voltage_V[0]:.4g} to {axis.voltage_V[1]:.4g} V, as in the "
         "recordings",
+    )
+
+
+def _unseen(axis: AxisModel) -> str:
+    """Return what is taken for granted of modes that the model does not know."""
+    from_Hz = shown_to_Hz(axis)
+    if from_Hz is None:
+        return (
+            "the stage has no mode within the band of the loop: no recording shows its response "
+            "there, so nothing checks this; a chirp or multisine up to some kilohertz would"
+        )
+    return (
+        f"above {from_Hz:.4g} Hz, where recordings no longer show the response, no mode adds more "
+        "to it than the gain at rest"
     )

@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.design.design import AxisDesign, LoopDesign
+from piezoid.design.design import AxisDesign, LoopDesign, Member
+from piezoid.design.poles import LIGHT
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.export.runtime_names import (
@@ -18,13 +19,16 @@ from piezoid.export.runtime_names import (
     rst_values,
 )
 from piezoid.identification.model import AxisModel
+from piezoid.numerics.polynomial import roots_of
 from piezoid.runtime.values import complete
 
 # A measurement this much beyond the reachable range, as a part of it, is not believed.
 _DISBELIEF = 0.25
 # A reference may cross the reachable range in this time at the fastest: a jump in one sample asks
-# the amplifier for what no amplifier gives, and strikes every mode of the stage.
-_FULL_RANGE_s = 1e-3
+# the amplifier for what no amplifier gives. A ramp of T leaves 2 / (w T) of itself ringing in a
+# mode: a tenth where T is 20 / w. Above 4 ms a spiral at 100 Hz would be held back.
+_FULL_RANGE_s, _SLOWEST_RANGE_s = 1e-3, 4e-3
+_RINGING = 20.0
 _CURRENTS = ("reference_A", "floor_A", "ceiling_A")
 
 
@@ -179,7 +183,7 @@ def _range(model: AxisModel, design: AxisDesign) -> Given:
     low, high = float(reached.min()), float(reached.max())
     margin = _DISBELIEF * (high - low)
     rate_Hz = design.recommended.members[0].sampling_rate_Hz
-    fastest_m_per_s = (high - low) / _FULL_RANGE_s
+    fastest_m_per_s = (high - low) / _ramp_s(design.recommended.members[0])
     if asked.voltage_slew_V_per_s is not None:
         followed_m_per_s = (high - low) * asked.voltage_slew_V_per_s / float(np.ptp(ends))
         fastest_m_per_s = min(fastest_m_per_s, followed_m_per_s)
@@ -190,3 +194,13 @@ def _range(model: AxisModel, design: AxisDesign) -> Given:
         "displacement_minimum_m": low - margin,
         "displacement_maximum_m": high + margin,
     }
+
+
+def _ramp_s(member: Member) -> float:
+    """Return the shortest time in which a reference may cross the range of this plant."""
+    s = np.log(roots_of(member.A)) * member.sampling_rate_Hz
+    light = s[-s.real < LIGHT * np.abs(s)]
+    if not light.size:
+        return _FULL_RANGE_s
+    needed_s = _RINGING / float(np.abs(light).min())
+    return float(np.clip(needed_s, _FULL_RANGE_s, _SLOWEST_RANGE_s))

@@ -32,12 +32,12 @@ class LoopModel:
     """What lies between a drive and its reading, beside the hysteresis.
 
     front        in front of the hysteresis; gain 1 at rest
-    behind       linear and quick, behind it
-    slow         creep, behind that; gain 1 at once: its output is the stage's position. All of
-                 it at rest has gain 1, or of a creep that a diagnosis found 1 before it
+    behind       linear and quick, behind it; gain 1 at rest
+    slow         creep, behind that; gain 1 at once: its output is the stage's position
     sensor       from the position to the reading; gain 1 at rest
     delay_s      s, of everything
     effects      of every extension, as a loop feels it
+    quick_gain   by how much less a small quick drive may move it than the hysteresis says
     """
 
     front: ContinuousSystem
@@ -46,16 +46,12 @@ class LoopModel:
     sensor: ContinuousSystem
     delay_s: float
     effects: tuple[LoopEffect, ...]
+    quick_gain: float = 1.0
 
     @property
     def gain(self) -> float:
         """Factor of the displacement, now."""
         return float(np.prod([effect.gain for effect in self.effects]))
-
-    @property
-    def quick_gain(self) -> float:
-        """Displacement at once over the hysteresis' output."""
-        return rest_gain(self.behind)
 
     @property
     def slow_gain(self) -> float:
@@ -97,6 +93,7 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     Identified dynamics stand for everything linear that they were fitted to; of the extensions
     then only modes outside of what the dynamics know are added.
     """
+    quick_gain = 1.0
     effects = tuple(extension.loop_effect(rate_Hz) for extension in axis.extensions)
     slow = [e.system for e in effects if e.system is not None and e.is_slow]
     if axis.dynamics is None:
@@ -105,8 +102,8 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
         behind, delay_s = _with_lag(axis, quick)
         delay_s += sum(effect.dead_time_s for effect in effects)
     else:
-        front, (behind, drawn, delay_s) = through(), _of_dynamics(axis, axis.dynamics, rate_Hz)
-        slow = [*drawn, *slow]
+        front = through()
+        behind, delay_s, quick_gain = _of_dynamics(axis, axis.dynamics, rate_Hz)
     return LoopModel(
         front=front,
         behind=behind,
@@ -114,6 +111,7 @@ def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
         sensor=_pole(axis.rig.sensor_bandwidth_Hz, rate_Hz),
         delay_s=delay_s,
         effects=effects,
+        quick_gain=quick_gain,
     )
 
 
@@ -199,12 +197,12 @@ def _with_lag(axis: AxisModel, quick: list[ContinuousSystem]) -> tuple[Continuou
 
 def _of_dynamics(
     axis: AxisModel, dynamics: LinearDynamics, rate_Hz: float
-) -> tuple[ContinuousSystem, list[ContinuousSystem], float]:
-    """Return identified dynamics in front of the sensor: quick ones, slow ones, and their delay.
+) -> tuple[ContinuousSystem, float, float]:
+    """Return identified dynamics in front of the sensor, gain 1 at rest, their delay, and gain.
 
-    A lag far below the mode that carries the motion is none of its sections: motion that goes on
-    slowly, or hysteresis that is larger for the larger part of a drive, which is slow. A loop
-    feels a gain between both ends of it.
+    A lag far below the mode that carries the motion is none of its sections: a small drive that
+    ends slowly shows more hysteresis than a quick one. Its share widens the interval of the gain;
+    the last of the three is the gain without it.
     """
     declared = tuple(
         known
@@ -212,7 +210,6 @@ def _of_dynamics(
         if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
     path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
-    static = float(path.static_gain_m_per_V[0, 0])
     apart = _is_drawn(path)
     quick = replace(
         path,
@@ -222,9 +219,7 @@ def _of_dynamics(
     )
     known = quick.realised()
     at_once = float(quick.static_gain_m_per_V[0, 0])
-    scaled = replace(known, C=known.C / static, D=known.D / static, delay_s=0.0)
-    lags = zip(path.lag_frequency_Hz[apart], path.lag_gain_m_per_V[apart, 0, 0], strict=True)
-    drawn = [_relaxing(float(f), float(gain) / at_once) for f, gain in lags]
+    scaled = replace(known, C=known.C / at_once, D=known.D / at_once, delay_s=0.0)
     further = [
         system
         for extension in axis.extensions
@@ -232,7 +227,8 @@ def _of_dynamics(
         and not _is_known(dynamics, extension)
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
-    return cascade(scaled, *further), drawn, known.delay_s
+    share = at_once / float(path.static_gain_m_per_V[0, 0])
+    return cascade(scaled, *further), known.delay_s, share
 
 
 def _is_drawn(path: LinearDynamics) -> NDArray[np.bool_]:
@@ -247,12 +243,6 @@ def _without_lags(path: LinearDynamics, apart: NDArray[np.bool_]) -> Array:
     modes = 2 * len(path.mode_frequency_Hz)
     kept = np.concatenate([np.ones(modes, np.bool_), ~apart, np.ones(1, np.bool_)])
     return np.asarray(path.shape_covariance[np.ix_(kept, kept)])
-
-
-def _relaxing(frequency_Hz: float, share: float) -> ContinuousSystem:
-    """Return 1 + share w / (s + w)."""
-    pole = first_order(frequency_Hz)
-    return replace(pole, C=share * pole.C, D=np.ones((1, 1)))
 
 
 def _is_known(dynamics: LinearDynamics, mode: LinearMode) -> bool:

@@ -216,7 +216,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         amplifier=tuple(Section(frequency_Hz=f) for f in front_Hz),
         sensor=tuple(Section(frequency_Hz=f) for f in _poles_Hz(loop.sensor)),
         measured=cascade(loop.behind, loop.slow),
-        measured_gain=loop.quick_gain * loop.slow_gain * loop.gain,
+        measured_gain=loop.slow_gain * loop.gain,
         slew_V_per_s=loop.slew_V_per_s if np.isfinite(loop.slew_V_per_s) else None,
         noise_rms=model.quality.noise_rms_m,
         noise_bandwidth_Hz=model.rig.sensor_bandwidth_Hz,
