@@ -7,23 +7,16 @@ Every seed is a stage of its own; a minute of one core for each.
 
 import argparse
 import json
-from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.outsiders import lateral, tips
 from benchmarks.outsiders.simulators import NAMES
+from benchmarks.outsiders.tasks import judged
 
 
 def _seeds(text: str) -> list[int]:
     first, _, last = text.partition("-")
     return list(range(int(first), int(last or first) + 1)) if text else []
-
-
-def _one(task: tuple[str, str, int]) -> dict:
-    kind, name, seed = task
-    judged = (lateral if kind == "stage" else tips).judge(name, seed)
-    return {"kind": kind, **asdict(judged)}
 
 
 def main() -> None:
@@ -41,7 +34,7 @@ def main() -> None:
     asked.out.parent.mkdir(parents=True, exist_ok=True)
     rows = []
     with get_context("spawn").Pool(asked.processes) as pool, asked.out.open("w") as file:
-        for found in pool.imap(_one, tasks):
+        for found in pool.imap(judged, tasks):
             rows.append(found)
             file.write(json.dumps(found) + "\n")
             file.flush()

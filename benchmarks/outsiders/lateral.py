@@ -1,6 +1,6 @@
 """Stages of an outsider: recordings to a controller, then that controller on the stage."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -218,8 +218,3 @@ def _within(rng: np.random.Generator, slew_m_per_s: float, reach_m: float) -> Ar
     for k in range(1, ticks):
         path[k] = path[k - 1] + np.clip(targets[k] - path[k - 1], -step, step)
     return path
-
-
-def row(result: StageResult) -> dict:
-    """Return the result as JSON takes it."""
-    return asdict(result)
