@@ -300,8 +300,11 @@ def _is_copy(one: Recording, other: Recording) -> bool:
         if _rms(drives[0] - drives[1]) > _SAME_DRIVE:
             return False
     displacement_m = one.displacement_m(one.axis)
-    spread_m = float(displacement_m.std())
-    if not spread_m > 0:
+    spread_m, other_m = float(displacement_m.std()), float(other.displacement_m(one.axis).std())
+    if not (spread_m > 0 and other_m > 0):
+        return False
+    decades = np.log10(spread_m / other_m)  # a unit that was told wrong is whole powers of ten
+    if abs(decades - np.round(decades)) > _SAME_DRIVE:
         return False
     responses = [_standard(r.displacement_m(one.axis)) for r in (one, other)]
     return _rms(responses[0] - responses[1]) <= _COPY * noise_rms(displacement_m) / spread_m

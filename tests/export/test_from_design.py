@@ -144,7 +144,12 @@ def design(gain=GAIN_m_per_V, **others):
         )
         for method, form in forms.items()
     ]
-    asked = SimpleNamespace(voltage_min_V=0.0, voltage_max_V=10.0, voltage_step_V=10 / 65536)
+    asked = SimpleNamespace(
+        voltage_min_V=0.0,
+        voltage_max_V=10.0,
+        voltage_step_V=10 / 65536,
+        voltage_slew_V_per_s=None,
+    )
     return SimpleNamespace(axis="x", specification=asked, loops=loops, recommended=loops[0])
 
 

@@ -49,7 +49,9 @@ def axis_with(*extensions):
 
 
 def plant_with(*extensions):
-    return lateral_plant(axis_with(*extensions), sampling_rate_Hz=RATE_Hz)
+    """The plant of such an axis, de-poled as the controller takes it to be."""
+    plant = lateral_plant(axis_with(*extensions), sampling_rate_Hz=RATE_Hz)
+    return replace(plant, response=replace(plant.response, history_V=()))
 
 
 def hold(samples=6000, height_m=1.5e-5):

@@ -29,16 +29,6 @@ UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody sh
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
 
 
-def reason_in_fit(
-    pieces: Sequence[Piece],
-    choice: Choice,
-    settings: Settings,
-    progress: Callable[[str], None] = lambda _: None,
-) -> str:
-    """Return why the best fit is not to be believed, or an empty text."""
-    return _only_lag(pieces, choice, settings, progress) or _unexplained(pieces, choice)
-
-
 def _loops(piece: Piece) -> tuple[Loop, ...]:
     rows = slice(piece.first, piece.last)
     drive = piece.drive[rows]
@@ -120,12 +110,13 @@ def widest_opening(pieces: Sequence[Piece]) -> float:
     return max((float(loop.opening.max()) for p in pieces for loop in _loops(p)), default=0.0)
 
 
-def _only_lag(
+def reason_of_lag(
     pieces: Sequence[Piece],
     choice: Choice,
     settings: Settings,
-    progress: Callable[[str], None],
+    progress: Callable[[str], None] = lambda _: None,
 ) -> str:
+    """Return that a lag alone does as well as the best fit of a wide loop, or an empty text."""
     widest = widest_opening(pieces)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     if widest < WIDE * height:
@@ -147,7 +138,8 @@ def _only_lag(
     return ""
 
 
-def _unexplained(pieces: Sequence[Piece], choice: Choice) -> str:
+def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
+    """Return that the best fit leaves more than anybody should use, or an empty text."""
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     share = choice.best.held_out_rms / height
     if share <= UNEXPLAINED:

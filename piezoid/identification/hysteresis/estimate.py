@@ -9,8 +9,9 @@ from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
     UNEXPLAINED,
     WIDE,
-    reason_in_fit,
     reason_in_loops,
+    reason_of_error,
+    reason_of_lag,
     widest_opening,
 )
 from piezoid.identification.hysteresis.certificate import certify
@@ -91,11 +92,12 @@ def estimate_axis(
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
-    against = against or reason_in_fit(ready.pieces, choice, choosing, progress)
+    against = against or reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
+    against = against or only_lag or reason_of_error(ready.pieces, choice)
     progress("final fit")
     fitted = _final(ready, choice)
-    found = _axis_model(recordings, axis, rig, ready, choice, fitted, only_lag or against)
+    found = _axis_model(recordings, axis, rig, ready, choice, fitted, against)
     return replace(found, quality=replace(found.quality, limits=limits))
 
 
