@@ -19,6 +19,7 @@ from piezoid_cli.calibration import calibrate
 COMPARED_Hz = (1.0, 5.0, 10.0, 20.0, 50.0)
 TURNS = 5.0
 RADIUS = 0.7
+LED_s = 0.4
 DIVERGED = 0.25  # of the diameter: what a loop that shipped may be off at most
 BOUND_RUNS = 60
 BOUND_s = 0.5
@@ -107,9 +108,17 @@ def _failed(found) -> str:
     return "; ".join(f"{v.name}, {v.scenario}" for v in made.verification.verdicts if not v.passed)
 
 
-def _reach(shipped: AxisParameters, rest_m: float) -> float:
-    ends = (shipped.values["reference_minimum_m"], shipped.values["reference_maximum_m"])
-    return min(abs(float(end) - rest_m) for end in ends)
+def _middle(shipped: AxisParameters) -> tuple[float, float]:
+    """Return the middle of the references and how far they go from it."""
+    low, high = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _led_to(middle_m: float, rest_m: float) -> Array:
+    """Return the way from rest to the middle, slowly, and a while there."""
+    ticks = round(LED_s * RATE_Hz)
+    way = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, ticks))
+    return np.concatenate([rest_m + (middle_m - rest_m) * way, np.full(ticks // 2, middle_m)])
 
 
 def _driven(made: Simulator, seed: int, shipped: AxisParameters, own: list) -> dict:
@@ -138,26 +147,25 @@ def _spiral(
     made: Simulator, seed: int, axis: AxisParameters, path, f: float
 ) -> tuple[Tracking, float]:
     ahead = int(axis.values["preview_samples"])
-    kept = {}
+    middle_m, reach_m = _middle(axis)
+    radius_m = RADIUS * reach_m
+    led = round(1.5 * LED_s * RATE_Hz)
 
     def wanted(rest_m: float) -> Array:
-        radius_m = RADIUS * _reach(axis, rest_m)
-        kept["radius"], kept["rest"] = radius_m, rest_m
-        return (
-            rest_m + radius_m * path.x[np.minimum(np.arange(len(path.x)) + ahead, len(path.x) - 1)]
-        )
+        later = np.minimum(np.arange(len(path.x)) + ahead, len(path.x) - 1)
+        return np.concatenate([_led_to(middle_m, rest_m), middle_m + radius_m * path.x[later]])
 
     run = track(made, seed, 7, axis.values, None, wanted)
-    position = np.concatenate([[kept["rest"]], run.position[:-1]]) - kept["rest"]
+    position = run.position[led - 1 : led - 1 + len(path.x)] - middle_m
     found = compared(
-        {"x": kept["radius"] * path.x},
+        {"x": radius_m * path.x},
         {"x": position},
         path=path,
-        radius_m=kept["radius"],
+        radius_m=radius_m,
         frequency_Hz=f,
         sampling_rate_Hz=RATE_Hz,
     )
-    return found, kept["radius"]
+    return found, radius_m
 
 
 def _bound(made: Simulator, seed: int, shipped: AxisParameters, certificate: dict | None) -> dict:
@@ -175,7 +183,10 @@ def _bound(made: Simulator, seed: int, shipped: AxisParameters, certificate: dic
         kept: dict[str, Array] = {}
 
         def wanted(rest_m: float, kept=kept) -> Array:
-            kept["wanted"] = rest_m + _within(rng, slew, 0.95 * _reach(shipped, rest_m))
+            middle_m, reach_m = _middle(shipped)
+            led = _slewed(_led_to(middle_m, rest_m), slew)
+            asked = middle_m + _within(rng, slew, 0.95 * reach_m)
+            kept["wanted"] = np.concatenate([led, asked])
             return kept["wanted"]
 
         run = track(made, seed, 100 + number, shipped.values, None, wanted)
@@ -214,7 +225,14 @@ def _within(rng: np.random.Generator, slew_m_per_s: float, reach_m: float) -> Ar
         targets = (
             far / 5.0 * np.sin(2.0 * np.pi * np.outer(t, f) + rng.uniform(0, 6, 5)).sum(axis=1)
         )
-    step, path = slew_m_per_s / RATE_Hz, np.zeros(ticks)
-    for k in range(1, ticks):
-        path[k] = path[k - 1] + np.clip(targets[k] - path[k - 1], -step, step)
+    return _slewed(targets, slew_m_per_s, 0.0)
+
+
+def _slewed(targets: Array, slew_m_per_s: float, first: float | None = None) -> Array:
+    """Return a way that follows its targets as fast as it may."""
+    step, path = slew_m_per_s / RATE_Hz, np.empty(len(targets))
+    at = float(targets[0]) if first is None else first
+    for k, target in enumerate(targets.tolist()):
+        at += min(max(target - at, -step), step)
+        path[k] = at
     return path

@@ -11,6 +11,7 @@ from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
+from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
@@ -214,8 +215,37 @@ def test_the_default_design_holds_over_its_family_and_comes_back() -> None:
 
 def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:
     asked = Asked(text="[x]\nbandwidth_Hz = 4000\n")
+    known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
     with pytest.raises(TemplateError, match="Ask for bandwidth_Hz"):
-        design_stage(stage(), model_digest=DIGEST, asked=asked, forms=("inverse",))
+        design_stage(
+            stage(axes={"x": known}), model_digest=DIGEST, asked=asked, forms=("inverse",)
+        )
+
+
+def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop() -> None:
+    """A first mode of quality 60 at 200 Hz or above, which nobody excluded, does no harm."""
+    found = design_stage(stage(), model_digest=DIGEST, forms=("inverse",))
+    recommended = found.axes[0].recommended
+    nominal = recommended.members[0]
+    s = 2j * np.pi * np.geomspace(1.0, 9e3, 4000)
+    z = np.exp(s / RATE_Hz)
+    for mode_Hz in (200.0, 300.0, 640.0, 1500.0):
+        w = 2.0 * np.pi * mode_Hz
+        peak = np.abs(w**2 / (s**2 + s * w / 60.0 + w**2))
+        loop = np.abs(
+            np.polyval(nominal.B[::-1], 1.0 / z)
+            / np.polyval(nominal.A[::-1], 1.0 / z)
+            * np.polyval(recommended.R[::-1], 1.0 / z)
+            / np.polyval(recommended.S[::-1], 1.0 / z)
+        )
+        beyond = np.abs(s) > 0.9 * w
+        assert (loop * peak)[beyond].max() < 1.0
+
+
+def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
+    known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
+    slow, fast = (lateral_task(axis, RATE_Hz).specification for axis in (rigged(), known))
+    assert slow.bandwidth_Hz < 5.0 < 100.0 < fast.bandwidth_Hz
 
 
 def test_an_axis_whose_limits_nothing_meets_keeps_no_other_back() -> None:

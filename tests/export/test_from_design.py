@@ -182,7 +182,9 @@ def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
 @pytest.mark.parametrize("polarity", [1, -1])
 def test_the_exported_inverse_is_the_models_own(polarity):
     axis = lateral_axis(model(polarity), design(polarity * GAIN_m_per_V))
-    controller = Controller(axis.for_method("mpi").with_values({"lsb_V": 0.0}).values)
+    controller = Controller(
+        axis.for_method("mpi").with_values({"lsb_V": 0.0, "reference_step_m": 0.0}).values
+    )
     operator = model().hysteresis
     u = np.r_[np.linspace(5, 9, 20), np.linspace(9, 1, 40), np.linspace(1, 6, 25)]
     moved, _ = operator.run(u, operator.virgin_memory())
@@ -206,7 +208,12 @@ def test_the_tip_axis_carries_its_guards_and_its_polynomials():
         reference=path(),
         members=(design_plant(),),
     )
-    asked = SimpleNamespace(voltage_min_V=-10.0, voltage_max_V=10.0, voltage_step_V=20 / 65536)
+    asked = SimpleNamespace(
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        voltage_step_V=20 / 65536,
+        voltage_slew_V_per_s=None,
+    )
     vertical = SimpleNamespace(axis="z", specification=asked, loops=[loop], recommended=loop)
     axis = tunnelling_axis(vertical, GUARDS, {"voltage_step_V": 0.01})
     assert axis.method == "rst"
