@@ -73,12 +73,18 @@ def quasi_static(
 
 
 def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:
-    """Return by which part of its rms a mode changes a recorded drive, steps of delay aside."""
+    """Return by which part of its rms the strongest mode that is resolved changes a drive.
+
+    What a linear fit makes of hysteresis at low frequency is no mode, and changes nothing here.
+    """
     drive = recording.voltage_V(axis)
     level = drive - drive.mean()
     frequency_Hz = np.fft.rfftfreq(len(level), 1.0 / recording.sampling_rate_Hz)
-    relative = dynamics.response(frequency_Hz)[:, 0, 0] / dynamics.static_gain_m_per_V[0, 0]
-    change = np.abs(relative) - 1.0
+    peak = np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]) / dynamics.mode_damping
+    strongest = int(np.where(resolved_modes(dynamics), peak, -1.0).argmax())
+    x = frequency_Hz / dynamics.mode_frequency_Hz[strongest]
+    damping = dynamics.mode_damping[strongest]
+    change = np.abs(1.0 / (1.0 - x**2 + 2j * damping * x)) - 1.0
     power = np.abs(np.fft.rfft(level * np.hanning(len(level)))) ** 2
     return float(np.sqrt((change**2 * power).sum() / max(power.sum(), 1e-300)))
 
