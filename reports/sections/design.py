@@ -41,7 +41,7 @@ def render(page: Page) -> Section | None:
         return None
     parts: list[Part] = []
     for axis in () if page.design is None else page.design.axes:
-        parts += _axis(axis)
+        parts += [*_axis(axis), *_proven(axis.recommended, is_verified=_ships(page, axis))]
         parts += _assumed(page, axis)
     for remark in () if page.design is None else page.design.remarks:
         parts.append(Prose(text=f"Not designed: {remark}", tone="middling"))
@@ -70,8 +70,13 @@ def _axis(axis: AxisDesign) -> list[Part]:
         _margins(axis, loop),
         _rejections(axis, loop),
         _loops(axis),
-        *_proven(loop),
     ]
+
+
+def _ships(page: Page, axis: AxisDesign) -> bool:
+    """Tell whether the axis is among those whose own verification passed."""
+    found = page.verification
+    return found is not None and found.passed and axis.axis in found.methods
 
 
 def _assumed(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
@@ -210,7 +215,7 @@ def _told_figure(axis: AxisDesign, figure: float) -> str:
     return told(figure, "m") if axis.output_unit == "m" else significant(figure)
 
 
-def _proven(loop: LoopDesign) -> tuple[Part, ...]:
+def _proven(loop: LoopDesign, *, is_verified: bool) -> tuple[Part, ...]:
     proven = loop.certificate
     if loop.method == "rst":
         return ()  # regulates a current, behind no hysteresis that a model knows
@@ -230,12 +235,21 @@ def _proven(loop: LoopDesign) -> tuple[Part, ...]:
                 tone="bad",
             ),
         )
+    if not is_verified:
+        return (
+            Prose(
+                text=f"Small gain is {significant(proven.small_gain)}, below 1. A bound of the "
+                "error is told of a loop that has passed its own verification; this one has not.",
+                tone="middling",
+            ),
+        )
     text = (
         f"Small gain is {significant(proven.small_gain)}, below 1: hysteresis cannot destabilise "
         f"the loop. The error against the delayed reference never exceeds "
         f"{told(proven.guaranteed_error_m, 'm')}: {told(proven.hysteresis_error_m, 'm')} from "
         f"hysteresis, {told(proven.reference_error_m, 'm')} from the reference, "
-        f"{told(proven.converter_error_m, 'm')} from the converter. Sensor noise adds "
+        f"{told(proven.converter_error_m, 'm')} from the converter, "
+        f"{told(proven.disturbance_error_m, 'm')} from what acts beside them. Sensor noise adds "
         f"{told(proven.noise_error_m, 'm')} (three standard deviations). On these conditions:"
     )
     return Prose(text=text, tone="good"), Listing(items=proven.conditions)
