@@ -76,16 +76,6 @@ class LoopModel:
         late = [e for e in self.effects if e.activation_s > 0.0]
         return (late[0].activation_s, late[0].activation_m) if late else (0.0, 0.0)
 
-    @property
-    def motion_m(self) -> float:
-        """Half the range of motion that the drive does not cause."""
-        return sum(effect.motion_m for effect in self.effects)
-
-    def response(self, frequency_Hz: Array) -> Array:
-        """Return the complex response of all that is quick, gain 1 at rest, (lines,)."""
-        quick = cascade(self.front, self.behind, self.sensor).response(frequency_Hz)[:, 0, 0]
-        return np.asarray(quick * np.exp(-2j * np.pi * np.asarray(frequency_Hz) * self.delay_s))
-
 
 def loop_model(axis: AxisModel, rate_Hz: float) -> LoopModel:
     """Return an axis as a loop of this sampling rate feels it.

@@ -98,11 +98,15 @@ def _lateral(
     fault: Array | None = None,
 ) -> dict[str, LoopRecord]:
     runs = []
-    for name, reference in _references(bench, path).items():
+    others = (path.y, path.x)  # what another axis is driven by, for motion that follows it
+    for place, (name, reference) in enumerate(_references(bench, path).items()):
         axis = bench.file.axis(name)
         chosen = axis if method is None else axis.for_method(method)
         plant = (plants or bench.plants)[name]
-        runs.append(Run(axis=chosen, plant=plant, reference=reference, fault=fault))
+        moved_m = plant.motion_m(len(reference), others[place % 2]) if plant.motions else None
+        runs.append(
+            Run(axis=chosen, plant=plant, reference=reference, disturbance=moved_m, fault=fault)
+        )
     return bench.run(runs)
 
 

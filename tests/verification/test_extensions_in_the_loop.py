@@ -11,6 +11,7 @@ from piezoid.identification.extensions import (
     AmplifierLimits,
     ConverterHold,
     CreepLadder,
+    CrossAxis,
     Delay,
     FirstOrderLag,
     GainChange,
@@ -28,9 +29,11 @@ from piezoid.runtime.values import complete
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.loop_plant import SUBSTEPS
 from piezoid.verification.plant import lateral_plant
+from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.verify import verify
 from tests.identification.extensions.samples import one_of_each
 from tests.verification.known_fit import fitted, shipped
-from tests.verification.rig import RATE_Hz, lateral_parameters, operator
+from tests.verification.rig import RATE_Hz, lateral_parameters, operator, stage
 
 CREEP = CreepLadder(time_s=(0.01, 0.1, 1.0), share=(0.01, 0.02, 0.03))
 
@@ -182,3 +185,20 @@ def test_of_a_long_ladder_the_largest_shares_ship():
     np.testing.assert_allclose(values["relaxation_share"], 0.01)
     assert (np.diff(values["relaxation_rate"]) < 0.0).all()
     assert creep_values(axis_with(), RATE_Hz) == {}
+
+
+def test_what_another_axis_adds_is_in_the_figures_of_the_verification():
+    """A micron to and fro, which only feedback takes away."""
+    coupled = CrossAxis(
+        axis="y", centre_V=5.0, reach_V=4.0, gain_m_per_V=2.5e-7, curvature_m_per_V_per_V=0.0
+    )
+    within = {"reference_minimum_m": -7e-6, "reference_maximum_m": 1.1e-5}
+    file = replace(stage("x"), axes=(shipped("mpi").with_values(within),))
+    slow = tuple(s for s in SCENARIOS if s.name == "spiral, 1 Hz")
+    known = fitted()["x"]
+    rms_m = []
+    for axis in (known, replace(known, extensions=(coupled,))):
+        plant = lateral_plant(axis, sampling_rate_Hz=RATE_Hz)
+        (row,) = verify(file, [plant], scenarios=slow).comparison
+        rms_m.append(row.rms_m)
+    assert rms_m[1] > rms_m[0] + 1e-7
