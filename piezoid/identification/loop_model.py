@@ -190,9 +190,9 @@ def _of_dynamics(
 ) -> tuple[ContinuousSystem, float, float]:
     """Return identified dynamics in front of the sensor, gain 1 at rest, their delay, and gain.
 
-    A lag far below the mode that carries the motion is none of its sections: a small drive that
-    ends slowly shows more hysteresis than a quick one. Its share widens the interval of the gain;
-    the last of the three is the gain without it.
+    A lag far below the mode that carries the motion is none of its sections: it is what a linear
+    fit makes of hysteresis, and often lies below the band. The gain, the last of the three, is
+    that of all else, as measured with a small quick drive, over the middle of the slope sector.
     """
     declared = tuple(
         known
@@ -200,7 +200,8 @@ def _of_dynamics(
         if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
     path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
-    apart = _is_drawn(path)
+    middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
+    apart = _is_drawn(path, middle)
     quick = replace(
         path,
         lag_frequency_Hz=path.lag_frequency_Hz[~apart],
@@ -217,13 +218,16 @@ def _of_dynamics(
         and not _is_known(dynamics, extension)
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
-    share = at_once / float(path.static_gain_m_per_V[0, 0])
-    return cascade(scaled, *further), known.delay_s, share
+    return cascade(scaled, *further), known.delay_s, abs(at_once) / middle
 
 
-def _is_drawn(path: LinearDynamics) -> NDArray[np.bool_]:
-    """Tell which lags of one path lie far below the modes that carry most of the motion."""
-    carried = float(path.mode_gain_m_per_V.sum() / path.static_gain_m_per_V[0, 0])
+def _is_drawn(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
+    """Tell which lags of one path lie far below the modes that carry most of the motion.
+
+    Most of the motion is that of the hysteresis: the gain at rest of linear dynamics lies below
+    their band, where a lag may make anything of it.
+    """
+    carried = abs(float(path.mode_gain_m_per_V.sum())) / middle_m_per_V
     if not len(path.mode_frequency_Hz) or carried < CARRIES:
         return np.zeros(len(path.lag_frequency_Hz), dtype=np.bool_)
     return np.asarray(path.lag_frequency_Hz < FAR_BELOW * path.mode_frequency_Hz.min())
