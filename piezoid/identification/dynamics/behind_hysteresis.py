@@ -17,7 +17,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
 
 BROAD_dB = -40.0  # of the strongest band: weaker ones are leakage and harmonics of slow drives
-BROAD_DECADES = 1.5  # between harmonics of a triangle there are empty bands
+BROAD_DECADES = 1.25  # between harmonics of a triangle there are empty bands; chirps have 1.3
 HIGHEST_Hz = 50.0  # a drive that ends below shows hysteresis and creep, not dynamics
 BANDS_PER_DECADE = 6
 WINDOWS = 5  # a segment is at most this part of the recording: nine half-overlapping windows
@@ -28,7 +28,7 @@ def excites_dynamics(
 ) -> tuple[tuple[Recording, float], ...]:
     """Return the recordings whose drive is broad and fast, with the highest frequency in it.
 
-    Broad means: neighbouring sixths of a decade, together at least one and a half decades, hold
+    Broad means: neighbouring sixths of a decade, together at least one and a quarter decades, hold
     power densities within 40 dB; fast, that they reach 50 Hz.
     """
     both = [r for r in recordings if _has_both(r, axis)]
