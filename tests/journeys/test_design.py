@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from piezoid.design.design import design_from_json
 from piezoid.errors import DesignError, ParameterFileError, TemplateError
+from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
 from piezoid_cli.design import design
@@ -21,7 +22,11 @@ APP = typer.Typer()
 APP.command()(design)
 MODEL = replace(
     stage_model(
-        replace(axis_model(), rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3))
+        replace(
+            axis_model(),
+            rig=Rig(amplifier_bandwidth_Hz=4e3, sensor_bandwidth_Hz=8.5e3),
+            bandwidth=unseen(12e3, "nothing was recorded"),  # of the data sheet
+        )
     ),
     controller_rate_Hz=20e3,
 )

@@ -88,13 +88,13 @@ def estimate_axis(
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
     ready = _prepare(recordings, axis, rig, progress)
-    choosing, tried, against = _choosing(ready, orders)
+    choosing, tried, in_loops = _choosing(ready, orders)
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
-    against = against or reason_of_lag(ready.pieces, choice, choosing, progress)
+    lag = "" if in_loops else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
-    against = against or only_lag or reason_of_error(ready.pieces, choice)
+    against = lag or only_lag or in_loops or reason_of_error(ready.pieces, choice)
     progress("final fit")
     fitted = _final(ready, choice)
     found = _axis_model(recordings, axis, rig, ready, choice, fitted, against)
