@@ -12,7 +12,7 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
 from piezoid.verification.loop_library import Kept, LoopRun, loop_library
-from piezoid.verification.loop_plant import begun_plant
+from piezoid.verification.loop_plant import begun_plant, rest_position
 from piezoid.verification.plant import AxisPlant, Junction
 
 
@@ -75,7 +75,7 @@ def run_axis(
     kept = Kept()
     begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
     controller = Controller(parameters.values, precision=precision)
-    controller.start(plant.rest_voltage_V, _reading(plant, begun.w))
+    controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     inputs = {

@@ -47,9 +47,13 @@ class _Block:
         self.x[:] = np.linalg.solve(np.eye(len(self.A)) - self.A, self.B * w)
 
 
-def rest_position(plant: AxisPlant) -> float:
-    """Return where the axis stands at rest: m, or A of a junction."""
-    return float(begun_plant(plant, Kept(), 0.0).w)
+def rest_position(plant: AxisPlant, begun: LoopPlant | None = None) -> float:
+    """Return where the axis stands at rest: m, or A of a junction.
+
+    begun  the plant where it has begun already, with what disturbs it at the first sample
+    """
+    begun = begun or begun_plant(plant, Kept(), 0.0)
+    return float(begun.w) * (1.0 if plant.measured is None else plant.measured_gain)
 
 
 def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:

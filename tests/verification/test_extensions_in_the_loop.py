@@ -27,13 +27,13 @@ from piezoid.operators.limits import slewed
 from piezoid.runtime.schema import MAX_RELAXATIONS
 from piezoid.runtime.values import complete
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import SUBSTEPS
+from piezoid.verification.loop_plant import SUBSTEPS, rest_position
 from piezoid.verification.plant import lateral_plant
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.verify import verify
 from tests.identification.extensions.samples import one_of_each
 from tests.verification.known_fit import fitted, shipped
-from tests.verification.rig import RATE_Hz, lateral_parameters, operator, stage
+from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral_parameters, operator, stage
 
 CREEP = CreepLadder(time_s=(0.01, 0.1, 1.0), share=(0.01, 0.02, 0.03))
 
@@ -59,6 +59,18 @@ def plant_with(*extensions):
 
 def hold(samples=6000, height_m=1.5e-5):
     return height_m * (np.arange(samples) > 200)
+
+
+@pytest.mark.parametrize("method", ["none", "mpi", "mpi_dob"])
+def test_a_stage_that_crept_begins_where_it_rests(method, rng):
+    """What its creep adds at rest is in the first reading; nothing is left to be corrected."""
+    plant = plant_with(replace(CREEP, share=tuple(10.0 * s for s in CREEP.share)))
+    plant = replace(plant, response=replace(plant.response, history_V=(8.0, -3.0)))
+    still = np.full(400, rest_position(plant))
+    found = run_axis(plant, lateral_parameters().for_method(method), still, rng=rng)
+    lsb_m = 1.1 * GAIN_m_per_V * 20 / 65536
+    assert abs(still[0]) > 100 * lsb_m
+    assert np.abs(found.position - still).max() < 2 * lsb_m
 
 
 @pytest.mark.parametrize(
