@@ -143,9 +143,18 @@ def _loop_values(loop: LoopDesign) -> Given:
         )
     return {
         "method": loop.method,
+        "certified_step_m": _certified_step_m(loop),
         **observer_values(loop.observer),
         **reference_values(loop.reference),
     }
+
+
+def _certified_step_m(loop: LoopDesign) -> float:
+    """Return the reference's fastest change in a sample for which the error is bounded, or 0."""
+    found = loop.certificate
+    if found is None or not found.is_guaranteed:
+        return 0.0
+    return found.reference_slew_m_per_s / loop.members[0].sampling_rate_Hz
 
 
 def _same_direction(model: AxisModel, design: AxisDesign) -> None:

@@ -34,6 +34,7 @@ class Status(IntFlag):
     WRONG_SIGN = 8192
     LATCHED = 16384
     BLIND = 32768
+    UNCERTIFIED = 65536
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

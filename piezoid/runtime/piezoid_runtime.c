@@ -282,6 +282,7 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_REFERENCE_MINIMUM] = REAL(reference_minimum_m, -1e3, 1e3),
     [PZ_REFERENCE_MAXIMUM] = REAL(reference_maximum_m, -1e3, 1e3),
     [PZ_REFERENCE_STEP] = REAL(reference_step_m, 0, 1e4),
+    [PZ_CERTIFIED_STEP] = REAL(certified_step_m, 0, 1e4),
     [PZ_DISPLACEMENT_MINIMUM] = REAL(displacement_minimum_m, -1e3, 1e3),
     [PZ_DISPLACEMENT_MAXIMUM] = REAL(displacement_maximum_m, -1e3, 1e3),
     [PZ_STUCK_VOLTAGE] = REAL(stuck_voltage_V, 0, 1e5),
@@ -729,6 +730,9 @@ static pz_real take_reference(pz_state *s, const pz_parameters *p, pz_real refer
     }
     if (kept < reference || kept > reference) {
         s->status |= PZ_STATUS_REFERENCE_LIMITED;
+    }
+    if (p->certified_step_m > ZERO && magnitude(kept - s->reference_m) > p->certified_step_m) {
+        s->status |= PZ_STATUS_UNCERTIFIED;
     }
     s->reference_m = kept;
     return filter(p->reference_section, p->reference_section_count, s->reference_filter,

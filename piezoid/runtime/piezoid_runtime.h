@@ -112,6 +112,7 @@ typedef struct {
     pz_real reference_minimum_m;    /* references below are raised to this */
     pz_real reference_maximum_m;    /* references above are lowered to this */
     pz_real reference_step_m;       /* largest change of the reference in a sample; 0: any */
+    pz_real certified_step_m;       /* largest change for which the bound holds; 0: no bound */
     pz_real displacement_minimum_m; /* measurements below are raised to this */
     pz_real displacement_maximum_m; /* measurements above are lowered to this */
     pz_real stuck_voltage_V;        /* a sensor that ignores such a change may be stuck */
@@ -193,6 +194,7 @@ enum {
     PZ_REFERENCE_MINIMUM,
     PZ_REFERENCE_MAXIMUM,
     PZ_REFERENCE_STEP,
+    PZ_CERTIFIED_STEP,
     PZ_DISPLACEMENT_MINIMUM,
     PZ_DISPLACEMENT_MAXIMUM,
     PZ_STUCK_VOLTAGE,
@@ -250,7 +252,8 @@ enum {
     PZ_STATUS_NO_CURRENT = 4096,       /* Z: none where the search or the drive ends */
     PZ_STATUS_WRONG_SIGN = 8192,       /* Z: the current flows the wrong way */
     PZ_STATUS_LATCHED = 16384,         /* waits for pz_reset; Z: the bits of the cause are set */
-    PZ_STATUS_BLIND = 32768            /* X, Y: held, no usable measurement for blind_samples */
+    PZ_STATUS_BLIND = 32768,           /* X, Y: held, no usable measurement for blind_samples */
+    PZ_STATUS_UNCERTIFIED = 65536      /* X, Y: the reference is faster than its error bound's */
 };
 
 /* Everything that changes from one sample to the next. One per axis. Read it, never write it. */
@@ -295,7 +298,7 @@ typedef struct {
 /* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
 #define PZ_INTEGERS 24
 #define PZ_REALS                                                                                  \
-    (14 + 3 * PZ_MAX_PLAYS + 4 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
+    (15 + 3 * PZ_MAX_PLAYS + 4 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
      PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 11 + 4 * PZ_MAX_TAPS)
 typedef char pz_parameters_have_no_holes
     [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];

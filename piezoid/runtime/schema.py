@@ -140,6 +140,7 @@ _SIGNALS = (
     _real("reference_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest reference followed"),
     _real("reference_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest reference followed"),
     _real("reference_step_m", "m", 0, 1e4, "largest change of the reference in a sample; 0: any"),
+    _real("certified_step_m", "m", 0, 1e4, "fastest reference the bound holds for; 0: no bound"),
     _real("displacement_minimum_m", "m", -NO_BOUND_m, NO_BOUND_m, "lowest measurement believed"),
     _real("displacement_maximum_m", "m", -NO_BOUND_m, NO_BOUND_m, "highest measurement believed"),
     _real("stuck_voltage_V", "V", 0, 1e5, "a sensor that ignores such a change may be stuck"),

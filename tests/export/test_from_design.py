@@ -132,7 +132,7 @@ def path():
     )
 
 
-def design(gain=GAIN_m_per_V, **others):
+def design(gain=GAIN_m_per_V, certificate=None, **others):
     forms = {"mpi_dob": "inverse", "dob": "affine"}
     loops = [
         SimpleNamespace(
@@ -140,6 +140,7 @@ def design(gain=GAIN_m_per_V, **others):
             observer=placed(gain=gain, form=form),
             reference=path(),
             members=(design_plant(gain),),
+            certificate=certificate,
             **others,
         )
         for method, form in forms.items()
@@ -177,6 +178,15 @@ def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
     assert high - low == pytest.approx(10 * GAIN_m_per_V, rel=0.2)
     file = ParameterFile(name="stage", axes=(axis,))
     assert to_json(from_json(to_json(file), "params.json")) == to_json(file)
+
+
+def test_the_runtime_is_told_up_to_which_speed_the_error_is_bounded():
+    def shipped(is_guaranteed):
+        found = SimpleNamespace(is_guaranteed=is_guaranteed, reference_slew_m_per_s=2e-3)
+        return lateral_axis(model(), design(certificate=found)).values["certified_step_m"]
+
+    assert shipped(True) == pytest.approx(2e-3 / RATE_Hz)
+    assert shipped(False) == 0.0
 
 
 @pytest.mark.parametrize("polarity", [1, -1])

@@ -158,3 +158,12 @@ def test_slow_creep_does_not_stand_still_in_single_precision():
         crept.append(1.0 - 0.5 * volts)
     assert crept[0] == pytest.approx(0.5 / 1.5, rel=1e-3)
     assert crept[1] == pytest.approx(crept[0], rel=1e-5)
+
+
+def test_a_reference_faster_than_the_bound_allows_is_told_and_followed():
+    given = static(reference_minimum_m=-1.0, reference_maximum_m=1.0, certified_step_m=0.1)
+    run = started(given).run(np.array([0.05, 0.14, 0.4, 0.4, 0.31, 0.1]), np.zeros(6))
+    assert run.voltage_V * 0.5 == pytest.approx([0.05, 0.14, 0.4, 0.4, 0.31, 0.1])
+    assert list(run.status) == [0, 0, Status.UNCERTIFIED, 0, 0, Status.UNCERTIFIED]
+    free = started({**given, "certified_step_m": 0.0}).run(np.array([0.5]), np.zeros(1))
+    assert list(free.status) == [0]
