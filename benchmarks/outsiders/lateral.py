@@ -184,9 +184,9 @@ def _bound(made: Simulator, seed: int, shipped: AxisParameters, certificate: dic
 
         def wanted(rest_m: float, kept=kept) -> Array:
             middle_m, reach_m = _middle(shipped)
-            led = _slewed(_led_to(middle_m, rest_m), slew)
             asked = middle_m + _within(rng, slew, 0.95 * reach_m)
-            kept["wanted"] = np.concatenate([led, asked])
+            way = np.concatenate([_led_to(middle_m, rest_m), asked])
+            kept["wanted"] = _slewed(way, slew, rest_m)
             return kept["wanted"]
 
         run = track(made, seed, 100 + number, shipped.values, None, wanted)
