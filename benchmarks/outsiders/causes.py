@@ -1,0 +1,186 @@
+"""Hidden effects of an outsider: what the diagnosis names, and what it says of the rest.
+
+    python -m benchmarks.outsiders.causes [--first 1000] [--size 1.0] [--healthy 20] [--kinds a,b]
+
+One stage for every kind of effect, those in no catalogue among them, and some healthy ones. A name
+is right where it is the hidden effect's, or one that the simulator's author called a fair answer
+before anything was run.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+from benchmarks.outsiders.cedar import campaigns
+
+FAIR = {
+    "range_hard": {"amplifier_saturation"},
+    "range_soft": {"amplifier_saturation"},
+    "adc_missing_codes": {"quantisation"},
+    "mux_glitch": {"outliers"},
+    "dac_glitch": {"outliers"},
+    "aircon": {"thermal_drift"},
+    "slow_walk": {"thermal_drift"},
+    "thyristor_spike": {"mains_interference"},
+}
+ELSE = "something_else"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CauseResult:
+    """What was said of one stage.
+
+    kind         hidden; "": a healthy stage
+    is_listed    whether the catalogue has it
+    times_noise  rms of the effect in the recording that shows it most
+    names        of all findings, largest gain first
+    coordinate   that something else was said to live in; "": nothing was
+    expected     coordinates that are right
+    left         of the noise, what the final model leaves
+    failed       what was said instead of a diagnosis
+    """
+
+    seed: int
+    kind: str
+    law: str
+    is_listed: bool
+    times_noise: float
+    names: tuple[str, ...] = ()
+    coordinate: str = ""
+    expected: tuple[str, ...] = ()
+    left: float = 0.0
+    failed: str = ""
+    seconds: float = 0.0
+
+    @property
+    def right(self) -> set[str]:
+        """Names that may be said of this stage."""
+        return {self.kind} if self.is_listed else FAIR.get(self.kind, set())
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names that were said and may not be."""
+        return [n for n in self.names if n not in self.right and n != ELSE]
+
+    @property
+    def is_found(self) -> bool:
+        """Whether the hidden effect was named, or placed where it lives."""
+        named = any(n in self.right for n in self.names)
+        return named if self.is_listed else named or self.coordinate in self.expected
+
+
+def judge(task: tuple[int, str, float]) -> CauseResult:
+    """Hide one effect and read diagnosis.json."""
+    seed, kind, size = task
+    begun = perf_counter()
+    with TemporaryDirectory() as scratch:
+        place = Path(scratch)
+        truth = campaigns.write(seed, (kind,) if kind else (), size, place)
+        shown = campaigns.kinds().get(kind, {"catalogue": None, "coordinate": None})
+        coordinates = shown["coordinate"] or ()
+        expected = (coordinates,) if isinstance(coordinates, str) else tuple(coordinates)
+        known = {
+            "seed": seed,
+            "kind": kind,
+            "law": str(truth["law"]),
+            "is_listed": shown["catalogue"] is not None,
+            "expected": expected,
+            "times_noise": _times_noise(truth),
+        }
+        found, failed = _diagnosed(place)
+    seconds = perf_counter() - begun
+    if found is None:
+        return CauseResult(**known, failed=failed, seconds=seconds)
+    rest = [f for f in found["findings"] if f["effect"] == ELSE]
+    return CauseResult(
+        **known,
+        names=tuple(f["effect"] for f in found["findings"]),
+        coordinate=str(rest[0].get("coordinate", "")) if rest else "",
+        left=found["final"]["held_out_rms_m"] / truth["noise_m"],
+        seconds=seconds,
+    )
+
+
+def _times_noise(truth: dict) -> float:
+    shown = [
+        r["rms_over_noise"] or 0.0 for e in truth["effects"] for r in e["by_recording"].values()
+    ]
+    return float(max(shown, default=0.0))
+
+
+def _diagnosed(place: Path) -> tuple[dict | None, str]:
+    out = place / "found"
+    verb = Path(sys.executable).with_name("piezoid")
+    files = sorted(place.glob("*.csv"))
+    asked = [verb, "diagnose", *files, "--lab", place / "lab.toml", "--out", out, "--quiet"]
+    done = subprocess.run([*map(str, asked), "--axis", "x"], capture_output=True, text=True)
+    held = out / "diagnosis.json"
+    if not held.exists():
+        return None, " ".join((done.stderr or done.stdout).split())[-300:]
+    return json.loads(held.read_bytes()), ""
+
+
+def table(rows: Sequence[CauseResult]) -> str:
+    """Return how many were found, how many names are right, and who was accused in vain."""
+    listed = [r for r in rows if r.is_listed]
+    others = [r for r in rows if r.kind and not r.is_listed]
+    healthy = [r for r in rows if not r.kind]
+    named = [n for r in listed for n in r.names]
+    wrong = sum(len(r.wrong) for r in listed)
+    return "\n".join(
+        (
+            f"in the catalogue: {sum(r.is_found for r in listed)} of {len(listed)} named, "
+            f"{len(named) - wrong} of {len(named)} names right",
+            f"in none: {sum(r.is_found for r in others)} of {len(others)} placed, "
+            f"{sum(bool(r.wrong) for r in others)} with a wrong name, "
+            f"{sum(not r.names and not r.failed for r in others)} unnoticed",
+            f"healthy: {sum(bool(r.names) for r in healthy)} of {len(healthy)} with a finding; "
+            f"refused: {sum(bool(r.failed) for r in rows)} of {len(rows)}",
+        )
+    )
+
+
+def _line(r: CauseResult) -> str:
+    said = ", ".join(r.names) or r.failed or "nothing"
+    where = f" [{r.coordinate}]" if r.coordinate else ""
+    mark = "+" if r.is_found else ("-" if r.kind else " ")
+    return (
+        f"{mark}{'!' if r.wrong else ' '} {r.seed} {r.kind or 'healthy'} ({r.law}), "
+        f"{r.times_noise:.1f} times the noise: {said}{where}; left {r.left:.2f}, {r.seconds:.0f} s"
+    )
+
+
+def main() -> None:
+    """Judge all kinds, print a line for each, then the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=1000)
+    parser.add_argument("--size", type=float, default=1.0)
+    parser.add_argument("--healthy", type=int, default=20)
+    parser.add_argument("--kinds", default=",".join(campaigns.kinds()))
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("build/outsiders/causes.jsonl"))
+    asked = parser.parse_args()
+    kinds = [k for k in asked.kinds.split(",") if k] + [""] * asked.healthy
+    tasks = [(asked.first + place, kind, asked.size) for place, kind in enumerate(kinds)]
+    asked.out.parent.mkdir(parents=True, exist_ok=True)
+    rows = []
+    pool = ProcessPoolExecutor(asked.processes, mp_context=get_context("spawn"))
+    with pool, asked.out.open("w") as file:
+        for found in pool.map(judge, tasks):
+            rows.append(found)
+            file.write(json.dumps(asdict(found)) + "\n")
+            file.flush()
+            print(_line(found), flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
