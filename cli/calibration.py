@@ -126,6 +126,7 @@ def finished(
         () if held is None else held.sweeps,
         made.design,
         made.reason,
+        responses=() if held is None else held.responses,
         diagnoses=stage.diagnoses,
         undiagnosed=stage.undiagnosed,
         verification=made.verification,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.response_lines import response_lines
 from piezoid_cli.terminal import hand_over, plain
 
 if TYPE_CHECKING:
@@ -72,6 +73,8 @@ def _parts(inspection: "Inspection") -> "list[RenderableType]":
         parts.append(_table(inspection.columns))
     if inspection.axis is not None:
         parts.append(plain(_clock_line(inspection)))
+    if inspection.response is not None:
+        parts += [plain(line) for line in response_lines(inspection)]
     parts += [
         plain(f"  {p.kind} ({_cut(p.place)}): {_cut(p.text)}", "yellow")
         for p in inspection.problems

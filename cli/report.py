@@ -69,6 +69,7 @@ def _recorded(
     held = collect(files, lab_of(stage, lab))
     read = [(one.name, one.digest) for one in held.recordings]
     read += [(one.name, one.digest) for one in held.sweeps]
+    read += [(one.name, one.digest) for one in held.responses]
     for name, digest in read:
         if model.sources.get(name) != digest:
             known = ", ".join(model.sources) or "none"
@@ -118,6 +119,7 @@ def _page(
         recorded.sweeps,
         design,
         "" if design else UNDESIGNED,
+        responses=recorded.responses,
         diagnoses=diagnoses,
         verification=verification,
         unshipped=unshipped,

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from piezoid.identification.model import ActuatorModel, AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid.records.collection import Collection
+    from piezoid.records.frequency_response import FrequencyResponseRecord
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Recording
     from piezoid.records.table import RawTable
@@ -24,6 +25,7 @@ class AxisJob:
 
     stage       without any axis
     recordings  that hold the axis, and no others
+    response    of the axis, where one was measured
     elsewhere   trials of the fit that somebody else makes
     threads     so many diagnose it; what they find does not depend on it
     """
@@ -32,6 +34,7 @@ class AxisJob:
     axis: str
     recordings: "Sequence[Recording]"
     lab: "Lab | None"
+    response: "FrequencyResponseRecord | None" = None
     elsewhere: "Elsewhere | None" = None
     threads: int = 1
 
@@ -98,11 +101,11 @@ def jobs_of(
 
     Raises what ``fit`` raises where there is nothing to fit.
     """
-    from piezoid.identification.fit import axes_of, recorded_of, unfitted
+    from piezoid.identification.fit import axes_of, recorded_of, response_of, unfitted
     from piezoid.identification.tunnelling.loop_files import is_loop
     from piezoid.records.lab import Lab
 
-    stage = unfitted(held.recordings, lab or Lab(), held.sweeps)
+    stage = unfitted(held.recordings, lab or Lab(), held.sweeps, held.responses)
     axes = axes_of(held.recordings)
     tip = TipJob(
         stage=stage,
@@ -117,6 +120,7 @@ def jobs_of(
             axis=axis,
             recordings=recorded_of(held.recordings, axis),
             lab=lab,
+            response=response_of(held.responses, axis, axes),
             threads=max(processes // len(axes), 1),
         )
         for axis in axes
@@ -156,12 +160,17 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
 
     elsewhere = job.elsewhere or (lambda _: None)
     model = fit_axis(
-        job.recordings, job.axis, job.lab or Lab(), elsewhere=elsewhere, progress=of_axis
+        job.recordings,
+        job.axis,
+        job.lab or Lab(),
+        response=job.response,
+        elsewhere=elsewhere,
+        progress=of_axis,
     )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
         of_axis("what follows from the diagnosis")
-        model = refined(diagnosis.model, job.recordings, job.lab or Lab())
+        model = refined(diagnosis.model, job.recordings, job.lab or Lab(), job.response)
     return AxisFound(
         model=model,
         diagnosis=diagnosis,

@@ -7,6 +7,7 @@ from typing import ClassVar
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -26,6 +27,7 @@ class Page:
     traces        measurement beside model, by axis, worst fitted first
     model_digest  of model.json; empty where the model is in no file
     sweeps        Z spectroscopies the junction was fitted to
+    responses     measured frequency responses the dynamics were found in
     design        controllers, where they were designed
     undesigned    why they were not, or empty
     diagnoses     of every axis that has one
@@ -42,6 +44,7 @@ class Page:
     traces: Mapping[str, tuple[Trace, ...]]
     model_digest: str
     sweeps: tuple[RawTable, ...] = ()
+    responses: tuple[FrequencyResponseRecord, ...] = ()
     design: Design | None = None
     undesigned: str = ""
     diagnoses: tuple[Diagnosis, ...] = ()

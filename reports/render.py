@@ -15,6 +15,7 @@ from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.model import ActuatorModel
 from piezoid.identification.store import write_model
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -44,6 +45,7 @@ def render(
     design: Design | None = None,
     undesigned: str = "",
     *,
+    responses: Sequence[FrequencyResponseRecord] = (),
     diagnoses: Sequence[Diagnosis] = (),
     undiagnosed: Sequence[str] = (),
     verification: Verification | None = None,
@@ -58,6 +60,7 @@ def render(
     sweeps      Z spectroscopies its junction was fitted to
     design      its controllers
     undesigned  why there are none
+    responses   measured frequency responses its dynamics were found in
     diagnoses   of its axes
     undiagnosed  why others have none
     verification  of what ships
@@ -71,6 +74,7 @@ def render(
         traces=all_traces(model, recordings),
         model_digest=_sealed(files) or _digest(model),
         sweeps=tuple(sweeps),
+        responses=tuple(responses),
         design=design,
         undesigned=undesigned,
         diagnoses=tuple(diagnoses),

@@ -17,6 +17,7 @@ from piezoid.identification.model import ActuatorModel, AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.comparison import STILL, copies, refuse_misfits, remarks_on_set
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
@@ -27,6 +28,7 @@ def fit(
     *,
     lab: Lab | None = None,
     sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActuatorModel:
     """Fit every axis that has a drive and a displacement, and the junction of a tunnelling tip.
@@ -34,31 +36,42 @@ def fit(
     recordings  of one stage, any number of axes; no two of one name
     lab         what the laboratory declares; its poles are not fitted again
     sweeps      Z spectroscopies: the current over the height
+    responses   measured frequency responses: the dynamics of their axes
     progress    told what is being done
 
     Raises ``RecordingError`` for two of one name, and ``ExcitationError`` where no recording has
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
     declared = lab or Lab()
-    stage = unfitted(recordings, declared, sweeps)
+    stage = unfitted(recordings, declared, sweeps, responses)
     progress("fitting the tunnelling current, where there is one")
     tunnelling = fit_junction(sweeps, recordings, declared)
     axes = {
-        axis: fit_axis(recordings, axis, declared, progress=partial(_of_axis, progress, axis))
+        axis: fit_axis(
+            recordings,
+            axis,
+            declared,
+            response=response_of(responses, axis, axes_of(recordings)),
+            progress=partial(_of_axis, progress, axis),
+        )
         for axis in axes_of(recordings)
     }
     return replace(stage, axes=axes, tunnelling=tunnelling)
 
 
 def unfitted(
-    recordings: Sequence[Recording], lab: Lab, sweeps: Sequence[RawTable] = ()
+    recordings: Sequence[Recording],
+    lab: Lab,
+    sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
 ) -> ActuatorModel:
     """Return a stage with everything that needs no fit: no axis is known yet, and no junction.
 
     Raises as ``fit`` does where there is nothing to fit, and ``RecordingError`` where recordings
     do not fit each other.
     """
-    refuse_one_name_twice(recordings, sweeps)
+    refuse_one_name_twice(recordings, sweeps, responses)
+    refuse_responses_alone(recordings, responses)
     refuse_misfits(recordings)
     remarks = remarks_on_set(recordings)
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
@@ -67,7 +80,11 @@ def unfitted(
             "a drive voltage and a displacement of the same axis, or the drive, current "
             "and reference of a tunnelling loop",
         )
-    files: list[Recording | RawTable] = [*recordings, *sweeps]
+    files: list[Recording | RawTable | FrequencyResponseRecord] = [
+        *recordings,
+        *sweeps,
+        *responses,
+    ]
     remarked = {name for name, _ in remarks}
     used = [held for held in files if held.name not in remarked] or files
     return ActuatorModel(
@@ -79,6 +96,59 @@ def unfitted(
         remarks=(*remarks_on_currents(recordings), *(text for _, text in remarks)),
         controller_rate_Hz=lab.acquisition.sampling_rate_Hz,
     )
+
+
+def response_of(
+    responses: Sequence[FrequencyResponseRecord], axis: str, axes: Sequence[str]
+) -> FrequencyResponseRecord | None:
+    """Return the response of an axis to its own drive, under the axis' own name.
+
+    One that names no axis is of the stage's only one.
+    """
+    held = [r for r in responses if axis in r.axes and (r.axis_is_named or axes == (axis,))]
+    if held:
+        return held[0]
+    nameless = [r for r in responses if not r.axis_is_named] if len(axes) == 1 else []
+    return nameless[0].renamed(axis) if nameless else None
+
+
+def refuse_responses_alone(
+    recordings: Sequence[Recording], responses: Sequence[FrequencyResponseRecord]
+) -> None:
+    """Refuse responses of an axis without a recording, without a name, or of one axis twice."""
+    axes = axes_of(recordings)
+    for response in responses:
+        own = response.axes if response.axis_is_named else axes[:1]
+        if not axes or not set(own) & set(axes):
+            of = f" of axis {', '.join(own)}" if own else ""
+            raise ExcitationError(
+                f"{response.name}: a frequency response{of}, and no recording{of} over time shows "
+                "its hysteresis",
+                needed="a slow sweep over the whole range beside it: a response at one small "
+                "drive tells modes and delay, and nothing of loops",
+                remedy="Add one, or see what the response holds with piezoid inspect.",
+            )
+        if not response.axis_is_named and len(axes) > 1:
+            raise RecordingError(
+                f"{response.name}: a frequency response that names no axis, beside recordings of "
+                f"{', '.join(axes)}",
+                needed="the axis that was driven and moved",
+                remedy="Write into lab.toml:\n\n[[recording]]\n"
+                f'file = "{response.name}"\naxis = "..."\n',
+            )
+    counts = Counter(
+        axis
+        for response in responses
+        for axis in (response.axes if response.axis_is_named else axes[:1])
+    )
+    twice = [axis for axis, count in counts.items() if count > 1]
+    if twice:
+        names = ", ".join(response.name for response in responses)
+        raise RecordingError(
+            f"{names}: more than one frequency response of axis {', '.join(twice)}",
+            needed="one of each axis",
+            remedy="Keep the one with the smallest drive that is still coherent.",
+        )
 
 
 def lacking(recordings: Sequence[Recording], needed: str) -> ExcitationError:
@@ -97,6 +167,7 @@ def fit_axis(
     axis: str,
     lab: Lab,
     *,
+    response: FrequencyResponseRecord | None = None,
     elsewhere: Elsewhere = lambda _: None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> AxisModel:
@@ -104,6 +175,7 @@ def fit_axis(
 
     recordings  any; those without drive and displacement of the axis are passed over, and those
                 that a mode shapes tell the dynamics only, where there are others
+    response    of the axis, where it was measured: the dynamics then are its
     elsewhere   the trials of ``trials_of``, where somebody else has made them meanwhile
 
     Raises ``ExcitationError`` where drive or displacement does not move.
@@ -111,11 +183,18 @@ def fit_axis(
     rig = rig_of(lab, axis)
     calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
     fitted = estimate_axis(calm, axis, rig, elsewhere=elsewhere, progress=progress)
-    found = with_dynamics(fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz)
+    found = with_dynamics(
+        fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
+    )
     return with_discrepancy(_remarked(found, shaped), calm)
 
 
-def refined(axis: AxisModel, recordings: Sequence[Recording], lab: Lab) -> AxisModel:
+def refined(
+    axis: AxisModel,
+    recordings: Sequence[Recording],
+    lab: Lab,
+    response: FrequencyResponseRecord | None = None,
+) -> AxisModel:
     """Return an axis that a diagnosis extended, with all that follows from its hysteresis.
 
     Dynamics that could not be told behind the hysteresis of before may be now; what the class
@@ -124,7 +203,7 @@ def refined(axis: AxisModel, recordings: Sequence[Recording], lab: Lab) -> AxisM
     found = axis
     if axis.dynamics is None:
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
-        found = with_dynamics(axis, recordings, stated_Hz=stated_Hz)
+        found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
     return with_discrepancy(found, moving(recordings, axis.axis))
 
 
@@ -149,15 +228,18 @@ def _of_axis(progress: Callable[[str], None], axis: str, text: str) -> None:
 
 
 def refuse_one_name_twice(
-    recordings: Sequence[Recording], sweeps: Sequence[RawTable] = ()
+    recordings: Sequence[Recording],
+    sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
 ) -> None:
     """Refuse names that stand for two things: digests and memories are kept by name.
 
     One file may hold several recordings, if each is of its own axis.
     """
     keys = Counter((r.name, axis) for r in recordings for axis in axes_of([r]))
-    keys.update((table.name, "") for table in sweeps)
-    digests = {(r.name, r.digest) for r in recordings} | {(t.name, t.digest) for t in sweeps}
+    tables: list[RawTable | FrequencyResponseRecord] = [*sweeps, *responses]
+    keys.update((table.name, "") for table in tables)
+    digests = {(r.name, r.digest) for r in recordings} | {(t.name, t.digest) for t in tables}
     files = Counter(name for name, _ in digests)
     twice = {name for (name, _), count in keys.items() if count > 1}
     twice |= {name for name, count in files.items() if count > 1}

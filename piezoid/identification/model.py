@@ -9,6 +9,7 @@ from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
@@ -98,6 +99,8 @@ class AxisModel:
     joint        what the fit of hysteresis and dynamics together says; None where there is none
     bandwidth    what limits the stage first, a pole or a resonance; None where no recording
                  excites dynamics and no bandwidth is stated
+    response     how the dynamics were found in a measured frequency response; None where they
+                 were not
     extensions   what a diagnosis added, in the order in which they act
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
@@ -117,6 +120,7 @@ class AxisModel:
     dynamics: LinearDynamics | None = None
     joint: JointFit | None = None
     bandwidth: BandwidthVerdict | None = None
+    response: ResponseFit | None = None
     extensions: tuple[Extension, ...] = ()
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.extensions import extension_from_json
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import (
@@ -88,6 +89,10 @@ def _bandwidth_from_json(content: Mapping[str, Any] | None) -> BandwidthVerdict 
     return None if content is None else BandwidthVerdict.from_json(content)
 
 
+def _response_from_json(content: Mapping[str, Any] | None) -> ResponseFit | None:
+    return None if content is None else ResponseFit.from_json(content)
+
+
 def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
     return {
         "axis": axis.axis,
@@ -98,6 +103,7 @@ def _axis_to_json(axis: AxisModel) -> dict[str, Any]:
         "dynamics": None if axis.dynamics is None else axis.dynamics.to_json(),
         "joint": None if axis.joint is None else axis.joint.to_json(),
         "bandwidth": None if axis.bandwidth is None else axis.bandwidth.to_json(),
+        "response": None if axis.response is None else axis.response.to_json(),
         "valid_range": {"voltage_V": list(axis.voltage_V)},
         "verdict": {
             "applies": axis.verdict.applies,
@@ -225,6 +231,7 @@ def _axis_from_json(record: Mapping[str, Any]) -> AxisModel:
         joint=None if record["joint"] is None else JointFit.from_json(record["joint"]),
         # Files of before there were any have no such entries.
         bandwidth=_bandwidth_from_json(record.get("bandwidth")),
+        response=_response_from_json(record.get("response")),
         extensions=tuple(extension_from_json(e) for e in record.get("extensions", ())),
         discrepancy=_discrepancy_from_json(record.get("discrepancy")),
         dynamics_remarks=convert(record.get("dynamics_remarks", ()), tuple[str, ...]),

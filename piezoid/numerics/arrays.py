@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 
 def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
@@ -23,6 +24,17 @@ def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
     if not np.isfinite(array).all():
         place = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
         raise ValueError(f"{name}[{place}] is {array.ravel()[place]}, expected finite numbers")
+    array.setflags(write=False)
+    return array
+
+
+def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArray:
+    """Return a read-only complex copy of finite values."""
+    array = np.array(values, dtype=np.complex128, order="C", copy=True)
+    if array.ndim != ndim:
+        raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds values that are not finite")
     array.setflags(write=False)
     return array
 

@@ -1,13 +1,16 @@
-"""The files of a stage, sorted: recordings over time, and tables over a height."""
+"""The files of a stage, sorted: recordings over time, over a frequency, and over a height."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Recording
+from piezoid.records.response_columns import is_response
+from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 
@@ -18,14 +21,16 @@ class Collection:
 
     recordings  samples over time
     sweeps      tables over a height that name no clock, as a Z spectroscopy is
+    responses   over a frequency
     """
 
     recordings: tuple[Recording, ...]
     sweeps: tuple[RawTable, ...]
+    responses: tuple[FrequencyResponseRecord, ...] = ()
 
 
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
-    """Read files of either kind; a table whose columns lab.toml names is a recording.
+    """Read files of any kind; a table whose columns lab.toml names is a recording.
 
     Raises what ``ingest`` raises.
     """
@@ -33,6 +38,7 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
     declared.check_files(paths)
     recordings: list[Recording] = []
     sweeps: list[RawTable] = []
+    responses: list[FrequencyResponseRecord] = []
     for path in paths:
         table = read_table(path, declared.text_format_of(path))
         entries = declared.entries_of(path)
@@ -40,8 +46,13 @@ def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
             sweeps.append(table)
         else:
             for entry in entries or (None,):
-                recordings += ingest_parts(table, declared, entry)
-    return Collection(recordings=tuple(recordings), sweeps=tuple(sweeps))
+                if is_response(table, entry):
+                    responses.append(ingest_response(table, declared, entry))
+                else:
+                    recordings += ingest_parts(table, declared, entry)
+    return Collection(
+        recordings=tuple(recordings), sweeps=tuple(sweeps), responses=tuple(responses)
+    )
 
 
 def is_over_height(table: RawTable) -> bool:

@@ -30,6 +30,8 @@ from piezoid.records.rates import stretches_of_one_rate
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Channel, Problem, Recording
 from piezoid.records.refusal import lab_block
+from piezoid.records.response_columns import is_response
+from piezoid.records.response_ingest import refused_as_recording
 from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
 
@@ -84,7 +86,12 @@ def ingest_all(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Recording
 
 
 def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tuple[Recording, ...]:
-    """Make one recording of a table, or one for each stretch in which its rate is the same."""
+    """Make one recording of a table, or one for each stretch in which its rate is the same.
+
+    Raises ``RecordingError`` for a frequency response, beside what a table may lack.
+    """
+    if is_response(table, entry):
+        raise refused_as_recording(table)
     parts = parts_of(table, lab, entry)
     return tuple(with_remarks(ingest_table(*part)) for part in parts)
 

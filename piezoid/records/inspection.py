@@ -16,6 +16,10 @@ from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.response_columns import is_response, part_of, response_columns
+from piezoid.records.response_ingest import ingest_response
+from piezoid.records.response_summary import ResponseSummary, summary_of
+from piezoid.records.response_units import unit_in_heading
 from piezoid.records.sweep import reversals_of
 from piezoid.records.table import Column, RawTable
 
@@ -68,6 +72,7 @@ class Inspection:
     axis_is_named     whether a heading or lab.toml says so; it is called x here otherwise
     sampling_rate_Hz, duration_s, breaks, reversals, levels_V
                       of the recording; levels are the voltages the drive turns at
+    response          of a frequency response, which has no rate and no duration
     problems          everything odd, each with its place
     refusal           why it is no recording, None where it is one
     """
@@ -84,6 +89,7 @@ class Inspection:
     breaks: int = 0
     reversals: int | None = None
     levels_V: tuple[float, ...] = ()
+    response: ResponseSummary | None = None
     problems: tuple[Problem, ...] = ()
     refusal: str | None = None
 
@@ -128,11 +134,50 @@ def _inspected(path: Path, lab: Lab) -> list[tuple[Inspection, Recording | None]
         table = read_table(path, lab.text_format_of(path))
     except PiezoidError as error:
         return [(Inspection(name=path.name, refusal=str(error)), None)]
-    return [
-        _inspect_table(*part)
-        for entry in lab.entries_of(path) or (None,)
-        for part in _parts(table, lab, entry)
-    ]
+    found: list[tuple[Inspection, Recording | None]] = []
+    for entry in lab.entries_of(path) or (None,):
+        if is_response(table, entry):
+            found.append((_inspect_response(table, lab, entry), None))
+        else:
+            found += [_inspect_table(*part) for part in _parts(table, lab, entry)]
+    return found
+
+
+def _inspect_response(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Inspection:
+    try:
+        response = ingest_response(table, lab, entry)
+    except PiezoidError as error:
+        said = {c.number: f"{part}, by its name" for c in table.columns if (part := part_of(c))}
+        refused = _refused(table, error)
+        return replace(
+            refused, columns=tuple(_response_column(c, said.get(c.number)) for c in table.columns)
+        )
+    columns = response_columns(table, lab, entry or RecordingEntry(file=table.name))
+    parts = {columns.frequency.number: "frequency"}
+    for (output, drive), held in columns.paths.items():
+        to = "" if output == drive else f" to a drive of {drive}"
+        parts |= {column.number: f"{part} of {output}{to}" for part, column in held.items()}
+    return Inspection(
+        name=table.name,
+        digest=table.digest,
+        format=table.format,
+        rows=table.rows,
+        columns=tuple(
+            _response_column(column, parts.get(column.number)) for column in table.columns
+        ),
+        axis_is_named=response.axis_is_named,
+        response=summary_of(response),
+        problems=response.problems,
+    )
+
+
+def _response_column(column: Column, part: str | None) -> ColumnSummary:
+    """Summarise a column of a frequency response, the numbers as found: rows are no samples."""
+    unit = unit_in_heading(column)
+    meaning = part or "not read: no part of the response"
+    found = _numbers(column, column.values, meaning=meaning, unit="", si_unit="")
+    symbol = "" if unit is None else unit.symbol
+    return replace(found, unit=symbol, si_unit=symbol, noise_rms=None, step=0.0, clipped=0.0)
 
 
 def _parts(
@@ -150,19 +195,7 @@ def _inspect_table(
     try:
         recording = with_remarks(ingest_table(table, lab, entry))
     except PiezoidError as error:
-        refused = Inspection(
-            name=table.name,
-            digest=table.digest,
-            format=table.format,
-            rows=table.rows,
-            columns=tuple(
-                _summary(column, meaning_of(column.heading)) for column in table.columns
-            ),
-            sampling_rate_Hz=table.sampling_rate_Hz,
-            problems=(*table.problems, *faults_of(table, {})),
-            refusal=str(error),
-        )
-        return refused, None
+        return _refused(table, error), None
     said = RecordingEntry(file=table.name) if entry is None else entry
     assignment = assign(table, lab, said)
     drive = recording.find(Quantity.VOLTAGE, recording.axis)
@@ -183,6 +216,19 @@ def _inspect_table(
         problems=recording.problems,
     )
     return found, recording
+
+
+def _refused(table: RawTable, error: PiezoidError) -> Inspection:
+    return Inspection(
+        name=table.name,
+        digest=table.digest,
+        format=table.format,
+        rows=table.rows,
+        columns=tuple(_summary(column, meaning_of(column.heading)) for column in table.columns),
+        sampling_rate_Hz=table.sampling_rate_Hz,
+        problems=(*table.problems, *faults_of(table, {})),
+        refusal=str(error),
+    )
 
 
 def _is_axis_named(assignment: Assignment, entry: RecordingEntry) -> bool:

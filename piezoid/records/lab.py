@@ -13,7 +13,7 @@
                      expansion_m_per_K
     [axis.z.sensor]  the same tables for one axis, each replacing the one above it
     [[recording]]    file, axis, columns, units, scale, offset, sampling_rate_Hz, start_s, stop_s,
-                     reverse, separator, decimal, heading_row
+                     reverse, includes, separator, decimal, heading_row
 
 Everything is optional. An unknown name is refused: it is a typing error more often than news.
 """

@@ -22,6 +22,8 @@ from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.refusal import lab_block
+from piezoid.records.response_columns import is_response, response_block
+from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import unit_of
 
@@ -101,6 +103,8 @@ def _about(path: Path, name: str) -> tuple[str, bool]:
     if is_over_height(table):
         text = f"{name}: a table over {table.independent!r}, used for the tunnelling junction."
         return commented(text), True
+    if is_response(table, None):
+        return _about_response(table, name)
     try:
         return _entry(table, ingest_parts(table, Lab(), None), name), True
     except PiezoidError as error:
@@ -108,6 +112,25 @@ def _about(path: Path, name: str) -> tuple[str, bool]:
         _, found, lines = error.remedy.partition("[[recording]]")
         block = f"{found}{lines.rstrip()}" if found else lab_block(table)
         return commented(asked) + commented(_named(block, name)), False
+
+
+def _about_response(table: RawTable, name: str) -> tuple[str, bool]:
+    """Return the entry of a frequency response: to complete where it is refused."""
+    block = _named(response_block(table), name)
+    try:
+        found = ingest_response(table, Lab(), None)
+    except PiezoidError as error:
+        return commented(str(error).partition("\n")[0]) + commented(block), False
+    axes = ", ".join(found.axes)
+    said = (
+        f"{table.name}: a frequency response of {axes}, {found.frequency_Hz[0]:.6g} to "
+        f"{found.frequency_Hz[-1]:.6g} Hz, {len(found.frequency_Hz)} lines; it is read by its "
+        "headings"
+    )
+    includes = 'includes = ["amplifier", "sensor"]  # poles it was measured through'
+    entry = f"[[recording]]\nfile = {_toml(name)}\n{includes}\n"
+    axis = "" if found.axis_is_named else '# axis = "x"\n'
+    return commented(said) + entry + axis, True
 
 
 def _named(block: str, name: str) -> str:

@@ -121,7 +121,10 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
     columns           ``time``, ``voltage``, ``displacement``, ``current``, ``temperature``,
                       ``humidity``, ``reference``, each also with ``_x``, ``_y``, ``_z``: a
                       heading, or a number from 1; only what is named here is read. A reference is
-                      a dither of the set point or of the drive: it depends on nothing measured
+                      a dither of the set point or of the drive: it depends on nothing measured.
+                      Of a frequency response ``frequency`` with ``magnitude`` and ``phase``,
+                      ``real`` and ``imaginary``, or ``response`` (a complex array), ``coherence``
+                      and ``excitation``, each also with ``_x``, or ``_xy``: x moves, y is driven
     units             by the same names
     scale             by the same names: what a value is multiplied by after its unit. It turns a
                       polarity (-1) and makes volts of a monitor (15) or, in SI units a count,
@@ -130,6 +133,8 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
     sampling_rate_Hz  of this file, if it has no time column
     start_s, stop_s   the part to use, in seconds from its first sample
     reverse           whether the newest row stands first
+    includes          poles of the rig that a frequency response was measured through, of
+                      ``amplifier`` and ``sensor``; both, where it is not said
     separator, decimal, heading_row   how a text table is written: the character between fields
                       (a blank for any white space), ``.`` or ``,``, and the line of the headings,
                       from 1
@@ -145,6 +150,7 @@ class RecordingEntry(Table, frozen=True, kw_only=True):
     start_s: float | None = None
     stop_s: float | None = None
     reverse: bool = False
+    includes: tuple[Literal["amplifier", "sensor"], ...] | None = None
     separator: str | None = None
     decimal: Literal[".", ","] | None = None
     heading_row: int | None = None

@@ -63,12 +63,12 @@ _NAME_WORDS = {
 }  # fmt: skip
 
 # Columns of the right unit that are not what was applied or measured: a wish, a difference, a
-# property of an oscillation, the bias of the sample.
+# property of an oscillation, the bias of the sample, a part of a complex response.
 _FOREIGN_WORDS = frozenset(
     {
         "setpoint", "target", "desired", "error", "reference", "ref", "command", "commanded",
         "amplitude", "phase", "bias", "excitation", "offset", "std", "stddev", "model", "fit",
-        "residual",
+        "residual", "real", "imag",
     }
 )  # fmt: skip
 

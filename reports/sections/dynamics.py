@@ -20,6 +20,7 @@ from piezoid_reports.chart import Axis, Canvas, axis_over, decades_over
 from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
+from piezoid_reports.response_figures import response_parts
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
 LOOKS = {
@@ -43,15 +44,18 @@ def render(page: Page) -> Section | None:
     return Section(
         anchor="dynamics",
         title="Linear dynamics",
-        lead="The hysteresis found before turns the drive into one without hysteresis; what lies "
-        "between that and the displacement is linear and is shown here.",
+        lead="What is quick and linear: between the drive behind its hysteresis and the "
+        "displacement, from recordings; or as a frequency response was measured.",
         parts=tuple(parts),
     )
 
 
 def _of_axis(page: Page, axis: AxisModel) -> list[Part]:
     parts: list[Part] = []
-    if axis.dynamics is not None:
+    if axis.dynamics is not None and axis.response is not None:
+        parts += [*response_parts(page, axis, axis.dynamics, axis.response)]
+        parts.append(_poles(axis, axis.dynamics))
+    elif axis.dynamics is not None:
         parts += [*_figures(page, axis, axis.dynamics), _poles(axis, axis.dynamics)]
     if axis.bandwidth is not None:
         tone = "middling" if axis.bandwidth.kind == "undecided" else "plain"

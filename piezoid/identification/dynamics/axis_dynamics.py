@@ -24,8 +24,11 @@ from piezoid.identification.dynamics.hammerstein import fit_jointly
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.response_judgement import ResponseJudged, judge_response
+from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.recording import Recording
 
 FEWEST_LINES = 20
@@ -91,12 +94,13 @@ def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float
 
 @dataclass(frozen=True, kw_only=True)
 class DynamicsFound:
-    """What the recordings of an axis say of its dynamics.
+    """What the recordings of an axis, or its measured response, say of its dynamics.
 
     dynamics  None where no recording excites them, or none could be fitted
     joint     None where hysteresis and dynamics were not fitted together
     bandwidth what limits the stage first: pole or resonance; None where nothing excites either
               and no bandwidth is stated
+    response  where the dynamics are those of a measured frequency response
     remarks   one sentence for every recording that was used, or was tried in vain
     """
 
@@ -104,16 +108,21 @@ class DynamicsFound:
     remarks: tuple[str, ...]
     joint: JointFit | None = None
     bandwidth: BandwidthVerdict | None = None
+    response: ResponseFit | None = None
 
 
 def with_dynamics(
-    axis: AxisModel, recordings: Sequence[Recording], *, stated_Hz: float | None = None
+    axis: AxisModel,
+    recordings: Sequence[Recording],
+    *,
+    stated_Hz: float | None = None,
+    response: FrequencyResponseRecord | None = None,
 ) -> AxisModel:
     """Return the axis with the dynamics its recordings show, and what is to be said of them.
 
     What was said before of dynamics, behind an earlier state of the hysteresis, goes.
     """
-    found = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz)
+    found = fit_axis_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
     others = tuple(r for r in axis.verdict.remarks if r not in axis.dynamics_remarks)
     return replace(
         axis,
@@ -121,19 +130,71 @@ def with_dynamics(
         dynamics_remarks=found.remarks,
         joint=found.joint,
         bandwidth=found.bandwidth,
+        response=found.response,
         verdict=replace(axis.verdict, remarks=(*others, *found.remarks)),
     )
 
 
 def fit_axis_dynamics(
-    axis: AxisModel, recordings: Sequence[Recording], *, stated_Hz: float | None = None
+    axis: AxisModel,
+    recordings: Sequence[Recording],
+    *,
+    stated_Hz: float | None = None,
+    response: FrequencyResponseRecord | None = None,
 ) -> DynamicsFound:
-    """Fit the dynamics to the recording that excites them furthest, and name what limits it.
+    """Fit the dynamics to what tells them best, and name what limits the stage.
 
     axis        whose hysteresis is known
     recordings  any; those without both channels or with a slow drive are passed over
     stated_Hz   bandwidth of the data sheet, where the laboratory declares one
+    response    measured with the axis' own drive: it goes before the recordings, unless it
+                contradicts them
     """
+    if response is None:
+        return _of_recordings(axis, recordings, stated_Hz)
+    declared = _declared(axis.rig)
+    judged = judge_response(axis, response, declared, _shown_by_recordings(axis, recordings))
+    if judged.dynamics is None:
+        found = _of_recordings(axis, recordings, stated_Hz)
+        return replace(found, remarks=(*judged.remarks, *found.remarks))
+    return _of_response(judged, declared, stated_Hz)
+
+
+def _of_response(
+    judged: ResponseJudged, declared: tuple[Filter, ...], stated_Hz: float | None
+) -> DynamicsFound:
+    assert judged.dynamics is not None
+    assert judged.measured is not None
+    early_s, late_s = judged.dynamics.delay_interval_s().tolist()
+    verdict = decide_bandwidth(
+        judged.measured,
+        Declaration(hold="band_limited", filters=declared),
+        delay_s=(early_s, late_s),
+        stated_Hz=stated_Hz,
+    )
+    found = DynamicsFound(dynamics=judged.dynamics, remarks=judged.remarks, response=judged.record)
+    return _with_verdict(found, verdict)
+
+
+def _shown_by_recordings(
+    axis: AxisModel, recordings: Sequence[Recording]
+) -> tuple[LinearDynamics, str] | None:
+    """Return the dynamics that recordings determine, and the name of the one that does."""
+    exciting = excites_dynamics(recordings, axis.axis)
+    if not exciting:
+        return None
+    recording = max(exciting, key=lambda pair: pair[1])[0]
+    try:
+        found = _best(measure_behind_hysteresis(axis, recording), axis.rig)
+    except (ExcitationError, IdentificationError):
+        return None
+    return (found, recording.name) if is_determined(found) else None
+
+
+def _of_recordings(
+    axis: AxisModel, recordings: Sequence[Recording], stated_Hz: float | None
+) -> DynamicsFound:
+    """Fit the dynamics to the recording that excites them furthest, and name what limits it."""
     exciting = excites_dynamics(recordings, axis.axis)
     if not exciting:
         return _with_verdict(None, unseen(stated_Hz, "no recording drives fast enough"))

@@ -4,12 +4,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
-from piezoid.numerics.arrays import Array, frozen, strictly_increasing
+from piezoid.numerics.arrays import (
+    Array,
+    ComplexArray,
+    frozen,
+    frozen_complex,
+    strictly_increasing,
+)
 
-ComplexArray = NDArray[np.complex128]
+__all__ = ("ComplexArray", "FrequencyResponse")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -131,17 +137,6 @@ _BY_LINE = (
     "is_interference",
     "is_rejected",
 )
-
-
-def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArray:
-    """Return a read-only complex copy of finite values."""
-    array = np.array(values, dtype=np.complex128, order="C", copy=True)
-    if array.ndim != ndim:
-        raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name} holds values that are not finite")
-    array.setflags(write=False)
-    return array
 
 
 def complex_to_lists(values: ComplexArray) -> list[Any]:

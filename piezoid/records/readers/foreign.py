@@ -14,6 +14,7 @@ from piezoid.records.table import Column, RawTable
 # Recorders have some dozen channels and recordings thousands of samples: with so many times as
 # many columns as rows, the rows are the channels.
 _ON_ITS_SIDE = 50
+_MOST_PATHS = 3  # axes of a stage: outputs and inputs of its response
 
 
 @contextmanager
@@ -102,12 +103,16 @@ def _sorted_out(
         array = np.asarray(value)
         if array.dtype.kind == "c" and array.size > 1:
             text = (
-                f"{key!r} holds complex numbers and is not read: save its real part, or a "
-                "measured response as a recording over time"
+                f"{key!r} holds complex numbers: real and imaginary part are the columns of a "
+                "frequency response, and of no recording over time"
             )
             problems.append(Problem(kind="complex", place=key, text=text))
+            for label, path in _paths(key, array):
+                vectors += [(f"real({label})", key, path.real), (f"imag({label})", key, path.imag)]
         elif array.dtype.kind not in "biuf" or array.size <= 1:
             metadata[key] = str(value)[:200]
+        elif _square_sides(array) is not None:
+            vectors += [(label, key, path) for label, path in _paths(key, array)]
         elif array.ndim > 2 and max(array.shape) != array.size:
             text = f"{key!r} has {array.ndim} axes {array.shape}: which is time, which channel?"
             problems.append(Problem(kind="axes", place=key, text=text))
@@ -119,6 +124,30 @@ def _sorted_out(
             label = f"{key}(:,{{}})" if key else ""
             vectors += [(label.format(k + 1), key, array[:, k]) for k in range(array.shape[1])]
     return vectors, metadata, problems
+
+
+def _paths(key: str, array: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return the vectors of an array under their names: of (n, n, lines) each path by itself."""
+    sides = _square_sides(array)
+    if sides is None:
+        return [(key, array.reshape(-1))]
+    by_path = array if sides == (0, 1) else np.moveaxis(array, 0, -1)
+    size = by_path.shape[0]
+    return [(f"{key}({i + 1},{j + 1})", by_path[i, j]) for i in range(size) for j in range(size)]
+
+
+def _square_sides(array: np.ndarray) -> tuple[int, int] | None:
+    """Return the two axes of a response of several outputs and inputs, None where it is none.
+
+    MATLAB has (outputs, inputs, lines), NumPy's habit is (lines, outputs, inputs).
+    """
+    if array.ndim != 3:
+        return None
+    for sides, lines in (((0, 1), 2), ((1, 2), 0)):
+        size = array.shape[sides[0]]
+        if 1 < size == array.shape[sides[1]] <= _MOST_PATHS and array.shape[lines] > size:
+            return sides
+    return None
 
 
 def _upright(

@@ -1,0 +1,292 @@
+"""fit_response: a measured frequency response -> modes, delay, creep slope, with intervals.
+
+    G(f) = G_slow(f) G_modes(f) F(f)
+
+F are the declared poles the response was measured through; G_modes the modal form of
+``fit_dynamics``; G_slow falls as creep does, (j f)^(-alpha), which no few poles make.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.errors import ExcitationError, IdentificationError
+from piezoid.identification.dynamics.confidence import resolved_modes
+from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.response_noise import (
+    rough_variance,
+    standing_alone,
+    variance_of,
+)
+from piezoid.identification.dynamics.response_record import SlowPart
+from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.records.frequency_response import (
+    LEAST_COHERENCE,
+    FrequencyResponseRecord,
+    ResponsePath,
+)
+from piezoid.records.response_summary import apparent_modes
+
+FEWEST_LINES = 20
+LONGEST_PERIODS = 10.0  # a delay, in periods of the highest line
+FAR_BELOW = 0.2  # of the first mode: what it adds there, 4 %, is fitted beside the slope
+SLOW_DECADES = 1.0
+SLOW_LINES = 8
+AS_GOOD = 1.25  # a cost within this of the least, or of that of noise, counts as equal
+ROUNDS = 2  # of noise from residual, residual from fit
+# A modulus margin of 0.5 bears half the gain at any frequency; the fit may take half of that.
+MOST_LEFT = 0.25
+MEDIAN_OF = 3  # lines: a single one is noise
+STRUCTURES = (
+    Structure(modes=0, lags=1),
+    Structure(modes=1),
+    Structure(modes=1, direct=True),
+    Structure(modes=1, lags=1),
+    Structure(modes=2),
+    Structure(modes=2, direct=True),
+    Structure(modes=2, lags=1),
+    Structure(modes=3),
+    Structure(modes=3, direct=True),
+    Structure(modes=4, direct=True),
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResponseFound:
+    """The dynamics in a measured response, and what they were read from.
+
+    dynamics   of one path
+    measured   the lines, slow part taken out, with variances and what was rejected
+    slow       None where too few lines lie far below the first mode
+    left, left_Hz  the largest part of the response that the model leaves, and where
+    noise      of one line far below the first mode, relative
+    """
+
+    dynamics: LinearDynamics
+    measured: FrequencyResponse
+    slow: SlowPart | None
+    left: float
+    left_Hz: float
+    noise: float
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the numbers may be read: all known, and little of the response left."""
+        lags_Hz = self.dynamics.lag_frequency_Hz
+        poles_known = bool((lags_Hz < 2.0 * self.dynamics.band_Hz[1]).all())
+        return self.left <= MOST_LEFT and poles_known and bool(resolved_modes(self.dynamics).all())
+
+
+def measured_response(
+    record: FrequencyResponseRecord, axis: str, declared: tuple[Filter, ...]
+) -> ComplexArray:
+    """Return an axis' own response with all declared poles in it, (lines,) m/V.
+
+    declared  those of the rig; what the measurement did not go through is put into it
+    """
+    response = np.array(_own(record, axis).response_m_per_V)
+    for pole in declared:
+        if pole.name not in record.includes:
+            response *= pole.system().response(record.frequency_Hz)[:, 0, 0]
+    return response
+
+
+def fit_response(
+    record: FrequencyResponseRecord, axis: str, declared: tuple[Filter, ...]
+) -> ResponseFound:
+    """Fit modes, delay and creep slope to the response of an axis to its own drive.
+
+    record    of one file
+    declared  poles of the rig: known, and not fitted again
+
+    Raises ``ExcitationError`` for too few coherent lines, ``IdentificationError`` where no
+    structure can be fitted.
+    """
+    path = _own(record, axis)
+    response = measured_response(record, axis, declared)
+    kept = path.is_coherent
+    if kept.sum() < FEWEST_LINES:
+        raise ExcitationError(
+            f"{record.name}: {int(kept.sum())} of {len(kept)} lines of axis {axis} are coherent "
+            f"({LEAST_COHERENCE:g} or more)",
+            needed=f"at least {FEWEST_LINES}",
+            remedy="Measure with a larger drive, longer, or at more frequencies.",
+        )
+    slow = slow_part(record.frequency_Hz, response, path)
+    quick = response if slow is None else response / slow.response(record.frequency_Hz)
+    alone = np.zeros(len(kept), dtype=np.bool_)
+    variance = np.ones(len(kept))
+    variance[kept] = rough_variance(quick[kept])
+    for _ in range(ROUNDS):
+        used = kept & ~alone
+        lines = _lines(record, axis, quick, variance, alone)
+        model = _best(lines, declared).response(record.frequency_Hz)[:, 0, 0]
+        coherence = None if path.coherence is None else path.coherence[used]
+        variance[used] = variance_of(quick[used], (quick - model)[used], coherence)
+        if not alone.any():
+            alone[kept] = standing_alone((quick - model)[kept], variance[kept])
+    lines = _lines(record, axis, quick, variance, alone)
+    return _found(lines, _best(lines, declared), slow)
+
+
+def _own(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
+    path = record.path(axis, axis)
+    if path is None:
+        raise ExcitationError(
+            f"{record.name} holds the responses of {', '.join(record.axes) or 'no axis'}",
+            needed=f"that of {axis} to its own drive",
+            remedy="Name its columns in lab.toml.",
+        )
+    return path
+
+
+def _lines(
+    record: FrequencyResponseRecord,
+    axis: str,
+    quick: ComplexArray,
+    variance: Array,
+    alone: NDArray[np.bool_],
+) -> FrequencyResponse:
+    """Return the response as the modal fit takes it; the drive's level is not in such files."""
+    path = _own(record, axis)
+    shape = (len(quick), 1, 1)
+    coherence = np.ones(len(quick)) if path.coherence is None else path.coherence
+    return FrequencyResponse(
+        inputs=(axis,),
+        outputs=(axis,),
+        sampling_rate_Hz=2.0 * float(record.frequency_Hz[-1]),
+        frequency_Hz=record.frequency_Hz,
+        response=quick.reshape(shape),
+        noise_variance=variance.reshape(shape),
+        distortion_variance=np.zeros(shape),
+        coherence=coherence[:, None],
+        is_interference=alone[:, None],
+        is_rejected=(~path.is_coherent | alone)[:, None],
+        least_coherence=LEAST_COHERENCE,
+        variance_freedom=float(len(quick)),
+        drive_rms_V=np.zeros(1),
+        realisations=1,
+        periods=1,
+    )
+
+
+def _best(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
+    """Fit structures to the lines in use, and keep the smallest that leaves nothing smooth.
+
+    Where all leave something, the smallest that is as good as the best; one with a term that
+    means nothing fits a little better, and does not count where there are others.
+    """
+    used = lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+    declaration = Declaration(
+        hold="band_limited",
+        filters=declared,
+        longest_delay_s=LONGEST_PERIODS / float(used.frequency_Hz[-1]),
+    )
+    fits, refusal = [], None
+    for structure in STRUCTURES:
+        if 4 * (structure.columns + structure.shapes) > 2 * len(used.frequency_Hz):
+            continue
+        try:
+            fit = fit_dynamics(used, structure, declaration)
+        except IdentificationError as error:
+            refusal = error
+            continue
+        if _leaves_noise(used, fit) and resolved_modes(fit).all():
+            return fit
+        fits.append(fit)
+    if not fits:
+        raise refusal or IdentificationError(
+            f"{len(used.frequency_Hz)} lines",
+            needed="enough for one mode",
+            remedy="Measure at more frequencies.",
+        )
+    fits = [fit for fit in fits if resolved_modes(fit).all()] or fits
+    least = min(fit.cost for fit in fits)
+    return next(fit for fit in fits if fit.cost <= AS_GOOD * least)
+
+
+def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
+    """Whether what is left differs from line to line as much as it is large [von Neumann 1941]."""
+    left = (lines.response - fit.response(lines.frequency_Hz))[:, 0, 0]
+    left = left / np.sqrt(lines.variance[:, 0, 0])
+    differs = 0.5 * float(np.mean(np.abs(np.diff(left)) ** 2))
+    return float(np.mean(np.abs(left) ** 2)) <= AS_GOOD * differs
+
+
+def _found(
+    lines: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart | None
+) -> ResponseFound:
+    used = lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+    f, response = used.frequency_Hz, used.response[:, 0, 0]
+    at_rest = abs(float(dynamics.static_gain_m_per_V[0, 0]))
+    left = np.abs(response - dynamics.response(f)[:, 0, 0])
+    left /= np.maximum(np.abs(response), at_rest)
+    half = MEDIAN_OF // 2
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(left, half, mode="edge"), MEDIAN_OF)
+    typical = np.median(windows, axis=1)
+    place = int(np.argmax(typical))
+    spread = np.sqrt(used.variance[:, 0, 0]) / np.abs(response)
+    return ResponseFound(
+        dynamics=dynamics,
+        measured=lines,
+        slow=slow,
+        left=float(typical[place]),
+        left_Hz=float(f[place]),
+        noise=float(np.median(spread[: max(len(spread) // 4, 1)])),
+    )
+
+
+def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> SlowPart | None:
+    """Return slope and phase far below the first mode, None where too few lines are there.
+
+        ln |G| = g + (slope / 20 dB) ln f + c f^2,   arg G = phase + d f
+
+    c stands for what modes and poles add, d for their lag and the delay.
+    """
+    first_Hz = first_limit_Hz(frequency_Hz, response, path)
+    low = path.is_coherent & (frequency_Hz < FAR_BELOW * first_Hz)
+    f = frequency_Hz[low]
+    if len(f) < SLOW_LINES or f[-1] < 10.0**SLOW_DECADES * f[0]:
+        return None
+    x, turned = f / f[-1], response[low] / response[low][0]
+    log, one = np.log(x), np.ones(len(x))
+    slope, slope_std = _regressed(np.stack([log, one, x**2], axis=1), np.log(np.abs(turned)))
+    angle = np.unwrap(np.angle(response[low]))
+    phase, phase_std = _regressed(np.stack([one, x], axis=1), angle)
+    phase -= np.pi * round(phase / np.pi)  # the sign of the response is the polarity's
+    half = NORMAL_95
+    slope_dB, slope_std_dB = 20.0 * slope, 20.0 * slope_std  # 20 dB a decade are a power of one
+    phase_deg, phase_std_deg = float(np.degrees(phase)), float(np.degrees(phase_std))
+    return SlowPart(
+        slope_dB=slope_dB,
+        slope_ci95=(slope_dB - half * slope_std_dB, slope_dB + half * slope_std_dB),
+        phase_deg=phase_deg,
+        phase_ci95=(phase_deg - half * phase_std_deg, phase_deg + half * phase_std_deg),
+        low_Hz=float(f[0]),
+        high_Hz=float(f[-1]),
+        from_Hz=first_Hz,
+    )
+
+
+def first_limit_Hz(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -> float:
+    """Return the first peak; without one where the gain has fallen by 3 dB, or the last line."""
+    peaks = apparent_modes(frequency_Hz, replace(path, response_m_per_V=response))
+    if peaks:
+        return peaks[0].frequency_Hz
+    gain = np.abs(response)
+    fallen = np.flatnonzero((gain < np.median(gain[:3]) / np.sqrt(2.0)) & path.is_coherent)
+    return float(frequency_Hz[fallen[0] if len(fallen) else -1])
+
+
+def _regressed(columns: Array, values: Array) -> tuple[float, float]:
+    """Return the first coefficient of least squares, and its standard deviation."""
+    found = np.linalg.lstsq(columns, values, rcond=None)[0]
+    left = values - columns @ found
+    spare = max(len(values) - columns.shape[1], 1)
+    inverse = np.linalg.inv(columns.T @ columns)
+    return float(found[0]), float(np.sqrt(inverse[0, 0] * (left @ left) / spare))

@@ -1,0 +1,336 @@
+"""From a table and what lab.toml says about it to a FrequencyResponseRecord, or a refusal."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from json import dumps
+from typing import TypeVar
+
+import numpy as np
+
+from piezoid.errors import PiezoidError, RecordingError, UnitError
+from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.records.frequency_response import (
+    CHAIN,
+    FEWEST_LINES,
+    FrequencyResponseRecord,
+    ResponsePath,
+)
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.recording import Problem
+from piezoid.records.response_columns import (
+    COMPLEX,
+    Pair,
+    ResponseColumns,
+    refuse_response,
+    response_columns,
+)
+from piezoid.records.response_units import Kind, ResponseUnit, response_unit, unit_in_heading
+from piezoid.records.table import Column, RawTable
+
+_T = TypeVar("_T")
+# A mode turns the phase by half a turn, a delay along a straight line: the phase of ten modes
+# strays from its own line by less. Degrees taken for radians stray by 180 for each mode.
+MOST_TURNED_rad = 10.0 * np.pi
+# A gain that changes so much turns the phase by tens of degrees (Bode); radians taken for degrees
+# stay within one turn's 6.3.
+TURNED_FROM_dB = 6.0
+SMALL_deg = 2.0 * np.pi
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _File:
+    """What every step of reading one file needs, and what it noticed."""
+
+    table: RawTable
+    lab: Lab
+    entry: RecordingEntry
+    problems: list[Problem]
+
+
+def ingest_response(
+    table: RawTable, lab: Lab, entry: RecordingEntry | None
+) -> FrequencyResponseRecord:
+    """Make a frequency response of a table that ``is_response`` recognises.
+
+    Raises ``UnitError`` for what has no unit or meaning, ``RecordingError`` for numbers that are
+    no response, ``LabFileError`` where lab.toml names what is not there.
+    """
+    entry = RecordingEntry(file=table.name) if entry is None else entry
+    columns = response_columns(table, lab, entry)
+    # That a complex array is read in two parts is nothing to remark on here.
+    held = _File(
+        table=table,
+        lab=lab,
+        entry=entry,
+        problems=[p for p in table.problems if p.kind != "complex"],
+    )
+    _refuse_missing(table, columns)
+    frequency_Hz, rows = _frequency(held, columns.frequency)
+    paths = tuple(
+        _path(held, pair, parts, frequency_Hz, rows) for pair, parts in columns.paths.items()
+    )
+    if columns.by_number:
+        text = "axes are numbered: 1, 2, 3 are read as x, y, z, the one that moves first"
+        held.problems.append(Problem(kind="numbered_axes", place="its headings", text=text))
+    return FrequencyResponseRecord(
+        name=table.name,
+        digest=table.digest,
+        frequency_Hz=frequency_Hz[rows],
+        paths=paths,
+        axis_is_named=columns.is_named,
+        includes=CHAIN if entry.includes is None else tuple(entry.includes),
+        problems=tuple(held.problems),
+    )
+
+
+def _refuse_missing(table: RawTable, columns: ResponseColumns) -> None:
+    for column in (columns.frequency, *(c for p in columns.paths.values() for c in p.values())):
+        missing = np.flatnonzero(~np.isfinite(column.values))
+        if len(missing):
+            raise RecordingError(
+                f"{table.name}: {len(missing)} of {table.rows} rows of {column.place} hold no "
+                f"number, the first is {table.place_of_row(int(missing[0]))}",
+                needed="a number in every row of a frequency response",
+                remedy="Take these rows out of the file; gaps between frequencies are no problem.",
+            )
+
+
+def _frequency(held: _File, column: Column) -> tuple[Array, np.ndarray]:
+    """Return all frequencies, Hz, and the rows to use in increasing order."""
+    table = held.table
+    unit = _unit_for(held, "frequency", None, column)
+    if unit is None or unit.kind is not Kind.FREQUENCY:
+        said = "has no unit" if unit is None else f"is in {unit.symbol}"
+        raise refuse_response(table, f"{column.place} {said}")
+    f = np.asarray(column.values * unit.factor)
+    if (f < 0).any():
+        row = int(np.argmax(f < 0))
+        raise RecordingError(
+            f"{table.name}: {int((f < 0).sum())} frequencies are negative, the first is "
+            f"{f[row]:.6g} Hz at {table.place_of_row(row)}",
+            needed="frequencies above zero",
+            remedy="Save the one-sided response; of a shift from a centre, add the centre.",
+        )
+    rows = np.arange(len(f))
+    if (np.diff(f) < 0).all() and len(f) > 1:
+        rows = rows[::-1]
+        text = "frequencies fall from row to row; they are read from the last row on"
+        held.problems.append(Problem(kind="downward", place=column.place, text=text))
+    steps = np.diff(f[rows])
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0)) + 1
+        ways = "again" if steps[row - 1] == 0 else "behind"
+        raise RecordingError(
+            f"{table.name}: at {table.place_of_row(int(rows[row]))} stands {f[rows[row]]:.6g} Hz "
+            f"{ways} {f[rows[row - 1]]:.6g} Hz; {int((steps <= 0).sum())} frequencies do not "
+            "rise",
+            needed="each frequency once, in order",
+            remedy="Sort the rows; of several sweeps keep one, average them, or write each into a "
+            "file of its own.",
+        )
+    if not f[rows[0]] > 0:
+        rows = rows[1:]
+        text = "the line at 0 Hz is left out: it holds the offset, not a response"
+        held.problems.append(Problem(kind="zero_frequency", place=column.place, text=text))
+    if len(rows) < FEWEST_LINES:
+        raise RecordingError(
+            f"{table.name}: {len(rows)} frequencies",
+            needed=f"at least {FEWEST_LINES}",
+            remedy="Save the whole sweep.",
+        )
+    return f, rows
+
+
+def _path(
+    held: _File, pair: Pair, parts: Mapping[str, Column], frequency_Hz: Array, rows: np.ndarray
+) -> ResponsePath:
+    column = parts.get("real") or parts["magnitude"]
+    if {"real", "imaginary"} <= set(parts):
+        response = (
+            _gain(held, pair, "real", parts["real"])[rows]
+            + 1j * _gain(held, pair, "imaginary", parts["imaginary"])[rows]
+        )
+        if "magnitude" in parts:
+            text = "real and imaginary part are read; magnitude and phase say the same again"
+            held.problems.append(Problem(kind="said_twice", place=column.place, text=text))
+    else:
+        column = parts["magnitude"]
+        size = _gain(held, pair, "magnitude", column)[rows]
+        _refuse_below_zero(held.table, column, size, rows)
+        angle = _angle(held, pair, parts["phase"], size, frequency_Hz[rows], rows)
+        response = size * np.exp(1j * angle)
+    _refuse_zero(held.table, column, response, rows)
+    return ResponsePath(
+        output=pair[0],
+        drive=pair[1],
+        response_m_per_V=_per_excitation(held, pair, parts, response, rows),
+        coherence=_coherence(held, pair, parts.get("coherence"), rows),
+    )
+
+
+def _gain(held: _File, pair: Pair, part: str, column: Column) -> Array:
+    """Return magnitude, real or imaginary part in m/V, or in m beside an excitation."""
+    unit = _unit_for(held, part, pair, column)
+    if unit is None:
+        raise refuse_response(held.table, f"{column.place} has no unit")
+    if unit.kind is Kind.DECIBEL:
+        raise refuse_response(
+            held.table,
+            f"{column.place} is in dB, and nothing says of what: write 'dB re 1 um/V', or of "
+            "whatever its 0 dB is",
+        )
+    scale = _said(held.entry.scale, part, pair)
+    if unit.kind in (Kind.LENGTH, Kind.VOLTAGE):
+        if "excitation" not in {key.partition("_")[0] for key in held.entry.columns} and (
+            scale is None
+        ):
+            raise refuse_response(
+                held.table,
+                f"{column.place} is in {unit.symbol}, an amplitude and not yet a response: the "
+                "drive's is needed, as a column 'excitation' or as scale = { response = 1 / volts "
+                "}",
+            )
+    elif unit.kind not in (Kind.GAIN, Kind.VOLTAGE_GAIN):
+        raise refuse_response(held.table, f"{column.place} is in {unit.symbol}")
+    values = 10.0 ** (column.values / 20.0) if unit.is_decibel else column.values
+    if unit.kind in (Kind.VOLTAGE, Kind.VOLTAGE_GAIN):
+        values = values / _sensor_gain(held, pair[0], column, unit)
+    return np.asarray(values * unit.factor * (1.0 if scale is None else scale))
+
+
+def _sensor_gain(held: _File, axis: str, column: Column, unit: ResponseUnit) -> float:
+    gain_V_per_m = held.lab.sensor_of(axis).gain_V_per_m
+    if gain_V_per_m is None:
+        raise UnitError(
+            f"{held.table.name}: {column.place} is a response of axis {axis} in {unit.symbol}",
+            needed="the sensor's gain is needed to know it in metres per volt",
+            remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
+        )
+    return gain_V_per_m
+
+
+def _angle(
+    held: _File, pair: Pair, column: Column, size: Array, frequency_Hz: Array, rows: np.ndarray
+) -> Array:
+    unit = _unit_for(held, "phase", pair, column)
+    if unit is None or unit.kind is not Kind.ANGLE:
+        said = "has no unit" if unit is None else f"is in {unit.symbol}"
+        raise refuse_response(held.table, f"{column.place} {said}, and not in deg or rad")
+    angle = np.asarray(column.values[rows] * unit.factor)
+    changed_dB = 20.0 * float(np.log10(size.max() / size.min())) if size.min() > 0 else 0.0
+    if "deg" in unit.symbol.lower() or "°" in unit.symbol:
+        largest = float(np.abs(column.values[rows]).max())
+        if largest <= SMALL_deg and changed_dB > TURNED_FROM_dB:
+            raise _wrong_angle(held, column, unit, largest, "rad", changed_dB)
+        return angle
+    line = np.polynomial.Polynomial.fit(frequency_Hz, angle, 1)
+    strayed = float(np.ptp(angle - line(frequency_Hz)))
+    if strayed > MOST_TURNED_rad:
+        largest = float(np.abs(column.values[rows]).max())
+        raise _wrong_angle(held, column, unit, largest, "deg", changed_dB)
+    return angle
+
+
+def _wrong_angle(
+    held: _File, column: Column, unit: ResponseUnit, largest: float, likely: str, changed_dB: float
+) -> UnitError:
+    return UnitError(
+        f"{held.table.name}: {column.place} is said to be in {unit.symbol} and reaches "
+        f"{largest:.4g} while the gain changes by {changed_dB:.3g} dB: obviously other units",
+        needed=f"the phase in the unit it is written in; {likely} would fit",
+        remedy=f"If it is, write into lab.toml:\n\n[[recording]]\n"
+        f'file = {dumps(held.table.name)}\nunits = {{ phase = "{likely}" }}\n',
+    )
+
+
+def _per_excitation(
+    held: _File, pair: Pair, parts: Mapping[str, Column], response: ComplexArray, rows: np.ndarray
+) -> ComplexArray:
+    """Return the response; of a displacement's amplitude, over that of the drive."""
+    column = parts.get("excitation")
+    if column is None:
+        return response
+    unit = _unit_for(held, "excitation", pair, column)
+    if unit is None or unit.kind is not Kind.VOLTAGE:
+        raise refuse_response(held.table, f"{column.place} is an excitation that is not in volts")
+    drive_V = column.values[rows] * unit.factor
+    if not (drive_V > 0).all():
+        row = int(rows[np.argmin(drive_V)])
+        raise RecordingError(
+            f"{held.table.name}: {column.place} is {drive_V.min():.6g} V at "
+            f"{held.table.place_of_row(row)}",
+            needed="an amplitude above zero: the response is divided by it",
+            remedy="Take these rows out of the file, or name another column.",
+        )
+    return np.asarray(response / drive_V)
+
+
+def _refuse_below_zero(table: RawTable, column: Column, size: Array, rows: np.ndarray) -> None:
+    if (size < 0).any():
+        row = int(rows[np.argmax(size < 0)])
+        raise RecordingError(
+            f"{table.name}: {column.place} is {column.values[row]:.6g} at "
+            f"{table.place_of_row(row)}",
+            needed="a magnitude above zero",
+            remedy="If it is in decibels, say so in lab.toml: units = { magnitude = "
+            '"dB re 1 um/V" }, or of whatever its 0 dB is.',
+        )
+
+
+def _refuse_zero(
+    table: RawTable, column: Column, response: ComplexArray, rows: np.ndarray
+) -> None:
+    zero = np.flatnonzero(response == 0)
+    if len(zero):
+        raise RecordingError(
+            f"{table.name}: the response in {column.place} is zero in {len(zero)} rows, the first "
+            f"is {table.place_of_row(int(rows[zero[0]]))}",
+            needed="a response that is not zero: nothing was measured there",
+            remedy="Take these rows out of the file; gaps between frequencies are no problem.",
+        )
+
+
+def _coherence(held: _File, pair: Pair, column: Column | None, rows: np.ndarray) -> Array | None:
+    if column is None:
+        return None
+    unit = _unit_for(held, "coherence", pair, column)
+    values = np.asarray(column.values[rows] * (1.0 if unit is None else unit.factor))
+    if values.min() < 0.0 or values.max() > 1.0:
+        raise RecordingError(
+            f"{held.table.name}: {column.place} goes from {values.min():.4g} to "
+            f"{values.max():.4g}",
+            needed="a coherence (magnitude squared) from 0 to 1",
+            remedy='If it is in percent, write units = { coherence = "%" } into lab.toml.',
+        )
+    return values
+
+
+def _said(by_name: Mapping[str, _T], part: str, pair: Pair | None) -> _T | None:
+    """Return what an entry says of a column: of its path, of the part, of the whole response."""
+    is_gain = part in ("magnitude", "real", "imaginary")
+    keys = []
+    for name in (part, *([COMPLEX] if is_gain else [])):
+        if pair is not None:
+            keys.append(f"{name}_{pair[0]}{pair[1]}")
+            keys += [f"{name}_{pair[0]}"] if pair[0] == pair[1] else []
+        keys.append(name)
+    return next((by_name[key] for key in keys if key in by_name), None)
+
+
+def _unit_for(held: _File, part: str, pair: Pair | None, column: Column) -> ResponseUnit | None:
+    said = _said(held.entry.units, part, pair)
+    if said is None:
+        return unit_in_heading(column)
+    unit = response_unit(said)
+    if unit is None:
+        raise refuse_response(held.table, f"{part} is said to be in {said!r}")
+    return unit
+
+
+def refused_as_recording(table: RawTable) -> PiezoidError:
+    """Return the refusal of a frequency response where a recording over time is asked for."""
+    return RecordingError(
+        f"{table.name}: a frequency response, not a recording over time",
+        needed="a recording over time here",
+        remedy="Give it to piezoid fit beside a slow sweep of the same axis.",
+    )
