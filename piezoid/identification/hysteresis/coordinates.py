@@ -134,13 +134,38 @@ class Coordinates:
             lower[self.memory_slice(piece)], upper[self.memory_slice(piece)] = -1.0, 1.0
         return lower, upper
 
-    def within_reach(self, theta: Array) -> Array:
-        """Return the vector with its thresholds drawn in below half the range of the drive.
+    def kinks(self) -> tuple[Array, Array]:
+        """Return M and c: M theta + c is by how much the slope changes at every kink there is.
+
+        Of the loading curve those are the play weights, of Psi and gamma the differences of
+        neighbouring slopes, outwards from the two in the middle, which are 1.
+
+        returned  (kinks, total) and (kinks,)
+        """
+        rows, constant = [], []
+        for name, place in self.slices.items():
+            numbers = range(place.start, place.stop)
+            if name == "weight":
+                numbers = numbers[1:]
+            elif not name.endswith(("slope", "envelope")):
+                continue
+            for number in numbers:
+                row = np.zeros(self.total)
+                row[number] = 1.0
+                is_first = number == place.start
+                if name != "weight" and not is_first:
+                    row[number - 1] = -1.0
+                rows.append(row)
+                constant.append(-1.0 if name != "weight" and is_first else 0.0)
+        return np.reshape(rows, (-1, self.total)), np.array(constant)
+
+    def within_reach(self, theta: Array, swing: tuple[float, float] = (-1.0, 1.0)) -> Array:
+        """Return the vector with its thresholds drawn in below half the widest swing of the drive.
 
         A play wider than that never moves: nothing is known about it.
         """
         widest = float(theta[self.slices["gap"]].sum())
-        low, high = operator_of(theta, self).envelope.run(np.array([-1.0, 1.0]))
+        low, high = operator_of(theta, self).envelope.run(np.array(swing))
         reach = GREATEST_REACH * (high - low) / 2
         if widest <= reach:
             return theta

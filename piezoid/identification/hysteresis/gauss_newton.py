@@ -1,17 +1,23 @@
 """Bounded Gauss-Newton on the forward output error, with steps judged by the true cost.
 
+    min  mean e^2 + ridge |kinks|^2,   within the bounds
+
+kinks are the changes of slope at every threshold (coordinates.py). Whatever the data do not see,
+such as a play that never moves or a slope beyond the readings, the ridge sets: no kink there.
+
 Each iteration gathers the triangular factor of [J | e] chunk by chunk, solves the bounded linear
 least-squares problem with a Marquardt term exactly, and accepts the step if the cost falls.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.identification.hysteresis.coordinates import Coordinates
-from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.identification.hysteresis.rows import column_places, rows_of, simulate
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import bounded_step
@@ -33,6 +39,7 @@ class Task:
     stride        every how many rows count
     longest_lag_s upper bound of the lag
     held          names of shared numbers that may not move, such as ``gap``
+    ridge         on the squares of all kinks, beside the mean square of the residual
     """
 
     pieces: Sequence[Piece]
@@ -41,6 +48,29 @@ class Task:
     stride: int
     longest_lag_s: float
     held: tuple[str, ...] = ()
+    ridge: float = 0.0
+
+    @cached_property
+    def swing(self) -> tuple[float, float]:
+        """From where to where the drive goes where it goes furthest without a gap."""
+        return widest_swing(self.pieces)
+
+    @cached_property
+    def rows(self) -> int:
+        """How many rows count."""
+        return sum(len(piece.counting(self.stride)) for piece in self.pieces)
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """M and c of rows M theta + c that stand beside those of the data."""
+        kinks, constant = self.coordinates.kinks()
+        share = np.sqrt(self.ridge * self.rows)
+        return share * kinks, share * constant
+
+    def roughness(self, theta: Array) -> float:
+        """Return ridge |kinks|^2."""
+        kinks, constant = self.prior
+        return float(np.sum((kinks @ theta + constant) ** 2)) / self.rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +131,9 @@ def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Factor:
         locals_.append(part[:own])
         places.append(place[:own])
         common = gather(common, part[own:, own:])
+    kinks, constant = task.prior
+    prior = np.column_stack([kinks[:, shared], kinks @ theta + constant])
+    common = gather(common, prior, spend=True)
     return Factor(triangle=_assembled(locals_, common), place=np.concatenate([*places, shared]))
 
 
@@ -157,18 +190,22 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
     state = Minimum(
         theta=theta, rms=rms_of(theta, task), iterations=0, gradient=np.inf, converged=False
     )
-    damping, passed = 1e-3, [state.rms]
+    damping, passed = 1e-3, [_cost(state, task)]
     while state.iterations < iterations and not state.converged:
         factor = factor_of(state.theta, task, upper > lower)
         state, damping = _iterate(state, factor, (lower, upper), task, damping)
-        passed.append(state.rms)
+        passed.append(_cost(state, task))
         state = replace(state, converged=state.converged or _crawls(passed))
     return state
 
 
 def _crawls(passed: Sequence[float]) -> bool:
     """Tell whether the last steps together lowered the cost by next to nothing."""
-    return len(passed) > CRAWL and 1.0 - (passed[-1] / passed[-1 - CRAWL]) ** 2 < CRAWLED
+    return len(passed) > CRAWL and 1.0 - passed[-1] / passed[-1 - CRAWL] < CRAWLED
+
+
+def _cost(state: Minimum, task: Task) -> float:
+    return state.rms**2 + task.roughness(state.theta)
 
 
 def _iterate(
@@ -182,6 +219,7 @@ def _iterate(
     scale[scale == 0.0] = 1.0
     gradient = _free_gradient(factor.T @ residual / scale, *room)
     size = gradient / max(float(np.linalg.norm(residual)), 1e-300)
+    before = _cost(state, task)
     for _ in range(12):
         step = np.zeros_like(theta)
         step[place] = bounded_step(
@@ -189,18 +227,20 @@ def _iterate(
             np.concatenate([-residual, np.zeros(len(scale))]),
             *room,
         )
-        trial = task.coordinates.within_reach(np.clip(theta + step, lower, upper))
-        rms = rms_of(trial, task)
-        if rms < state.rms:
-            gain = 1.0 - (rms / state.rms) ** 2
-            reached = Minimum(
-                theta=trial,
-                rms=rms,
-                iterations=state.iterations + 1,
-                gradient=size,
-                converged=gain < CONVERGED,
+        trial = task.coordinates.within_reach(np.clip(theta + step, lower, upper), task.swing)
+        reached = Minimum(
+            theta=trial,
+            rms=rms_of(trial, task),
+            iterations=state.iterations + 1,
+            gradient=size,
+            converged=False,
+        )
+        cost = _cost(reached, task)
+        if cost < before:
+            return (
+                replace(reached, converged=1.0 - cost / before < CONVERGED),
+                max(damping / 5, 1e-9),
             )
-            return reached, max(damping / 5, 1e-9)
         damping *= 6
     return (
         replace(state, iterations=state.iterations + 1, gradient=size, converged=True),

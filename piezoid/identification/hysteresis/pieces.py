@@ -79,6 +79,13 @@ class Piece:
         return np.setdiff1d(sample, self.lost, assume_unique=True) if len(self.lost) else sample
 
 
+def widest_swing(pieces: Sequence[Piece]) -> tuple[float, float]:
+    """Return from where to where the drive goes in the piece in which it goes furthest."""
+    drives = [piece.drive[: piece.last] for piece in pieces]
+    widest = max(drives, key=lambda drive: float(np.ptp(drive)))
+    return float(widest.min()), float(widest.max())
+
+
 def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
     """Return the scales of a set of recordings of one axis.
 

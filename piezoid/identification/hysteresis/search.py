@@ -22,6 +22,8 @@ from piezoid.identification.hysteresis.start import Start, kuhnen_start, linear_
 from piezoid.numerics.arrays import Array
 
 FEW = 6
+# Scaled: kinks of 0.1 cost 1e-11, a thousandth of the square of the finest noise (1e-4).
+WEAK = 1e-9
 THRESHOLDS = ("gap", "below_gap", "above_gap")
 
 
@@ -59,6 +61,7 @@ class Settings:
     follow_zero     whether slow motion of the zero is followed by knots
     iterations      most Jacobians of a search
     lag_s           where the lag begins; None searches for it over the whole range
+    ridge           on the squares of all kinks
     """
 
     longest_lag_s: float
@@ -67,6 +70,7 @@ class Settings:
     follow_zero: bool = True
     iterations: int = 30
     lag_s: float | None = None
+    ridge: float = WEAK
 
 
 def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
@@ -130,6 +134,7 @@ def task_for(pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Sett
         sensor_pole_Hz=settings.sensor_pole_Hz,
         stride=max(1, sum(piece.rows for piece in pieces) // settings.rows),
         longest_lag_s=settings.longest_lag_s,
+        ridge=settings.ridge,
     )
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import LEAST_SLOPE, Scaled, Shape
-from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.quadratic_program import (
     Optimum,
@@ -46,7 +46,7 @@ def kuhnen_start(
 ) -> Start:
     """Solve Kuhnen's quadratic program on the lag-corrected pieces.
 
-    threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the range of the drive
+    threshold  (plays + 1,) scaled, from 0; None spreads them evenly over the widest swing
 
         E[k] = sum_i w_i z_i[k] - sum_j w'_j s_j(y[k]) + c_p,   min sum E^2
         w_0 >= eps, w_i >= 0, slopes of Psi' >= eps, (U - r)'w = U       [Kuhnen 2003]
@@ -54,10 +54,11 @@ def kuhnen_start(
     with an offset c_p for every piece; Psi is the inverse of the Psi' found.
     """
     if threshold is None:
-        threshold = np.arange(shape.plays + 1) / (shape.plays + 1)
-    high = max(float(piece.response.max()) for piece in pieces)
-    low = min(float(piece.response.min()) for piece in pieces)
-    zones = placed_zones(low, high, shape)
+        low, high = widest_swing(pieces)
+        threshold = 0.5 * (high - low) * np.arange(shape.plays + 1) / (shape.plays + 1)
+    highest = max(float(piece.response.max()) for piece in pieces)
+    lowest = min(float(piece.response.min()) for piece in pieces)
+    zones = placed_zones(lowest, highest, shape)
     optimum = optimum_of(triangle_of(pieces, threshold, zones, lag_s), threshold, zones)
     weight = np.maximum(optimum.x[: shape.plays + 1], 0.0)
     inverse = DeadZones(
