@@ -36,7 +36,8 @@ is yours. `piezoid_runtime.h` says beside each call what it does, what it costs,
 be called.
 
 The error bound of an axis holds while `status` holds none of `PZ_STATUS_UNCERTIFIED`,
-`..._REFERENCE_LIMITED`, `..._VOLTAGE_LIMITED`, `..._VOLTAGE_STEP` and of the bits about its sensor.
+`..._REFERENCE_LIMITED`, `..._VOLTAGE_LIMITED`, `..._VOLTAGE_STEP` and of the bits about its
+sensor.
 
 Where `status` holds `PZ_STATUS_LATCHED`, an axis waits: a tip that had to flee several times
 (the other bits say from what) is retracted, X and Y without a usable sensor are held. Show it to
