@@ -13,9 +13,7 @@ from piezoid.records.frequency_response import (
 )
 
 SHARP_dB = 3.0  # by how much a peak rises above both of its sides
-LEAST_PEAK = (
-    0.1  # of the gain of the lowest lines: noise far above the last mode has peaks as well
-)
+LEAST_PEAK = 0.1  # of the gain of the lowest lines: noise far above all modes has peaks as well
 FAR_BELOW = 0.1  # of a mode's frequency: there it lifts the response by 1 % at most
 ANY_LOW = 3  # lines that stand for low frequency where none is so far below
 
