@@ -19,6 +19,7 @@ from benchmarks.outsiders.simulators import NAMES, RATE_Hz, Simulator
 from piezoid.identification.dynamics.behind_hysteresis import excites_dynamics
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest_all
+from piezoid.records.lab import read_lab
 
 SHARE = 0.01  # of the recorded drive: the amplitude of the sines
 LINES = 160
@@ -51,7 +52,8 @@ def with_response(made: Simulator, seed: int, recordings: Path) -> None:
     heading = "Frequency [Hz],Magnitude [um/V],Phase [deg]"
     path = recordings / "response.csv"
     np.savetxt(path, table, delimiter=",", header=heading, comments="", fmt="%.6g")
-    axis = ingest_all([p for p in recordings.glob("*.csv") if p != path])[0].axis
+    slow = [p for p in recordings.glob("*.csv") if p != path]
+    axis = ingest_all(slow, read_lab(recordings / "lab.toml"))[0].axis
     with (recordings / "lab.toml").open("a") as lab:
         lab.write(f'\n[[recording]]\nfile = "response.csv"\naxis = "{axis}"\n')
 
