@@ -1,5 +1,6 @@
 """Stages of an outsider: recordings to a controller, then that controller on the stage."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from json import loads
 from pathlib import Path
@@ -16,6 +17,7 @@ from piezoid.verification.tracking import track as compared
 from piezoid.verification.trajectories import constant_angular_velocity
 from piezoid_cli.calibration import calibrate
 
+Prepare = Callable[[Simulator, int, Path], None]
 COMPARED_Hz = (1.0, 5.0, 10.0, 20.0, 50.0)
 TURNS = 5.0
 RADIUS = 0.7
@@ -51,8 +53,13 @@ class StageResult:
     seconds: float = 0.0
 
 
-def judge(name: str, seed: int, folder: Path | None = None) -> StageResult:
-    """Record a stage, calibrate it, and drive what ships on the stage itself."""
+def judge(
+    name: str, seed: int, folder: Path | None = None, prepare: Prepare | None = None
+) -> StageResult:
+    """Record a stage, calibrate it, and drive what ships on the stage itself.
+
+    prepare  changes the folder of recordings before it is calibrated
+    """
     from time import perf_counter
 
     made, begun = simulator(name), perf_counter()
@@ -69,6 +76,8 @@ def judge(name: str, seed: int, folder: Path | None = None) -> StageResult:
         recordings = place / "recordings"
         recordings.mkdir(parents=True, exist_ok=True)
         made.campaigns.write_stage(seed, recordings, made.library)
+        if prepare is not None:
+            prepare(made, seed, recordings)
         files = sorted(recordings.glob("*.csv"))
         try:
             found = calibrate(files, recordings / "lab.toml", lambda _: None)

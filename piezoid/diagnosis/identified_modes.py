@@ -20,6 +20,7 @@ from piezoid.identification.fit import rig_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import sample
+from piezoid.readable import told
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
@@ -50,8 +51,10 @@ def with_modes(
     effects  how many were tried, for the p-value
     """
     dynamics = model.dynamics
-    if dynamics is None or not shaped:
+    if dynamics is None:
         return diagnosis
+    if not shaped:
+        return diagnosis if model.response is None else _beside(diagnosis, model, dynamics)
     largest = int(np.argmax(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0])))
     frequency_Hz = float(dynamics.mode_frequency_Hz[largest])
     low_Hz, high_Hz = dynamics.mode_frequency_interval_Hz()[largest].tolist()
@@ -82,6 +85,23 @@ def with_modes(
         diagnosis,
         findings=tuple(findings),
         not_detected=tuple(n for n in diagnosis.not_detected if n.effect != NAME),
+    )
+
+
+def _beside(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) -> Diagnosis:
+    """Return a diagnosis that says of the mode that a response shows it, and no recording."""
+    assert model.response is not None
+    modes = resolved_modes(dynamics)
+    if not modes.any():
+        return diagnosis
+    said = ", ".join(told(float(f), "Hz", 4) for f in dynamics.mode_frequency_Hz[modes])
+    known = f"{model.response.name} shows it at {said}, and the model has it; of the recordings: "
+    return replace(
+        diagnosis,
+        not_detected=tuple(
+            replace(one, reason=known + one.reason) if one.effect == NAME else one
+            for one in diagnosis.not_detected
+        ),
     )
 
 

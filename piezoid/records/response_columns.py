@@ -83,9 +83,10 @@ def is_response(table: RawTable, entry: RecordingEntry | None) -> bool:
 
 def response_columns(table: RawTable, lab: Lab, entry: RecordingEntry) -> ResponseColumns:
     """Decide what every column is, or refuse with what was seen and what to write."""
-    found = _declared(table, lab, entry) if entry.columns else _by_heading(table)
+    check_names(lab, entry)
     if not entry.columns:
         _refuse_both(table)
+    found = _declared(table, lab, entry) if entry.columns else _by_heading(table)
     if len(found.frequency) != 1:
         said = " and ".join(c.place for c in found.frequency) or "no column"
         raise refuse_response(table, f"{said} is the frequency")
@@ -183,7 +184,6 @@ def _pair_in(label: str) -> tuple[Pair | None, bool]:
 
 def _declared(table: RawTable, lab: Lab, entry: RecordingEntry) -> _Found:
     """Return the columns that lab.toml names."""
-    check_names(lab, entry)
     found = _Found()
     for key, wanted in entry.columns.items():
         name, pair = named_part(key)
@@ -214,7 +214,7 @@ def check_names(lab: Lab, entry: RecordingEntry) -> None:
     for key in (*entry.columns, *entry.units, *entry.scale):
         if named_part(key)[0] not in known:
             raise LabFileError(
-                f"{lab.place}: [[recording]] {entry.file!r} names a frequency, and {key!r}",
+                f"{lab.place}: [[recording]] {entry.file!r}, a frequency response, names {key!r}",
                 needed=f"one of {', '.join(known)}, with axes as in phase_x or phase_xy (x moves, "
                 "y is driven)",
                 remedy="Correct the name, or leave the frequency out for a recording over time.",

@@ -13,6 +13,7 @@ from piezoid.records.frequency_response import (
 )
 
 SHARP_dB = 3.0  # by how much a peak rises above both of its sides
+LEAST_PEAK = 0.1  # of the gain of the lowest lines: noise far above all modes has peaks as well
 FAR_BELOW = 0.1  # of a mode's frequency: there it lifts the response by 1 % at most
 ANY_LOW = 3  # lines that stand for low frequency where none is so far below
 
@@ -90,14 +91,18 @@ class Peak:
 
 
 def apparent_modes(frequency_Hz: Array, path: ResponsePath) -> tuple[Peak, ...]:
-    """Return the coherent maxima that rise by ``SHARP_dB`` above what lies on both sides."""
+    """Return the coherent maxima that rise by ``SHARP_dB`` above what lies on both sides.
+
+    Those below ``LEAST_PEAK`` of the gain of the lowest lines do not count.
+    """
     from scipy.signal import find_peaks
 
     kept = path.is_coherent
     f, gain = frequency_Hz[kept], np.abs(path.response_m_per_V[kept])
     if len(f) < FEWEST_LINES:
         return ()
-    places, _ = find_peaks(20.0 * np.log10(gain), prominence=SHARP_dB)
+    level = 20.0 * np.log10(gain / np.median(gain[:ANY_LOW]))
+    places, _ = find_peaks(level, prominence=SHARP_dB, height=20.0 * np.log10(LEAST_PEAK))
     return tuple(Peak(frequency_Hz=float(f[k]), quality=_quality(f, gain, int(k))) for k in places)
 
 

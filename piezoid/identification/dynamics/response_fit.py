@@ -22,7 +22,12 @@ from piezoid.identification.dynamics.response_noise import (
     standing_alone,
     variance_of,
 )
-from piezoid.identification.dynamics.response_record import SlowPart
+from piezoid.identification.dynamics.response_record import (
+    FURTHEST_deg,
+    SlowPart,
+    STEEPEST_dB,
+)
+from piezoid.identification.dynamics.response_refinement import refined
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.records.frequency_response import (
@@ -35,7 +40,7 @@ from piezoid.records.response_summary import apparent_modes
 FEWEST_LINES = 20
 LONGEST_PERIODS = 10.0  # a delay, in periods of the highest line
 FAR_BELOW = 0.2  # of the first mode: what it adds there, 4 %, is fitted beside the slope
-SLOW_DECADES = 1.0
+SLOW_DECADES = 0.5
 SLOW_LINES = 8
 AS_GOOD = 1.25  # a cost within this of the least, or of that of noise, counts as equal
 ROUNDS = 2  # of noise from residual, residual from fit
@@ -107,7 +112,7 @@ def fit_response(
     Raises ``ExcitationError`` for too few coherent lines, ``IdentificationError`` where no
     structure can be fitted.
     """
-    path = _own(record, axis)
+    path, f = _own(record, axis), record.frequency_Hz
     response = measured_response(record, axis, declared)
     kept = path.is_coherent
     if kept.sum() < FEWEST_LINES:
@@ -117,21 +122,26 @@ def fit_response(
             needed=f"at least {FEWEST_LINES}",
             remedy="Measure with a larger drive, longer, or at more frequencies.",
         )
-    slow = slow_part(record.frequency_Hz, response, path)
-    quick = response if slow is None else response / slow.response(record.frequency_Hz)
+    slow = slow_part(f, response, path)
+    quick = response if slow is None else response / slow.response(f)
     alone = np.zeros(len(kept), dtype=np.bool_)
     variance = np.ones(len(kept))
     variance[kept] = rough_variance(quick[kept])
     for _ in range(ROUNDS):
         used = kept & ~alone
         lines = _lines(record, axis, quick, variance, alone)
-        model = _best(lines, declared).response(record.frequency_Hz)[:, 0, 0]
+        model = _best(lines, declared).response(f)[:, 0, 0]
         coherence = None if path.coherence is None else path.coherence[used]
         variance[used] = variance_of(quick[used], (quick - model)[used], coherence)
         if not alone.any():
             alone[kept] = standing_alone((quick - model)[kept], variance[kept])
     lines = _lines(record, axis, quick, variance, alone)
-    return _found(lines, _best(lines, declared), slow)
+    dynamics = _best(lines, declared)
+    if slow is not None and slow.is_taken:
+        used = kept & ~alone
+        dynamics, slow = refined(_used(lines), response[used], dynamics, slow)
+        lines = _lines(record, axis, response / slow.response(f), variance, alone)
+    return _found(lines, dynamics, slow)
 
 
 def _own(record: FrequencyResponseRecord, axis: str) -> ResponsePath:
@@ -175,13 +185,17 @@ def _lines(
     )
 
 
+def _used(lines: FrequencyResponse) -> FrequencyResponse:
+    return lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+
+
 def _best(lines: FrequencyResponse, declared: tuple[Filter, ...]) -> LinearDynamics:
     """Fit structures to the lines in use, and keep the smallest that leaves nothing smooth.
 
     Where all leave something, the smallest that is as good as the best; one with a term that
     means nothing fits a little better, and does not count where there are others.
     """
-    used = lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+    used = _used(lines)
     declaration = Declaration(
         hold="band_limited",
         filters=declared,
@@ -221,7 +235,7 @@ def _leaves_noise(lines: FrequencyResponse, fit: LinearDynamics) -> bool:
 def _found(
     lines: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart | None
 ) -> ResponseFound:
-    used = lines.at_lines(np.flatnonzero(~lines.is_rejected[:, 0]))
+    used = _used(lines)
     f, response = used.frequency_Hz, used.response[:, 0, 0]
     at_rest = abs(float(dynamics.static_gain_m_per_V[0, 0]))
     left = np.abs(response - dynamics.response(f)[:, 0, 0])
@@ -259,17 +273,19 @@ def slow_part(frequency_Hz: Array, response: ComplexArray, path: ResponsePath) -
     angle = np.unwrap(np.angle(response[low]))
     phase, phase_std = _regressed(np.stack([one, x], axis=1), angle)
     phase -= np.pi * round(phase / np.pi)  # the sign of the response is the polarity's
-    half = NORMAL_95
-    slope_dB, slope_std_dB = 20.0 * slope, 20.0 * slope_std  # 20 dB a decade are a power of one
-    phase_deg, phase_std_deg = float(np.degrees(phase)), float(np.degrees(phase_std))
+    slope_dB, half_dB = 20.0 * slope, 20.0 * NORMAL_95 * slope_std  # a power of one: 20 dB
+    phase_deg, half_deg = float(np.degrees(phase)), NORMAL_95 * float(np.degrees(phase_std))
+    is_creep = slope_dB - half_dB <= 0.0 and slope_dB > -STEEPEST_dB
+    is_lag = phase_deg - half_deg <= 0.0 and phase_deg > -FURTHEST_deg
     return SlowPart(
         slope_dB=slope_dB,
-        slope_ci95=(slope_dB - half * slope_std_dB, slope_dB + half * slope_std_dB),
+        slope_ci95=(slope_dB - half_dB, slope_dB + half_dB),
         phase_deg=phase_deg,
-        phase_ci95=(phase_deg - half * phase_std_deg, phase_deg + half * phase_std_deg),
+        phase_ci95=(phase_deg - half_deg, phase_deg + half_deg),
         low_Hz=float(f[0]),
         high_Hz=float(f[-1]),
         from_Hz=first_Hz,
+        is_taken=is_creep and is_lag,
     )
 
 

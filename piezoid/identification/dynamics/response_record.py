@@ -15,16 +15,18 @@ FURTHEST_deg = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class SlowPart:
-    """The response far below the first mode, where it is that of creep and hysteresis.
+    """What creep and hysteresis add to a response, at all frequencies alike.
 
-        G_slow(f) = (f / from_Hz)^(slope / 20 dB) exp(j phase),   of gain 1 above from_Hz
+        G_slow(f) = (f / from_Hz)^(slope / 20 dB) e^(j phase)
 
-    Of a slope that is none of creep, or of a phase that may be zero, 1 stands here.
+    Creep that goes on at low frequency makes the gain fall; it and hysteresis make the phase lag,
+    by the same angle at every frequency. A pole or a filter does neither.
 
-    slope_dB, slope_ci95   of the gain, dB per decade; falling where creep goes on at low frequency
-    phase_deg, phase_ci95  the same at all frequencies, delay and modes taken out
-    low_Hz, high_Hz        lines it was found in
-    from_Hz                the first mode, where it is 1
+    slope_dB, slope_ci95   of the gain, dB per decade
+    phase_deg, phase_ci95  delay and modes taken out
+    low_Hz, high_Hz        lines far below the first mode, which tell it
+    from_Hz                the first mode, where its gain is 1
+    is_taken               whether it may be creep and hysteresis, and was fitted with the modes
     """
 
     slope_dB: float
@@ -34,23 +36,19 @@ class SlowPart:
     low_Hz: float
     high_Hz: float
     from_Hz: float
+    is_taken: bool
 
     @property
     def falls(self) -> bool:
-        """Whether the gain falls for certain, and no faster than creep makes it."""
-        return self.slope_ci95[1] < 0.0 and self.slope_dB > -STEEPEST_dB
-
-    @property
-    def lags(self) -> bool:
-        """Whether the phase lags for certain, and no further than creep and hysteresis make it."""
-        return self.phase_ci95[1] < 0.0 and self.phase_deg > -FURTHEST_deg
+        """Whether the gain falls for certain, as creep makes it."""
+        return self.is_taken and self.slope_ci95[1] < 0.0
 
     def response(self, frequency_Hz: Array) -> ComplexArray:
-        """Return the slow part at some frequencies, (lines,)."""
-        power = self.slope_dB / 20.0 if self.falls else 0.0
-        turn = np.radians(self.phase_deg) if self.lags else 0.0
-        gain = (np.minimum(frequency_Hz, self.from_Hz) / self.from_Hz) ** power
-        return np.asarray(gain * np.exp(1j * turn))
+        """Return the slow part at some frequencies, (lines,); 1 where it is not taken."""
+        if not self.is_taken:
+            return np.ones(len(frequency_Hz), dtype=np.complex128)
+        gain = (frequency_Hz / self.from_Hz) ** (self.slope_dB / 20.0)
+        return np.asarray(gain * np.exp(1j * np.radians(self.phase_deg)))
 
 
 @dataclass(frozen=True, kw_only=True)

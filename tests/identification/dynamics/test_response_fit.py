@@ -1,0 +1,192 @@
+"""A measured response becomes modes, delay and creep slope; what does not belong is not used."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ExcitationError
+from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics
+from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.response_fit import fit_response
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.operators.play import play_columns
+from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
+from piezoid.records.recording import Channel, Quantity, Recording
+from tests.records.responses import noisy, response
+
+FREQUENCY_Hz = np.geomspace(1.0, 5000.0, 400)
+AMPLIFIER, SENSOR = (
+    Filter(name=n, frequency_Hz=f) for n, f in (("amplifier", 4e3), ("sensor", 8.5e3))
+)
+STAGES = {
+    "quality 5": ((1500.0, 5.0, 1.0),),
+    "quality 100": ((150.0, 100.0, 1.0),),
+    "two modes": ((300.0, 80.0, 1.0), (900.0, 20.0, 0.3)),
+    "out of phase": ((500.0, 40.0, 1.0), (3000.0, 30.0, -0.4)),
+}
+
+
+def record(
+    values: ComplexArray,
+    coherence: Array | None = None,
+    frequency_Hz: Array = FREQUENCY_Hz,
+    includes: tuple[str, ...] = ("amplifier", "sensor"),
+) -> FrequencyResponseRecord:
+    path = ResponsePath(output="x", drive="x", response_m_per_V=values, coherence=coherence)
+    return FrequencyResponseRecord(
+        name="response.csv",
+        digest="0",
+        frequency_Hz=frequency_Hz,
+        paths=(path,),
+        includes=includes,
+    )
+
+
+@pytest.mark.parametrize("modes", STAGES.values(), ids=STAGES)
+def test_modes_delay_and_creep_are_found(
+    modes: tuple[tuple[float, float, float], ...], rng: np.random.Generator
+) -> None:
+    exact = response(FREQUENCY_Hz, modes, delay_s=2e-4, slope_dB=-0.15)
+    found = fit_response(record(noisy(rng, exact, 0.005)), "x", ())
+    assert found.is_determined
+    dynamics = found.dynamics
+    known_Hz, quality, share = np.array(modes).T
+    np.testing.assert_allclose(dynamics.mode_frequency_Hz, known_Hz, rtol=1e-3)
+    np.testing.assert_allclose(0.5 / dynamics.mode_damping, quality, rtol=0.03)
+    np.testing.assert_allclose(dynamics.mode_gain_m_per_V[:, 0, 0], 2e-7 * share, rtol=0.03)
+    assert dynamics.delay_s == pytest.approx(2e-4, abs=2e-6)
+    assert found.slow is not None
+    assert found.slow.falls
+    assert found.slow.slope_dB == pytest.approx(-0.15, abs=0.03)
+
+
+def test_lines_without_coherence_do_not_count(rng: np.random.Generator) -> None:
+    exact = response(FREQUENCY_Hz)
+    coherence, values = np.full(len(exact), 0.999), noisy(rng, exact, 0.003)
+    hole = (FREQUENCY_Hz > 90.0) & (FREQUENCY_Hz < 140.0)
+    coherence[hole], values[hole] = 0.2, 5.0 * values[hole][::-1] * 1j
+    found = fit_response(record(values, coherence), "x", ())
+    assert found.measured.is_rejected[:, 0].tolist() == hole.tolist()
+    assert found.dynamics.mode_frequency_Hz == pytest.approx([812.0], rel=1e-3)
+    with pytest.raises(ExcitationError, match="0 of 400 lines of axis x are coherent"):
+        fit_response(record(values, np.full(len(exact), 0.1)), "x", ())
+
+
+def test_a_line_of_mains_is_left_out(rng: np.random.Generator) -> None:
+    values = noisy(rng, response(FREQUENCY_Hz), 0.002)
+    place = int(np.argmin(np.abs(FREQUENCY_Hz - 50.0)))
+    values[place] *= 1.4
+    found = fit_response(record(values), "x", ())
+    assert np.flatnonzero(found.measured.is_interference[:, 0]).tolist() == [place]
+
+
+def test_poles_of_the_rig_are_those_the_response_went_through(rng: np.random.Generator) -> None:
+    plain = noisy(rng, response(FREQUENCY_Hz), 0.001)
+    seen = plain * SENSOR.system().response(FREQUENCY_Hz)[:, 0, 0]
+    whole = seen * AMPLIFIER.system().response(FREQUENCY_Hz)[:, 0, 0]
+    declared = (AMPLIFIER, SENSOR)
+    through = fit_response(record(whole), "x", declared).dynamics
+    behind = fit_response(record(seen, includes=("sensor",)), "x", declared).dynamics
+    for dynamics in (through, behind):
+        assert dynamics.declared == declared
+        assert dynamics.delay_s == pytest.approx(1e-4, abs=1e-6)
+        np.testing.assert_allclose(dynamics.response([2000.0]), through.response([2000.0]), 1e-3)
+
+
+def test_what_no_few_modes_make_is_not_determined(rng: np.random.Generator) -> None:
+    wild = response(FREQUENCY_Hz) * np.exp(1.5 * rng.standard_normal(400))
+    assert not fit_response(record(wild), "x", ()).is_determined
+
+
+def slow_axis(rng: np.random.Generator, polarity: float = 1.0) -> tuple[AxisModel, Recording]:
+    """A sweep at one speed with 240 nm/V at large strokes, and the axis fitted to it."""
+    time_s = np.arange(4000) / 500.0
+    drive_V = 50.0 - 45.0 * np.cos(2.0 * np.pi * 0.5 * time_s) * np.interp(
+        time_s, [0, 8], [1, 0.4]
+    )
+    plays, _ = play_columns(drive_V, np.array([4.0, 10.0, 20.0]), np.zeros(3))
+    moved_m = 2.4e-7 * (0.8 * drive_V + plays @ np.array([0.08, 0.08, 0.06]))
+    moved_m = polarity * moved_m + 2e-9 * rng.standard_normal(len(moved_m))
+    channels = tuple(
+        Channel(quantity=quantity, axis="x", values=values, label=quantity.name)
+        for quantity, values in ((Quantity.VOLTAGE, drive_V), (Quantity.DISPLACEMENT, moved_m))
+    )
+    recording = Recording(
+        name="sweep.csv", digest="1", axis="x", sampling_rate_Hz=500.0, channels=channels
+    )
+    return estimate_axis([recording], "x", Rig()), recording
+
+
+@pytest.mark.parametrize("polarity", [1.0, -1.0])
+def test_the_response_becomes_the_dynamics_and_the_hysteresis_keeps_its_gain(
+    polarity: float, rng: np.random.Generator
+) -> None:
+    axis, recording = slow_axis(rng, polarity)
+    measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
+    found = fit_axis_dynamics(axis, [recording], response=measured)
+    assert found.dynamics is not None
+    assert found.response is not None
+    assert found.bandwidth is not None
+    assert found.bandwidth.kind == "resonance"
+    assert np.sign(found.dynamics.static_gain_m_per_V[0, 0]) == axis.polarity == polarity
+    middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
+    assert found.response.gain_ratio == pytest.approx(2e-7 / middle, rel=0.01)
+    said = " ".join(found.remarks)
+    assert "a mode at 812" in said
+    assert "quality 30" in said
+    assert "the hysteresis keeps its own gain" in said
+    assert ("its sign is turned" in said) == (polarity < 0.0)
+
+
+@pytest.mark.parametrize("factor", [15.0, 1e-3])
+def test_a_response_in_other_units_is_not_used(factor: float, rng: np.random.Generator) -> None:
+    axis, recording = slow_axis(rng)
+    measured = record(factor * noisy(rng, response(FREQUENCY_Hz), 0.003))
+    found = fit_axis_dynamics(axis, [recording], response=measured)
+    assert found.dynamics is None
+    assert "response.csv is not used: its gain is" in found.remarks[0]
+    assert "Another unit, another axis" in found.remarks[0]
+
+
+def chirp_of(mode_Hz: float, rng: np.random.Generator) -> Recording:
+    """A small chirp through a mode, about the middle of the sweep."""
+    rate_Hz, seconds = 20_000.0, 3.0
+    time_s = np.arange(int(rate_Hz * seconds)) / rate_Hz
+    turns = 10.0 * seconds / np.log(300.0) * (300.0 ** (time_s / seconds) - 1.0)
+    drive_V = 50.0 + 0.3 * np.sin(2.0 * np.pi * turns)
+    f = np.fft.rfftfreq(len(time_s), 1.0 / rate_Hz)
+    f[0] = 1e-3
+    G = response(f, ((mode_Hz, 30.0, 1.0),), gain_m_per_V=1.9e-7)
+    moved_m = np.fft.irfft(G * np.fft.rfft(drive_V - 50.0), len(time_s)) + 1.2e-5
+    moved_m += 1e-10 * rng.standard_normal(len(moved_m))
+    channels = tuple(
+        Channel(quantity=quantity, axis="x", values=values, label=quantity.name)
+        for quantity, values in ((Quantity.VOLTAGE, drive_V), (Quantity.DISPLACEMENT, moved_m))
+    )
+    return Recording(
+        name="chirp.csv", digest="2", axis="x", sampling_rate_Hz=rate_Hz, channels=channels
+    )
+
+
+def test_a_response_that_contradicts_a_recording_is_not_used(rng: np.random.Generator) -> None:
+    axis, recording = slow_axis(rng)
+    measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
+    other = fit_axis_dynamics(axis, [recording, chirp_of(430.0, rng)], response=measured)
+    assert other.response is None
+    assert "chirp.csv has a mode at 430 Hz, where the response has none" in other.remarks[0]
+    same = fit_axis_dynamics(axis, [recording, chirp_of(812.0, rng)], response=measured)
+    assert same.response is not None
+    assert "chirp.csv shows the same mode" in same.remarks[0]
+
+
+def test_records_come_back_as_they_were_written(rng: np.random.Generator) -> None:
+    axis, recording = slow_axis(rng)
+    measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
+    found = fit_axis_dynamics(axis, [recording], response=measured).response
+    assert found is not None
+    assert type(found).from_json(found.to_json()) == found
+    assert replace(found, slow=None).from_json(replace(found, slow=None).to_json()).slow is None

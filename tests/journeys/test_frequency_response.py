@@ -1,0 +1,183 @@
+"""A slow sweep and the response of an analyser in, a fast loop out that is stable on the stage."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.export.parameter_file import from_json
+from piezoid.identification.store import read_model
+from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import cascade, first_order, resonance
+from piezoid.operators.linear import sample
+from piezoid.operators.play import play_columns
+from piezoid.runtime.controller import Controller
+from tests.records.responses import matrix, noisy, response, write_csv, write_matlab
+
+PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+RATE_Hz = 20_000.0
+MODE_Hz, QUALITY, AMPLIFIER_Hz, SENSOR_Hz = 640.0, 25.0, 4000.0, 8500.0
+THRESHOLDS_V = np.array([3.0, 8.0, 18.0, 30.0])
+WEIGHTS = np.array([0.07, 0.07, 0.06, 0.04])
+GAIN_m_per_V = 2.4e-7
+LAB = f"""[amplifier]
+bandwidth_Hz = {AMPLIFIER_Hz}
+[sensor]
+bandwidth_Hz = {SENSOR_Hz}
+[acquisition]
+sampling_rate_Hz = {RATE_Hz}
+"""
+HEADING = "Frequency (Hz),Magnitude (dB re 1 um/V),Phase (deg),Coherence"
+
+
+def piezoid(*arguments: str, place: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*PIEZOID, *arguments],
+        cwd=place,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"COLUMNS": "4000", "OPENBLAS_NUM_THREADS": "1", "PATH": "/usr/bin:/bin"},
+    )
+
+
+def moved(drive_V: Array) -> Array:
+    """What the ceramic makes of a drive, m: a play sum whose reversible share is 0.76."""
+    plays, _ = play_columns(drive_V, THRESHOLDS_V, np.zeros(len(THRESHOLDS_V)))
+    return np.asarray(GAIN_m_per_V * (0.76 * drive_V + plays @ WEIGHTS))
+
+
+def write_sweep(path: Path, rng: np.random.Generator) -> None:
+    time_s = np.arange(9000) / 500.0
+    size = np.interp(time_s, [0.0, 6.0, 12.0, 18.0], [1.0, 1.0, 0.6, 0.3])
+    drive_V = 50.0 - 45.0 * size * np.cos(2.0 * np.pi * (0.3 + 0.04 * time_s) * time_s)
+    reading_m = moved(drive_V) + 2e-9 * rng.standard_normal(len(drive_V))
+    write_csv(path, "time [s],voltage [V],position [um]", time_s, drive_V, reading_m * 1e6)
+
+
+def write_response(path: Path, rng: np.random.Generator) -> None:
+    f = np.geomspace(0.5, 5000.0, 400)
+    exact = response(f, ((MODE_Hz, QUALITY, 1.0),), gain_m_per_V=0.76 * GAIN_m_per_V, delay_s=5e-5)
+    exact /= (1.0 + 1j * f / AMPLIFIER_Hz) * (1.0 + 1j * f / SENSOR_Hz)
+    values, coherence = noisy(rng, exact, 0.003), np.full(len(f), 0.9995)
+    hole = (f > 90.0) & (f < 120.0)
+    values[hole] *= 1.0 + rng.standard_normal(hole.sum())
+    coherence[hole] = 0.3
+    decibel, degrees = 20.0 * np.log10(np.abs(values) * 1e6), np.degrees(np.angle(values))
+    write_csv(path, HEADING, f, decibel, degrees, coherence)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place, rng = tmp_path_factory.mktemp("stage"), np.random.default_rng(12)
+    write_sweep(place / "sweep.csv", rng)
+    write_response(place / "response.csv", rng)
+    (place / "lab.toml").write_text(LAB)
+    return place
+
+
+@pytest.fixture(scope="module")
+def fitted(folder: Path) -> str:
+    files = ("sweep.csv", "response.csv", "--lab", "lab.toml", "--out", "stage")
+    done = piezoid("fit", *files, place=folder)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_fit_says_what_the_response_shows(folder: Path, fitted: str) -> None:
+    for words in ("a mode at 64", "quality 2", "of 400 lines used", "hysteresis keeps its own"):
+        assert words in fitted
+    axis = read_model((folder / "stage" / "model.json").read_bytes())["x"]
+    assert axis.dynamics is not None
+    low_Hz, high_Hz = axis.dynamics.mode_frequency_interval_Hz()[0]
+    assert low_Hz - 0.5 < MODE_Hz < high_Hz + 0.5
+    assert axis.response is not None
+    assert axis.response.used <= 400 - 10
+    missing = json.loads((folder / "stage" / "diagnosis.json").read_text())["not_detected"]
+    (resonance_said,) = [one["reason"] for one in missing if one["effect"] == "resonance"]
+    assert "response.csv shows it at 64" in resonance_said
+
+
+@pytest.mark.usefixtures("fitted")
+def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
+    page = (folder / "stage" / "report.html").read_text()
+    assert "gain as measured, response.csv" in page
+    assert "not fitted" in page
+    done = piezoid("report", "stage", "sweep.csv", "response.csv", place=folder)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "stage" / "report.html").read_text() == page
+
+
+@pytest.mark.usefixtures("fitted")
+def test_the_loop_is_fast_and_stable_on_the_stage_itself(folder: Path) -> None:
+    alone = piezoid("fit", "sweep.csv", "--lab", "lab.toml", "--out", "alone", place=folder)
+    assert "Traceback" not in alone.stderr
+    with_it, without = (
+        json.loads((folder / name / "design.json").read_text())["axes"][0]["loops"][0]
+        for name in ("stage", "alone")
+    )
+    assert with_it["bandwidth_Hz"] > 5.0 * without["bandwidth_Hz"]
+    shipped = from_json((folder / "stage" / "params.json").read_bytes(), "params.json").axes[0]
+    low_m, high_m = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
+    middle_m, reach_m = 0.5 * (low_m + high_m), 0.3 * (high_m - low_m)
+    time_s = np.arange(6000) / RATE_Hz
+    wanted_m = middle_m + reach_m * np.sin(2.0 * np.pi * 10.0 * time_s) * np.minimum(
+        time_s / 0.1, 1.0
+    )
+    shown_m = driven(shipped.values, wanted_m)
+    error_m = shown_m[-2000:] - wanted_m[-2000:]
+    assert float(np.sqrt(np.mean(error_m**2))) < 0.03 * reach_m
+
+
+def driven(values: dict, wanted_m: Array) -> Array:  # type: ignore[type-arg]
+    """Run the shipped controller on the stage: plays, mode, poles, a delay of one sample."""
+    poles = (first_order(AMPLIFIER_Hz), first_order(SENSOR_Hz))
+    whole = sample(cascade(resonance(MODE_Hz, 0.5 / QUALITY), *poles), RATE_Hz)
+    rest_V = 50.0
+    play = np.zeros(len(THRESHOLDS_V))
+    play = np.maximum(rest_V - THRESHOLDS_V, np.minimum(rest_V + THRESHOLDS_V, play))
+    rest_m = GAIN_m_per_V * (0.76 * rest_V + float(play @ WEIGHTS))
+    controller = Controller(values)
+    controller.start(rest_V, rest_m)
+    state = np.zeros(len(whole.A))
+    given_V, reading_m, shown = rest_V, rest_m, np.empty(len(wanted_m))
+    for k, wanted in enumerate(wanted_m.tolist()):
+        play = np.maximum(given_V - THRESHOLDS_V, np.minimum(given_V + THRESHOLDS_V, play))
+        push_m = GAIN_m_per_V * (0.76 * given_V + float(play @ WEIGHTS)) - rest_m
+        state = whole.A @ state + whole.B[:, 0] * push_m
+        reading_m = rest_m + float(whole.C[0] @ state)
+        shown[k] = reading_m
+        given_V = controller.step(wanted, reading_m)
+    return shown
+
+
+def test_a_response_alone_is_refused_by_fit_and_told_by_inspect(folder: Path) -> None:
+    done = piezoid("fit", "response.csv", "--lab", "lab.toml", "--out", "no", place=folder)
+    assert done.returncode == 3
+    assert "no recording over time shows its hysteresis" in done.stderr
+    seen = piezoid("inspect", "response.csv", place=folder)
+    assert seen.returncode == 0
+    assert "a frequency response, 500 mHz to 5.00 kHz, 400 lines" in seen.stdout
+    assert "looks like modes at 6" in seen.stdout
+
+
+def test_a_matrix_is_told_with_its_coupling(tmp_path: Path) -> None:
+    f = np.geomspace(1.0, 3000.0, 300)
+    write_matlab(tmp_path / "stage.mat", f_Hz=f, H_m_per_V=matrix())
+    seen = piezoid("inspect", "stage.mat", place=tmp_path)
+    assert seen.returncode == 0, seen.stdout + seen.stderr
+    assert "x moves by 2.0 % of y when y is driven" in seen.stdout
+    assert "coupling is told, not controlled" in seen.stdout
+
+
+def test_a_response_of_an_axis_without_recording_or_name_is_refused(folder: Path) -> None:
+    text = LAB + '[[recording]]\nfile = "response.csv"\naxis = "y"\n'
+    (folder / "y.toml").write_text(text)
+    done = piezoid(
+        "fit", "sweep.csv", "response.csv", "--lab", "y.toml", "--out", "no", place=folder
+    )
+    assert done.returncode == 3
+    assert "a frequency response of axis y, and no recording of axis y" in done.stderr

@@ -1,0 +1,304 @@
+"""Frequency responses in: every way to write one gives the same response, or a refusal."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import LabFileError, PiezoidError, RecordingError
+from piezoid.records.collection import collect
+from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
+from piezoid.records.ingest import ingest
+from piezoid.records.inspection import inspect_file
+from piezoid.records.lab import Lab, read_lab
+from piezoid.records.lab_draft import draft_lab
+from tests.records.responses import FREQUENCY_Hz, matrix, response, write_csv, write_matlab
+
+G = response()
+SIZE_um, ANGLE_deg = np.abs(G) * 1e6, np.degrees(np.angle(G))
+DECIBEL = 20.0 * np.log10(SIZE_um)
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    "decibel and degrees": lambda f: write_csv(
+        f / "a.csv",
+        "Frequency (Hz),Magnitude (dB re 1 um/V),Phase (deg)",
+        *(FREQUENCY_Hz, DECIBEL, ANGLE_deg),
+    ),
+    "linear and radians": lambda f: write_csv(
+        f / "a.csv", "freq_kHz,gain_um_per_V,phase_rad", FREQUENCY_Hz / 1e3, SIZE_um, np.angle(G)
+    ),
+    "unwrapped radians over rad/s": lambda f: write_csv(
+        f / "a.csv",
+        "omega [rad/s],|H| mag [nm/mV],theta [rad]",
+        *(2.0 * np.pi * FREQUENCY_Hz, SIZE_um, np.unwrap(np.angle(G))),
+    ),
+    "real and imaginary": lambda f: write_csv(
+        f / "a.csv", "f [Hz],Re [um/V],Im [um/V]", FREQUENCY_Hz, G.real * 1e6, G.imag * 1e6
+    ),
+    "downward": lambda f: write_csv(
+        f / "a.csv",
+        "f [Hz],Re [um/V],Im [um/V]",
+        *(FREQUENCY_Hz[::-1], G.real[::-1] * 1e6, G.imag[::-1] * 1e6),
+    ),
+    "MATLAB, complex": lambda f: write_matlab(f / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=G),
+    "MATLAB, gain and phase": lambda f: write_matlab(
+        f / "a.mat", freq_Hz=FREQUENCY_Hz, mag_um_per_V=SIZE_um, phase_deg=ANGLE_deg
+    ),
+}
+INSTRUMENTS = {
+    "nanonis": (
+        "Experiment\tFrequency Sweep\n\n[DATA]\n",
+        "Frequency (Hz)\tAmplitude (m)\tPhase (deg)\tExcitation (V)",
+        "a.dat",
+        'columns = { frequency = "Frequency (Hz)", magnitude = "Amplitude (m)", '
+        'phase = "Phase (deg)", excitation = "Excitation (V)" }\n',
+    ),
+}
+
+
+def lab_of(folder: Path, entry: str, rest: str = "") -> Lab:
+    (folder / "lab.toml").write_text(f"{rest}[[recording]]\n{entry}")
+    return read_lab(folder / "lab.toml")
+
+
+def only(path: Path, lab: Lab | None = None) -> FrequencyResponseRecord:
+    held = collect([path], lab)
+    assert not held.recordings
+    (found,) = held.responses
+    return found
+
+
+def assert_true(found: FrequencyResponseRecord, axis: str = "x") -> None:
+    path = found.path(axis, axis)
+    assert path is not None
+    np.testing.assert_allclose(found.frequency_Hz, FREQUENCY_Hz, rtol=1e-8)
+    np.testing.assert_allclose(path.response_m_per_V, G, rtol=1e-6)
+
+
+@pytest.mark.parametrize("write", WRITERS.values(), ids=WRITERS)
+def test_every_way_to_write_a_response_is_the_same_response(
+    write: Callable[[Path], Path], tmp_path: Path
+) -> None:
+    assert_true(only(write(tmp_path)))
+
+
+def test_decibels_of_nothing_are_refused_with_the_line_that_mends_it(tmp_path: Path) -> None:
+    path = write_csv(
+        tmp_path / "a.csv",
+        "Frequency (Hz),Magnitude (dB),Phase (deg)",
+        *(FREQUENCY_Hz, DECIBEL, ANGLE_deg),
+    )
+    with pytest.raises(RecordingError, match="is in dB, and nothing says of what"):
+        collect([path])
+    lab = lab_of(tmp_path, 'file = "a.csv"\nunits = { magnitude = "dB re 1 um/V" }\n')
+    assert_true(only(path, lab))
+
+
+def test_volts_of_a_sensor_need_its_gain(tmp_path: Path) -> None:
+    path = write_csv(
+        tmp_path / "a.csv", "f [Hz],gain [V/V],phase [deg]", FREQUENCY_Hz, SIZE_um * 0.2, ANGLE_deg
+    )
+    with pytest.raises(RecordingError, match="gain_V_per_m"):
+        collect([path])
+    rig = "[sensor]\ngain_V_per_m = 2e5\n"
+    assert_true(only(path, lab_of(tmp_path, 'file = "a.csv"\naxis = "y"\n', rig)), "y")
+
+
+def test_an_amplitude_of_a_lock_in_is_divided_by_its_excitation(tmp_path: Path) -> None:
+    head, names, name, columns = INSTRUMENTS["nanonis"]
+    excitation = np.linspace(0.5, 0.6, len(G))
+    rows = np.column_stack([FREQUENCY_Hz, np.abs(G) * excitation, ANGLE_deg, excitation])
+    text = "\n".join("\t".join(f"{x:.10e}" for x in row) for row in rows)
+    (tmp_path / name).write_text(f"{head}{names}\n{text}\n")
+    with pytest.raises(RecordingError, match="an amplitude and not yet a response"):
+        collect([tmp_path / name])
+    assert_true(only(tmp_path / name, lab_of(tmp_path, f'file = "{name}"\n{columns}')))
+
+
+def test_a_matrix_of_matlab_has_every_path(tmp_path: Path) -> None:
+    whole = matrix()
+    found = only(write_matlab(tmp_path / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=whole))
+    assert found.axes == ("x", "y", "z")
+    for i, output in enumerate("xyz"):
+        for j, drive in enumerate("xyz"):
+            path = found.path(output, drive)
+            assert path is not None
+            np.testing.assert_allclose(path.response_m_per_V, whole[i, j], rtol=1e-9)
+
+
+def test_nine_groups_of_columns_have_every_path(tmp_path: Path) -> None:
+    whole = matrix()
+    heading, columns = ["f [Hz]"], [FREQUENCY_Hz]
+    for i, output in enumerate("xyz"):
+        for j, drive in enumerate("xyz"):
+            heading += [f"mag_{output}{drive} (um/V)", f"phase_{output}{drive} (deg)"]
+            columns += [np.abs(whole[i, j]) * 1e6, np.degrees(np.angle(whole[i, j]))]
+    found = only(write_csv(tmp_path / "a.csv", ",".join(heading), *columns))
+    path = found.path("z", "x")
+    assert path is not None
+    np.testing.assert_allclose(path.response_m_per_V, whole[2, 0], rtol=1e-6)
+
+
+def test_inspect_tells_band_coherence_peaks_and_coupling(tmp_path: Path) -> None:
+    path = write_matlab(tmp_path / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=matrix())
+    (found,) = inspect_file(path)
+    assert found.refusal is None
+    told = found.response
+    assert told is not None
+    assert (told.lowest_Hz, told.lines) == (pytest.approx(1.0), 300)
+    own = {p.output: p for p in told.paths if p.output == p.drive}
+    for axis, mode_Hz in zip("xyz", (812.0, 640.0, 1310.0), strict=True):
+        (peak,) = own[axis].peaks
+        assert peak.frequency_Hz == pytest.approx(mode_Hz, rel=0.02)
+        assert peak.quality == pytest.approx(30.0, rel=0.3)
+    assert all(c.low == pytest.approx(0.02, rel=0.05) for c in told.couplings)
+
+
+SORTED = "f [Hz],gain [um/V],phase [deg]"
+AT = 40
+
+
+def changed(column: int, value: float) -> list[np.ndarray]:  # type: ignore[type-arg]
+    columns = [FREQUENCY_Hz.copy(), SIZE_um.copy(), ANGLE_deg.copy()]
+    columns[column][AT] = value
+    return columns
+
+
+WRONG = {
+    "repeated": (changed(0, FREQUENCY_Hz[AT - 1]), "again .* frequencies do not rise"),
+    "unsorted": (changed(0, 2.0), "line 42 stands 2 Hz behind"),
+    "negative": (changed(0, -5.0), "1 frequencies are negative, the first is -5 Hz at line 42"),
+    "empty": (changed(1, np.nan), "hold no number, the first is line 42"),
+    "zero": (changed(1, 0.0), "is zero in 1 rows, the first is line 42"),
+    "below zero": (changed(1, -3.0), "is -3 at line 42; a magnitude above zero"),
+    "radians called degrees": (
+        [FREQUENCY_Hz, SIZE_um, np.angle(G)],
+        "obviously other units; .* rad would fit",
+    ),
+}
+
+
+@pytest.mark.parametrize(("columns", "words"), WRONG.values(), ids=WRONG)
+def test_numbers_that_are_no_response_are_refused_with_their_place(
+    columns: list[np.ndarray],  # type: ignore[type-arg]
+    words: str,
+    tmp_path: Path,
+) -> None:
+    path = write_csv(tmp_path / "a.csv", SORTED, *columns)
+    with pytest.raises(RecordingError, match=words):
+        collect([path])
+    (found,) = inspect_file(path)
+    assert re.search(words, found.refusal or "")
+
+
+def test_degrees_called_radians_are_refused(tmp_path: Path) -> None:
+    heading = "f [Hz],gain [um/V],phase [rad]"
+    path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
+    with pytest.raises(RecordingError, match="deg would fit"):
+        collect([path])
+
+
+def test_a_long_delay_in_radians_is_no_degrees(tmp_path: Path) -> None:
+    angle = np.unwrap(np.angle(response(delay_s=0.0))) - 2.0 * np.pi * 0.02 * FREQUENCY_Hz
+    heading = "f [Hz],gain [um/V],phase [rad]"
+    found = only(write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, angle))
+    assert len(found.frequency_Hz) == 300
+
+
+def test_a_coherence_above_one_is_refused_and_in_percent_it_is_read(tmp_path: Path) -> None:
+    percent = np.full(len(G), 98.0)
+    heading = f"{SORTED},coherence"
+    path = write_csv(tmp_path / "a.csv", heading, FREQUENCY_Hz, SIZE_um, ANGLE_deg, percent)
+    with pytest.raises(RecordingError, match="from 0 to 1"):
+        collect([path])
+    found = only(path, lab_of(tmp_path, 'file = "a.csv"\nunits = { coherence = "%" }\n'))
+    held = found.paths[0].coherence
+    assert held is not None
+    np.testing.assert_allclose(held, 0.98)
+
+
+def test_a_time_beside_a_frequency_is_refused_until_lab_toml_decides(tmp_path: Path) -> None:
+    time_s = np.arange(len(G)) * 0.1
+    path = write_csv(
+        tmp_path / "a.csv", f"time [s],{SORTED}", time_s, FREQUENCY_Hz, SIZE_um, ANGLE_deg
+    )
+    with pytest.raises(RecordingError, match="in one file; one of the two"):
+        collect([path])
+    columns = '{ frequency = "f [Hz]", magnitude = "gain [um/V]", phase = "phase [deg]" }'
+    assert_true(only(path, lab_of(tmp_path, f'file = "a.csv"\ncolumns = {columns}\n')))
+
+
+def test_a_recording_with_a_frequency_shift_stays_a_recording(tmp_path: Path) -> None:
+    time_s = np.arange(400) / 1000
+    drive = np.sin(2 * np.pi * 5 * time_s)
+    path = write_csv(
+        tmp_path / "a.csv",
+        "time [s],voltage [V],position [um],Frequency Shift (Hz),Amplitude (m),Phase (deg)",
+        *(time_s, drive, 2 * drive, drive, drive, drive),
+    )
+    assert len(collect([path]).recordings) == 1
+
+
+def test_a_spectrum_and_a_lone_gain_are_no_response(tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", "Frequency [Hz],gain [um/V]", FREQUENCY_Hz, SIZE_um)
+    with pytest.raises(RecordingError, match="magnitude alone is no response"):
+        collect([path])
+
+
+def test_a_response_is_no_recording(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="a frequency response, not a recording over time"):
+        ingest(WRITERS["real and imaginary"](tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("columns = { frequency = 1, gain = 2 }", "a frequency response, names 'gain'"),
+        ("columns = { frequency = 1, magnitude = 9, phase = 3 }", "no column 9"),
+        ('includes = ["stage"]', "includes"),
+        ("sampling_rate_Hz = 100.0", "no time and no offset"),
+    ],
+)
+def test_an_entry_that_cannot_be_meant_is_refused(entry: str, words: str, tmp_path: Path) -> None:
+    path = write_csv(tmp_path / "a.csv", SORTED, FREQUENCY_Hz, SIZE_um, ANGLE_deg)
+    with pytest.raises(LabFileError, match=words):
+        collect([path], lab_of(tmp_path, f'file = "a.csv"\n{entry}\n'))
+
+
+def test_the_first_lab_toml_reads_it_the_same_way_again(tmp_path: Path) -> None:
+    path = WRITERS["decibel and degrees"](tmp_path)
+    draft = draft_lab([path], tmp_path)
+    assert not draft.incomplete
+    (tmp_path / "lab.toml").write_text(draft.text)
+    assert_true(only(path, read_lab(tmp_path / "lab.toml")))
+
+
+def test_records_are_checked_at_birth() -> None:
+    path = ResponsePath(output="x", drive="x", response_m_per_V=G)
+    made = {"name": "a", "digest": "0", "frequency_Hz": FREQUENCY_Hz, "paths": (path,)}
+    for wrong in (
+        {"frequency_Hz": FREQUENCY_Hz[::-1]},
+        {"frequency_Hz": FREQUENCY_Hz - 1.0},
+        {"paths": ()},
+        {"paths": (path, path)},
+        {"includes": ("stage",)},
+    ):
+        with pytest.raises(ValueError, match=r"expected|does not increase"):
+            FrequencyResponseRecord(**{**made, **wrong})  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="zero"):
+        ResponsePath(output="x", drive="x", response_m_per_V=0.0 * G)
+
+
+def test_nothing_that_is_cut_or_shuffled_ends_in_anything_but_a_message(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    text = WRITERS["real and imaginary"](tmp_path).read_text()
+    for _ in range(60):
+        first, last = np.sort(rng.integers(0, len(text), 2)).tolist()
+        broken = text[:first] + text[last:] if rng.random() < 0.5 else text[first:last]
+        (tmp_path / "b.csv").write_text(broken)
+        try:
+            collect([tmp_path / "b.csv"])
+        except PiezoidError:
+            continue
