@@ -8,7 +8,7 @@ import typer
 from piezoid_cli.terminal import plain, say
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from rich.table import Table
 
@@ -71,20 +71,29 @@ def design(
         raise typer.Exit(1)
 
 
-def show(found: "Design", shipped: "Collection[str]" = ()) -> None:
+def show(
+    found: "Design",
+    shipped: "Collection[str]" = (),
+    ranges_m: "Mapping[str, float] | None" = None,
+) -> None:
     """Print what each axis reached.
 
-    shipped  axes whose own verification passed: of no other a bound is told
+    shipped   axes whose own verification passed: of no other a bound is told
+    ranges_m  displacement range by axis: a bound beyond it is none
     """
     from rich.console import Console
 
     console = Console()
-    console.print(_table(found, shipped))
+    console.print(_table(found, shipped, ranges_m or {}))
     for remark in found.remarks:
         console.print(plain(remark, style="dim"))
 
 
-def _table(found: "Design", shipped: "Collection[str]") -> "Table":
+def _table(
+    found: "Design", shipped: "Collection[str]", ranges_m: "Mapping[str, float]"
+) -> "Table":
+    from math import inf
+
     from rich.table import Table
 
     from piezoid.readable import told
@@ -101,16 +110,22 @@ def _table(found: "Design", shipped: "Collection[str]") -> "Table":
                 told(loop.bandwidth_Hz, "Hz"),
                 f"{loop.worst_modulus_margin:.3f}",
                 "any" if delay_s is None else told(delay_s, "s"),
-                _bound(loop.certificate, is_verified=axis.axis in shipped),
+                _bound(
+                    loop.certificate,
+                    ranges_m.get(axis.axis, inf),
+                    is_verified=axis.axis in shipped,
+                ),
             )
     return table
 
 
-def _bound(proven: "Certificate | None", *, is_verified: bool) -> str:
+def _bound(proven: "Certificate | None", range_m: float, *, is_verified: bool) -> str:
     from math import isfinite
 
     from piezoid.readable import told
 
     if proven is None or not proven.is_guaranteed or not isfinite(proven.guaranteed_error_m):
         return "no bound"
+    if proven.guaranteed_error_m > range_m:
+        return "no useful bound: wider than the stroke"
     return told(proven.guaranteed_error_m, "m") if is_verified else "not verified"

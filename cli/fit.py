@@ -8,6 +8,8 @@ import typer
 from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from rich.console import Console
     from rich.table import Table
 
@@ -124,11 +126,12 @@ def _show(found: "Calibration", out: Path) -> None:
     _show_model(found.model)
     for sentence in _diagnosis_sentences(found):
         say(sentence)
-    _show_controllers(found.controllers)
+    ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
+    _show_controllers(found.controllers, ranges_m)
     say(f"report: {out / 'report.html'}")
 
 
-def _show_controllers(made: "Controllers") -> None:
+def _show_controllers(made: "Controllers", ranges_m: "Mapping[str, float]") -> None:
     from rich.console import Console
 
     from piezoid_cli.design import show as show_design
@@ -136,7 +139,7 @@ def _show_controllers(made: "Controllers") -> None:
 
     console = Console()
     if made.design is not None:
-        show_design(made.design, made.shipped)
+        show_design(made.design, made.shipped, ranges_m)
     if made.reason:
         what = "no controller" if made.design is None else "not exported"
         tone = "dim" if made.passed else "bold red"

@@ -39,12 +39,16 @@ class Order:
 
 OTHER_RECORDINGS = "other recordings"
 SECOND_HALF = "second half"
+WIDEST_HALVED = "other recordings, second half of the widest"
 BLOCKS = "blocks of several seconds, in five folds"
 IN_SAMPLE = "none, one loop"
 
 _HELD_OUT = {
     OTHER_RECORDINGS: "whole recordings left out of the fit in turn, to which nothing but a "
     "constant zero and the first memory was fitted",
+    WIDEST_HALVED: "whole recordings left out of the fit in turn, to which nothing but a constant "
+    "zero and the first memory was fitted, and the second half of those that go further than all "
+    "others, or of each of two",
     SECOND_HALF: "the second half of its only recording, which the fit did not see, with the zero "
     "where the first half left it",
     BLOCKS: "blocks of several seconds inside the same recordings, left out in five folds, with "
@@ -73,8 +77,8 @@ class FitQuality:
 
     rms_m                residual on the data of the fit
     held_out_rms_m       free-run simulation error on rows the fit did not see
-    held_out_kind        ``OTHER_RECORDINGS``, ``SECOND_HALF``, ``BLOCKS``, or ``IN_SAMPLE``: then
-                         it is the residual on the data of the fit
+    held_out_kind        ``OTHER_RECORDINGS``, ``WIDEST_HALVED``, ``SECOND_HALF``, ``BLOCKS``, or
+                         ``IN_SAMPLE``: then it is the residual on the data of the fit
     range_m              displacement range of the rows that counted
     noise_rms_m          white noise of the sensor, from repeated periods or from third differences
     rows                 rows of the final search

@@ -28,6 +28,12 @@ def _parts(axis: AxisModel) -> tuple[Part, ...]:
 
 def _sentence(axis: AxisModel) -> str:
     found = axis.certificate
+    if found.bound_m > axis.quality.range_m:
+        return (
+            f"Axis {axis.axis}: no useful bound. The terms below add up to more than the whole "
+            f"range of the displacement, {told(axis.quality.range_m, 'm')}: the recordings leave "
+            "too many models open, or one they leave out is too far off."
+        )
     middle_V = axis.hysteresis.voltage_offset_V
     return (
         f"Axis {axis.axis}: with 95 % confidence the model is within {told(found.bound_m, 'm')} "

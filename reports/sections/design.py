@@ -41,7 +41,7 @@ def render(page: Page) -> Section | None:
         return None
     parts: list[Part] = []
     for axis in () if page.design is None else page.design.axes:
-        parts += [*_axis(axis), *_proven(axis.recommended, is_verified=_ships(page, axis))]
+        parts += [*_axis(axis), *_proven_of(page, axis)]
         parts += _assumed(page, axis)
     for remark in () if page.design is None else page.design.remarks:
         parts.append(Prose(text=f"Not designed: {remark}", tone="middling"))
@@ -213,6 +213,25 @@ def _figure_names(axis: AxisDesign) -> str:
 def _told_figure(axis: AxisDesign, figure: float) -> str:
     """Return what a choice minimises, a length on an axis that is controlled in metres."""
     return told(figure, "m") if axis.output_unit == "m" else significant(figure)
+
+
+def _proven_of(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
+    """Return what is proven, or that the bound is wider than the stroke and so says nothing."""
+    proven = axis.recommended.certificate
+    model = page.model.axes.get(axis.axis)
+    is_verified = _ships(page, axis)
+    if model is None or proven is None or not (proven.is_guaranteed and is_verified):
+        return _proven(axis.recommended, is_verified=is_verified)
+    if proven.guaranteed_error_m <= model.quality.range_m:
+        return _proven(axis.recommended, is_verified=is_verified)
+    return (
+        Prose(
+            text=f"Small gain is {significant(proven.small_gain)}, below 1: hysteresis cannot "
+            "destabilise the loop. There is no useful bound of its error: what can be proven is "
+            f"wider than the whole range, {told(model.quality.range_m, 'm')}.",
+            tone="middling",
+        ),
+    )
 
 
 def _proven(loop: LoopDesign, *, is_verified: bool) -> tuple[Part, ...]:

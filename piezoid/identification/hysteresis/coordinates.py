@@ -32,7 +32,7 @@ LEAST_SLOPE = 1e-3  # at which a first guess still has an inverse
 LEAST_BEHIND_TURN = 0.4
 BENT = (0.4, 2.5)
 BENT_ENVELOPE = (0.5, 2.0)
-GREATEST_WEIGHT = 1e3
+GREATEST_SLOPE = 4.0  # of all plays together, in front of a Psi that may be as flat as 0.4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,11 @@ class Shape:
     above: int
     lag: str = "delay"
     bends: int = 0
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers the operator has: thresholds and weights, kinks and slopes."""
+        return 2 * self.plays + 1 + 2 * (self.below + self.above) + 2 * self.bends
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +129,7 @@ class Coordinates:
         for name, place in self.slices.items():
             lower[place], upper[place] = {
                 "gap": (LEAST_GAP, GREATEST_GAP),
-                "weight": (0.0, GREATEST_WEIGHT),
+                "weight": (0.0, GREATEST_SLOPE),
                 "slope": BENT,
                 "envelope": BENT_ENVELOPE,
                 "lag": (0.0, longest_lag_s),

@@ -227,7 +227,9 @@ def _iterate(
             np.concatenate([-residual, np.zeros(len(scale))]),
             *room,
         )
-        trial = task.coordinates.within_reach(np.clip(theta + step, lower, upper), task.swing)
+        trial = np.clip(theta + step, lower, upper)
+        if "gap" not in task.held:
+            trial = task.coordinates.within_reach(trial, task.swing)
         reached = Minimum(
             theta=trial,
             rms=rms_of(trial, task),

@@ -84,38 +84,64 @@ class Jackknife:
 
 def jackknife(theta: Array, task: Task) -> Jackknife:
     """Return the fit without each block of whole cycles in turn."""
-    normals, gradients = _grams(theta, task)
-    return left_out(theta, task.coordinates.bounds(task.longest_lag_s), normals, gradients)
+    grams, (kinks, _) = grams_of(theta, task), task.prior
+    bounds = task.coordinates.bounds(task.longest_lag_s)
+    return left_out(theta, bounds, grams.normal, grams.gradient, kinks.T @ kinks)
 
 
 def left_out(
-    theta: Array, bounds: tuple[Array, Array], normals: Array, gradients: Array
+    theta: Array,
+    bounds: tuple[Array, Array],
+    normals: Array,
+    gradients: Array,
+    prior: Array | float = 0.0,
 ) -> Jackknife:
-    """Return the fit without each block, from J_c'J_c and J_c'e_c of every block."""
-    whole = normals.sum(axis=0)
+    """Return the fit without each block, from J_c'J_c and J_c'e_c of every block.
+
+    prior  what stands beside the data in A whichever block is left out
+    """
+    data = normals.sum(axis=0)
+    whole = data + prior
     lower, upper = bounds
-    free = (theta > lower + 1e-9) & (theta < upper - 1e-9) & (np.diag(whole) > 0)
+    free = (theta > lower + 1e-9) & (theta < upper - 1e-9) & (np.diag(data) > 0)
     replicates = np.repeat(theta[None], len(normals), axis=0)
+    scale = np.sqrt(np.diag(data)[free])
     for block, (normal, gradient) in enumerate(zip(normals, gradients, strict=True)):
-        rest = (whole - normal)[np.ix_(free, free)]
-        scale = np.sqrt(np.diag(whole)[free])
-        step = np.linalg.lstsq(
-            rest / np.outer(scale, scale), gradient[free] / scale, rcond=TRUNCATED
+        seen, rest = (
+            (matrix - normal)[np.ix_(free, free)] / np.outer(scale, scale)
+            for matrix in (data, whole)
         )
-        replicates[block, free] += step[0] / scale
+        eigenvalue, direction = np.linalg.eigh(seen)
+        known = direction[:, eigenvalue > TRUNCATED * eigenvalue[-1]]
+        step = np.linalg.solve(known.T @ rest @ known, known.T @ (gradient[free] / scale))
+        replicates[block, free] += known @ step / scale
     replicates = np.clip(replicates, lower, upper)
     return Jackknife(
         theta=theta, replicates=replicates, free=free, normal=whole, gradient=gradients
     )
 
 
-def _grams(theta: Array, task: Task) -> tuple[Array, Array]:
-    """Return J_c'J_c and J_c'e_c of every block, in the order of the whole vector."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Grams:
+    """What least squares knows of every block of time.
+
+    normal    (blocks, total, total)  J_c'J_c, in the order of the whole vector
+    gradient  (blocks, total)         J_c'e_c
+    square    (blocks,)               e_c'e_c
+    """
+
+    normal: Array
+    gradient: Array
+    square: Array
+
+
+def grams_of(theta: Array, task: Task) -> Grams:
+    """Return the normal matrices of every block."""
     coordinates = task.coordinates
     edges = block_edges(task.pieces)
     blocks = sum(len(edge) - 1 for edge in edges)
     normals = np.zeros((blocks, coordinates.total, coordinates.total))
-    gradients = np.zeros((blocks, coordinates.total))
+    gradients, squares = np.zeros((blocks, coordinates.total)), np.zeros(blocks)
     before = 0
     for index, piece in enumerate(task.pieces):
         place = column_places(coordinates, index)
@@ -129,11 +155,12 @@ def _grams(theta: Array, task: Task) -> tuple[Array, Array]:
         ):
             block = before + np.searchsorted(edges[index][1:-1], rows.sample, side="right")
             for c in np.unique(block):
-                tangent = rows.tangent[block == c]
+                tangent, residual = rows.tangent[block == c], rows.residual[block == c]
                 normals[c][np.ix_(place, place)] += tangent.T @ tangent
-                gradients[c][place] += tangent.T @ rows.residual[block == c]
+                gradients[c][place] += tangent.T @ residual
+                squares[c] += residual @ residual
         before += len(edges[index]) - 1
-    return normals, gradients
+    return Grams(normal=normals, gradient=gradients, square=squares)
 
 
 def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:

@@ -1,14 +1,18 @@
 """How many plays and dead zones, and which lag: the smallest model that predicts as well.
 
+As well is within 2 % of the best and one standard error of the paired difference (as_good.py).
 Judged on rows the fit did not see: on other recordings where there are several, else on the
-second half of the only one. Random splits would prove nothing; neighbouring samples are copies.
+second half of the only one, as of one that goes further than all others. Random splits would prove
+nothing; neighbouring samples are copies.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from piezoid.identification.hysteresis.as_good import blocks_of_squares, is_as_good
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.scope import scope_of
@@ -19,17 +23,24 @@ from piezoid.identification.hysteresis.search import (
     search,
     transferred,
 )
-from piezoid.identification.quality import IN_SAMPLE, OTHER_RECORDINGS, SECOND_HALF
+from piezoid.identification.quality import (
+    IN_SAMPLE,
+    OTHER_RECORDINGS,
+    SECOND_HALF,
+    WIDEST_HALVED,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Samples
 
 ORDERS = ((2, 0), (4, 1), (8, 2), (12, 4), (16, 6))
 LAGS = ("delay", "first_order")
 BENDS = (3, 6)
-CLOSE = 1.03  # a smaller model within 3 % of the best is the better model
+CLOSE = 1.02  # times the rms of the best: nobody would notice
 CLOSE_IN_SAMPLE = 1.15  # the error of the fit itself falls with every number more
+NO_BETTER = 2  # orders in a row that bring nothing: the next would not either
 FOLDS = 3
 MANY = 12  # crossings of the middle: so many are more than one loop, whatever their noise
+BEYOND = 0.1  # of half the drive's range: what a model may be asked beyond what it was shown
 ROUNDED = 1e-9  # of a sum of squares: more than its rounding
 
 
@@ -50,6 +61,11 @@ class Trial:
     def held_out_rms(self) -> float:
         """Return the rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
+
+    @cached_property
+    def squares(self) -> Array:
+        """The squares by blocks of time, about the mean: the zero is not the shape's."""
+        return blocks_of_squares(self.residual - self.residual.mean())
 
     @classmethod
     def of(cls, shape: Shape, folds: Sequence[tuple[Array, float]]) -> "Trial":
@@ -89,22 +105,38 @@ def choose_shape(
     elsewhere  gives the trials of ``bent_shapes``, which need nothing of the others; it is asked
                last, when they have had the most time
     """
-    trials = [_try(pieces, shape, settings, progress) for shape in _shapes_of(orders)]
-    close = CLOSE_IN_SAMPLE if is_untested(pieces) else CLOSE
-    best = _smallest_close(trials, close)
-    late = [_try(pieces, replace(best.shape, lag=lag), settings, progress) for lag in LAGS[1:]]
-    bent = [
-        elsewhere(shape) or _try(pieces, shape, settings, progress)
-        for shape in bent_shapes(orders)
-    ]
-    for other in (*bent, *late):
-        trials.append(other)
-        if other.held_out_rms * close < best.held_out_rms:
-            best = other
-    kind = OTHER_RECORDINGS if _recordings(pieces) > 1 else SECOND_HALF
+    untested = is_untested(pieces)
+
+    def tried(shape: Shape) -> Trial:
+        return _try(pieces, shape, settings, progress)
+
+    trials = _ladder(_shapes_of(orders), tried, untested)
+    straight = _smallest_as_good(trials, untested)
+    late = [tried(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
+    trials += [elsewhere(shape) or tried(shape) for shape in bent_shapes(orders)]
+    best = _smallest_as_good(trials, untested)
+    if best.shape.bends:
+        begun = straight.shape.plays
+        fewer = (s for s in _shapes_of(orders) if begun <= s.plays < best.shape.plays)
+        trials += _until_as_good(
+            best, (replace(s, bends=best.shape.bends) for s in fewer), tried, untested
+        )
+    trials += late
+    best = _smallest_as_good(trials, untested)
+    return Choice(best=best, trials=tuple(trials), kind=_kind_of(pieces))
+
+
+def _kind_of(pieces: Sequence[Piece]) -> str:
+    """Return what is held out, in the words of ``FitQuality``."""
     if is_untested(pieces):
-        kind = IN_SAMPLE
-    return Choice(best=best, trials=tuple(trials), kind=kind)
+        return IN_SAMPLE
+    if _recordings(pieces) == 1:
+        return SECOND_HALF
+    whole = all(
+        {p.recording for p in training}.isdisjoint(p.recording for p in testing)
+        for training, testing in folds_of(pieces)
+    )
+    return OTHER_RECORDINGS if whole else WIDEST_HALVED
 
 
 def _shapes_of(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
@@ -121,9 +153,46 @@ def bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
     return tuple(replace(richest, bends=bends) for bends in BENDS)
 
 
-def _smallest_close(trials: Sequence[Trial], close: float) -> Trial:
-    least = min(trial.held_out_rms for trial in trials)
-    return next(trial for trial in trials if trial.held_out_rms <= close * least)
+def _ladder(
+    shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: bool
+) -> list[Trial]:
+    """Try shapes of growing size for as long as that brings anything."""
+    trials: list[Trial] = []
+    for shape in shapes:
+        trials.append(tried(shape))
+        last = trials[-NO_BETTER:]
+        earlier = trials[:-NO_BETTER]
+        if any(all(_is_as_good(one, other, untested) for other in last) for one in earlier):
+            break
+    return trials
+
+
+def _until_as_good(
+    best: Trial, shapes: Iterator[Shape], tried: Callable[[Shape], Trial], untested: bool
+) -> list[Trial]:
+    """Try shapes of growing size until one is as good as the best."""
+    trials: list[Trial] = []
+    for shape in shapes:
+        trials.append(tried(shape))
+        if _is_as_good(trials[-1], best, untested):
+            break
+    return trials
+
+
+def _smallest_as_good(trials: Sequence[Trial], untested: bool) -> Trial:
+    best = min(trials, key=lambda trial: float(trial.squares.sum()))
+    ordered = sorted(trials, key=lambda trial: trial.shape.numbers)
+    return next(trial for trial in ordered if _is_as_good(trial, best, untested))
+
+
+def _is_as_good(smaller: Trial, best: Trial, untested: bool) -> bool:
+    """Tell whether the smaller of two may stand for the better.
+
+    Errors of the fit itself are no sample of what is to come: they have no doubt.
+    """
+    if untested:
+        return smaller.held_out_rms <= CLOSE_IN_SAMPLE * best.held_out_rms
+    return is_as_good(smaller.squares, best.squares, CLOSE)
 
 
 def _try(
@@ -173,21 +242,42 @@ def _recordings(pieces: Sequence[Piece]) -> int:
 
 
 def folds_of(pieces: Sequence[Piece]) -> Iterator[tuple[tuple[Piece, ...], tuple[Piece, ...]]]:
-    """Yield (training, testing): whole recordings in turn, or two halves of a single one."""
+    """Yield (training, testing): whole recordings in turn, or two halves of a single one.
+
+    A recording that goes further than all the others tells what they cannot know: its first half
+    stays in the training, as of each of two, for one alone tells too little of a shape that both
+    together can tell. Such parts stand first, at the same places as what they are parts of.
+    """
     count = _recordings(pieces)
     if is_untested(pieces):
         yield tuple(pieces), tuple(pieces)
         return
-    if count == 1:
-        training = tuple(replace(p, last=p.first + p.rows // 2) for p in pieces)
-        yield training, tuple(pieces)
-        return
     folds = min(count, FOLDS)
     for fold in range(folds):
-        testing = tuple(p for p in pieces if p.recording % folds == fold)
-        training = tuple(p for p in pieces if p.recording % folds != fold)
-        if training and testing:
-            yield training, testing
+        left = [p for p in pieces if p.recording % folds == fold]
+        others = tuple(p for p in pieces if p.recording % folds != fold)
+        wide = tuple(p for p in left if count == 2 or not _is_covered(p, others))
+        parts = tuple(replace(p, last=p.first + p.rows // 2) for p in wide)
+        if left and (others or parts):
+            yield (*parts, *others), (*wide, *(p for p in left if p not in wide))
+
+
+def _is_covered(piece: Piece, others: Sequence[Piece]) -> bool:
+    """Tell whether the others go as far as a piece, in one swing and to either side."""
+    if not others:
+        return False
+    ends = [_ends(other) for other in others]
+    low, high = _ends(piece)
+    return (
+        min(a for a, _ in ends) <= low + BEYOND
+        and max(b for _, b in ends) >= high - BEYOND
+        and max(b - a for a, b in ends) >= high - low - BEYOND
+    )
+
+
+def _ends(piece: Piece) -> tuple[float, float]:
+    drive = piece.drive[piece.first : piece.last]
+    return float(drive.min()), float(drive.max())
 
 
 def is_untested(pieces: Sequence[Piece]) -> bool:
@@ -202,43 +292,44 @@ def _crossings(piece: Piece) -> int:
     return int(np.count_nonzero(np.diff(np.signbit(drive - 0.5 * (drive.max() + drive.min())))))
 
 
-def _is_continued(training: Sequence[Piece], testing: Sequence[Piece]) -> bool:
-    return bool({p.recording for p in testing} & {p.recording for p in training})
+def _part_of(number: int, piece: Piece, training: Sequence[Piece]) -> Piece | None:
+    """Return what of a piece that is tested was trained on, if anything was."""
+    is_part = any(part.recording == piece.recording for part in training)
+    return training[number] if is_part else None
 
 
-def _after(part: Piece, whole: Piece) -> Samples:
-    """Return the samples of a piece that count behind the part of it."""
-    return replace(whole, first=part.last).counting()
+def _unseen_samples(
+    number: int, piece: Piece, training: Sequence[Piece], testing: Sequence[Piece]
+) -> Samples:
+    """Return those samples of a piece that count and were not trained on."""
+    part = _part_of(number, piece, training)
+    if part is None or training == testing:  # one loop: nothing is unseen
+        return piece.counting()
+    return replace(piece, first=part.last).counting()
 
 
 def _unseen_rows(training: Sequence[Piece], testing: Sequence[Piece]) -> int:
-    if training == testing:
-        return sum(len(piece.counting()) for piece in testing)
-    if _is_continued(training, testing):
-        pairs = zip(training, testing, strict=True)
-        return sum(len(_after(part, whole)) for part, whole in pairs)
-    return sum(len(piece.counting()) for piece in testing)
+    return sum(
+        len(_unseen_samples(number, piece, training, testing))
+        for number, piece in enumerate(testing)
+    )
 
 
 def _unseen(fitted: Fitted, training: Sequence[Piece], testing: Sequence[Piece]) -> Array:
-    if training == testing:  # one loop: nothing is unseen
-        return np.concatenate(
-            [
-                (continued(fitted, i, piece) - piece.response)[piece.counting()]
-                for i, piece in enumerate(testing)
-            ]
-        )
-    if _is_continued(training, testing):
-        return np.concatenate(
-            [
-                (continued(fitted, i, part) - part.response)[_after(part, whole)]
-                for i, (part, whole) in enumerate(zip(training, testing, strict=True))
-            ]
-        )
-    other = transferred(fitted, testing)
-    return np.concatenate(
-        [
-            (continued(other, i, piece) - piece.response)[piece.counting()]
-            for i, piece in enumerate(testing)
-        ]
-    )
+    """Return what a fit leaves where it was not trained.
+
+    Zero and memory of other recordings are fitted, and the zero of the half of one that is among
+    others; that of the only recording stays where its first half left it.
+    """
+    parts = [_part_of(number, piece, training) for number, piece in enumerate(testing)]
+    fresh = [piece for piece, part in zip(testing, parts, strict=True) if part is None]
+    other = transferred(fitted, fresh) if fresh else fitted
+    left, seen, alone = [], len(testing) - len(fresh), _recordings((*training, *testing)) == 1
+    for number, (piece, part) in enumerate(zip(testing, parts, strict=True)):
+        if part is None:
+            output = continued(other, number - seen, piece)
+        else:  # its zero stays where the part left it
+            output = continued(fitted, number, part)
+        error = (output - piece.response)[_unseen_samples(number, piece, training, testing)]
+        left.append(error - error.mean() if part is not None and not alone else error)
+    return np.concatenate(left)

@@ -51,7 +51,7 @@ def test_error_on_another_excitation_is_near_the_noise() -> None:
     assert model.verdict.applies
     assert model.quality.held_out_rms_m < 2 * NOISE_m  # 0.02 % of the stroke
     assert model.quality.noise_rms_m == pytest.approx(NOISE_m, rel=0.15)
-    assert model.quality.held_out_kind == "other recordings"
+    assert model.quality.held_out_kind == "other recordings, second half of the widest"
 
 
 def test_the_lag_is_the_lag_of_the_stage() -> None:

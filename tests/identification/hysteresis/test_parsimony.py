@@ -1,0 +1,114 @@
+"""The smallest shape that the error cannot tell from the best, with weights a stage can have."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.as_good import is_as_good
+from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.order import folds_of, is_untested
+from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
+from piezoid.identification.model import AxisModel
+from tests.identification.hysteresis.stages import decaying, play_sum, recording
+from tests.laws import LAWS, swept_um, triangles
+
+NOISE_m = 45e-9
+LOOP_THRESHOLD = np.linspace(0.0, 1.0, 6)
+LOOP_WEIGHT = np.array([12.0, 0.12, 0.12, 0.12, 0.12, 0.12]) * 1e-6
+
+
+@cache
+def thin_loop() -> AxisModel:
+    """Fit a stage of 12 um/V whose loop is 2 % of its stroke of 50 um, in noise of 45 nm."""
+    drive = 2.0 * triangles(10, 400, 0.08)
+    clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT, np.full(6, drive[0]))
+    noise_m = np.random.default_rng(1).normal(0.0, NOISE_m, len(drive))
+    return estimate_axis([recording(drive, clean_m + noise_m)], "x", Rig())
+
+
+@cache
+def law_fitted(law: str) -> AxisModel:
+    field, reading_um = swept_um(law)
+    return estimate_axis([recording(5.0 * field, 1e-6 * reading_um)], "x", Rig())
+
+
+def test_a_thin_loop_gets_a_small_shape_and_is_as_near_as_the_noise_allows() -> None:
+    model = thin_loop()
+    assert len(model.hysteresis.plays.weight) - 1 <= 5
+    assert len(model.hysteresis.dead_zones.weight) - 1 <= 3
+    assert model.quality.held_out_rms_m < 1.05 * NOISE_m
+    assert model.certificate.bound_m < 0.01 * model.quality.range_m
+
+
+def test_slopes_of_a_thin_loop_are_those_of_the_stage() -> None:
+    found = thin_loop().hysteresis
+    least = found.plays.weight[0] * found.dead_zones.slope.min()
+    most = found.plays.weight.sum() * found.dead_zones.slope.max()
+    assert 11e-6 < least < most < 14e-6  # m/V; true are 12 and 12.6
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: str) -> None:
+    model = law_fitted(law)
+    mean = model.quality.range_m / np.ptp(model.voltage_V)
+    plays = model.hysteresis.plays
+    assert (plays.weight >= 0.0).all()
+    assert plays.weight[0] > 0.2 * mean
+    assert plays.weight.sum() < 4.2 * mean
+    assert plays.threshold[-1] < 0.5 * np.ptp(model.voltage_V)
+    assert (model.hysteresis.dead_zones.slope > 0.0).all()
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_the_choice_is_within_the_doubt_of_the_best_of_all_that_was_tried(law: str) -> None:
+    quality = law_fitted(law).quality
+    least_m = min(order.held_out_rms_m for order in quality.orders)
+    assert quality.held_out_rms_m < 1.15 * least_m
+
+
+@pytest.mark.parametrize("bends", [0, 2])
+def test_kinks_of_a_straight_operator_are_its_play_weights_alone(bends: int) -> None:
+    shape = Shape(plays=3, below=2, above=1, bends=bends)
+    coordinates = Coordinates(shape=shape, offsets=(1,))
+    theta = np.ones(coordinates.total)
+    theta[coordinates.slices["weight"]] = [0.7, 0.3, 0.2, 0.1]
+    matrix, constant = coordinates.kinks()
+    found = matrix @ theta + constant
+    np.testing.assert_allclose(found[:3], [0.3, 0.2, 0.1])
+    np.testing.assert_allclose(found[3:], 0.0, atol=1e-15)
+    assert len(found) == 3 + 2 + 1 + 2 * bends
+
+
+@pytest.mark.parametrize("small", [0.01, 0.1, 0.4])
+def test_a_recording_that_goes_further_than_all_others_cannot_blow_up(small: float) -> None:
+    rng = np.random.default_rng(3)
+    wide = np.tile(decaying(12), 2)
+    made = []
+    for name, drive in (("wide", wide), ("small", small * wide), ("smaller", 0.5 * small * wide)):
+        clean_m = play_sum(drive, LOOP_THRESHOLD, LOOP_WEIGHT * 2.0, np.full(6, drive[0]))
+        noise_m = rng.normal(0.0, 5e-8, len(drive))
+        made.append(recording(drive, clean_m + noise_m, f"{name}.csv"))
+    quality = estimate_axis(made, "x", Rig(), orders=((2, 0), (8, 2))).quality
+    assert quality.held_out_kind == "other recordings, second half of the widest"
+    for order in quality.orders:
+        assert order.held_out_rms_m < 0.02 * quality.range_m
+
+
+def test_what_is_trained_on_goes_as_far_as_what_is_tested() -> None:
+    rows = decaying(12)
+    made = [recording(k * rows, 1e-6 * k * rows, f"{k}.csv") for k in (1.0, 0.3, 0.98)]
+    pieces = pieces_of(made, "x", scales_of(made, "x"), Rig())
+    assert not is_untested(pieces)
+    for training, testing in folds_of(pieces):
+        furthest = max(float(np.ptp(piece.drive)) for piece in testing)
+        assert max(float(np.ptp(piece.drive)) for piece in training) > 0.94 * furthest
+
+
+def test_a_difference_that_only_some_blocks_show_is_no_difference() -> None:
+    best = np.full(24, 1.0)
+    scattered = best + 0.3 * np.random.default_rng(0).standard_normal(24) + 0.05
+    assert is_as_good(scattered, best, 1.02)
+    assert not is_as_good(best + 0.1, best, 1.02)
+    assert is_as_good(best + 0.03, best, 1.02)
