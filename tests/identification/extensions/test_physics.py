@@ -18,6 +18,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Where
+from piezoid.record_json import from_json, to_json
 from tests.identification.extensions.samples import RATE_Hz, where
 
 
@@ -133,7 +134,7 @@ def test_the_shares_of_even_creep_move_as_one_and_no_other_creep_is_even() -> No
     assert len(even.free().value) == 1
     assert even.moved_to(np.array([0.02])).share == (0.02,) * 3
     assert even.moved_to(np.array([0.02])).prior().shape == (0, 1)
-    assert CreepLadder.from_json(even.to_json()) == even
+    assert from_json(CreepLadder, to_json(even)) == even
     with pytest.raises(ValueError, match="expected equal"):
         replace(even, share=(0.01, 0.02, 0.01))
 
