@@ -1,6 +1,7 @@
 """PeriodicData: steady periods of several realisations, inputs and outputs side by side."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,15 @@ class PeriodicData:
         )
         if (found := (self.voltage_V.shape, self.displacement_m.shape)) != expected:
             raise ValueError(f"voltage_V and displacement_m have shapes {found}, not {expected}")
+
+    def select(self, realisations: Sequence[int]) -> "PeriodicData":
+        """Return the data of these realisations alone, for fitting or for holding out."""
+        chosen = list(realisations)
+        return replace(
+            self,
+            voltage_V=self.voltage_V[:, :, chosen, :],
+            displacement_m=self.displacement_m[:, :, chosen, :],
+        )
 
     def spectra(self, lines: NDArray[np.int64]) -> tuple[Spectrum, Spectrum]:
         """Return the Fourier coefficients of drive and response at these lines.
