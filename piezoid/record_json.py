@@ -1,7 +1,7 @@
 """Records to JSON values and back by the types of their fields: every number with its last bit.
 
 A frozen record becomes a table of its fields, an array or a tuple becomes a list, an enumeration
-its value. Where a file is laid out in another way than its record, a ``Layout`` says how. A number
+its value. Where a file is laid out in another way than its record, a ``RecordLayout`` says how. A number
 that may be infinite is written as null, the only word JSON has for it.
 """
 
@@ -29,7 +29,7 @@ Interval = tuple[Unbounded, Unbounded]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Layout:
+class RecordLayout:
     """How records of one class, and of those derived from it, stand in a file.
 
     write  record -> table of JSON values or of further records
@@ -41,7 +41,7 @@ class Layout:
     read: Callable[[Any], Any] | None = None
 
 
-def to_json(value: Any, layouts: Sequence[Layout] = ()) -> Any:
+def to_json(value: Any, layouts: Sequence[RecordLayout] = ()) -> Any:
     """Return a record, an array, or a container of such, as what ``json`` writes.
 
     An infinite number becomes None where the type of its field admits one of both, and is left for
@@ -55,12 +55,12 @@ def fields_of(record: Any) -> dict[str, Any]:
     return {field.name: getattr(record, field.name) for field in fields(record)}
 
 
-def from_json(kind: type[Record], value: Any, layouts: Sequence[Layout] = ()) -> Record:
+def from_json(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
     """Return the record that ``to_json`` wrote; see ``from_fields`` for what is refused."""
     return cast(Record, _read(kind, value, layouts, ""))
 
 
-def from_fields(kind: type[Record], value: Any, layouts: Sequence[Layout] = ()) -> Record:
+def from_fields(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
     """Build a record from a table of its fields, whatever layout its class has.
 
     A field with a default may be missing: an earlier version did not know it. A name that is a
@@ -79,7 +79,7 @@ def read_sealed(
     place: str,
     *,
     remedy: str,
-    layouts: Sequence[Layout] = (),
+    layouts: Sequence[RecordLayout] = (),
 ) -> Record:
     """Read the record of a sealed file back.
 
@@ -105,7 +105,7 @@ def refusing(schema: str, place: str, *, remedy: str) -> Iterator[None]:
         ) from error
 
 
-def _written(value: Any, layouts: Sequence[Layout], *, may_be_infinite: bool) -> Any:
+def _written(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
     layout = next((known for known in layouts if isinstance(value, known.kind)), None)
     if layout is not None:
         return to_json(layout.write(value), layouts)
@@ -129,7 +129,7 @@ def _written(value: Any, layouts: Sequence[Layout], *, may_be_infinite: bool) ->
     return None if may_be_infinite and isinstance(value, float) and isinf(value) else value
 
 
-def _read(kind: Any, value: Any, layouts: Sequence[Layout], path: str) -> Any:
+def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> Any:
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         inner = next(argument for argument in arguments if argument is not NoneType)
@@ -152,7 +152,7 @@ def _read(kind: Any, value: Any, layouts: Sequence[Layout], path: str) -> Any:
 
 
 def _tuple(
-    kinds: tuple[Any, ...], values: list[Any], layouts: Sequence[Layout], path: str
+    kinds: tuple[Any, ...], values: list[Any], layouts: Sequence[RecordLayout], path: str
 ) -> tuple[Any, ...]:
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(values)
@@ -162,7 +162,9 @@ def _tuple(
     return tuple(_read(kind, value, layouts, f"{path}[{k}]") for k, (kind, value) in pairs)
 
 
-def _by_fields(kind: type[Record], value: Any, layouts: Sequence[Layout], path: str) -> Record:
+def _by_fields(
+    kind: type[Record], value: Any, layouts: Sequence[RecordLayout], path: str
+) -> Record:
     table = _leaf(dict[str, Any], value, path)
     known = {field.name: field for field in fields(cast(Any, kind))}
     needed = {

@@ -14,7 +14,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.provenance import seal
 from piezoid.record_json import (
     Interval,
-    Layout,
+    RecordLayout,
     fields_of,
     from_fields,
     from_json,
@@ -49,7 +49,7 @@ class Machine:
     slowest_Hz: float | None = None
 
 
-HEAVY = Layout(kind=Part, write=lambda part: {**fields_of(part), "heavy": part.heavy})
+HEAVY = RecordLayout(kind=Part, write=lambda part: {**fields_of(part), "heavy": part.heavy})
 WHOLE = Machine(
     name="mill",
     parts=(Part(mass_kg=0.1 + 0.2), Part(mass_kg=2, grade=Grade.POOR)),
@@ -64,7 +64,7 @@ def through_text(value: Any) -> Any:
 
 
 @pytest.mark.parametrize("layouts", [(), (HEAVY,)])
-def test_a_record_comes_back_with_its_last_bit(layouts: tuple[Layout, ...]) -> None:
+def test_a_record_comes_back_with_its_last_bit(layouts: tuple[RecordLayout, ...]) -> None:
     back = from_json(Machine, through_text(to_json(WHOLE, layouts)), layouts)
     np.testing.assert_array_equal(back.curve, WHOLE.curve)
     assert {**fields_of(back), "curve": 0} == {**fields_of(WHOLE), "curve": 0}

@@ -13,7 +13,7 @@ from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.provenance import seal
-from piezoid.record_json import Layout, fields_of, from_fields, read_sealed, to_json
+from piezoid.record_json import RecordLayout, fields_of, from_fields, read_sealed, to_json
 
 GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"
 
@@ -95,10 +95,10 @@ def _quality_entry(quality: FitQuality) -> dict[str, Any]:
 
 
 LAYOUTS = (
-    Layout(kind=ActuatorModel, write=_stage_entry, read=_stage),
-    Layout(kind=AxisModel, write=_axis_entry, read=_axis),
-    Layout(kind=ModifiedPrandtlIshlinskii, write=_hysteresis_entry, read=_hysteresis),
-    Layout(kind=FitQuality, write=_quality_entry),
-    Layout(kind=LinearDynamics, write=LinearDynamics.to_json, read=LinearDynamics.from_json),
+    RecordLayout(kind=ActuatorModel, write=_stage_entry, read=_stage),
+    RecordLayout(kind=AxisModel, write=_axis_entry, read=_axis),
+    RecordLayout(kind=ModifiedPrandtlIshlinskii, write=_hysteresis_entry, read=_hysteresis),
+    RecordLayout(kind=FitQuality, write=_quality_entry),
+    RecordLayout(kind=LinearDynamics, write=LinearDynamics.to_json, read=LinearDynamics.from_json),
     LAYOUT_OF_EXTENSIONS,
 )

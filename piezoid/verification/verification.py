@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from piezoid.provenance import seal
-from piezoid.record_json import Layout, fields_of, read_sealed, refusing, to_json
+from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.verification.criteria import Verdict
@@ -109,7 +109,7 @@ class Verification:
 
 
 LAYOUTS = tuple(
-    Layout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
+    RecordLayout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
     for kind in (Verdict, Proof)
 )
 

@@ -20,7 +20,7 @@ from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
-from piezoid.record_json import Layout, fields_of, from_fields
+from piezoid.record_json import RecordLayout, fields_of, from_fields
 
 EXTENSIONS: tuple[type[Extension], ...] = (
     SlewLimit,
@@ -57,4 +57,4 @@ def _extension(entry: Mapping[str, Any]) -> Extension:
     raise ValueError(f"extension kind {entry['kind']!r}")
 
 
-LAYOUT_OF_EXTENSIONS = Layout(kind=Extension, write=_entry, read=_extension)
+LAYOUT_OF_EXTENSIONS = RecordLayout(kind=Extension, write=_entry, read=_extension)
