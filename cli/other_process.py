@@ -1,6 +1,11 @@
-"""One more process of our own: it loads what jobs need, then does one job after the other."""
+"""One more process of our own: it loads what jobs need, then does one job after the other.
 
+Records go to and fro with their arrays as they lie in memory, not copied.
+"""
+
+import io
 import os
+import pickle
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -8,10 +13,10 @@ from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from piezoid.errors import PiezoidError
-from piezoid_cli.letters import received, send
 
 Told = Callable[[str], None]
 Ready = Callable[[], None]
@@ -137,3 +142,36 @@ def _work(channel: Connection, ready: Ready) -> None:
             except PiezoidError as refusal:
                 answer = ("refused", refusal)
             send(channel, answer)
+
+
+def send(channel: Connection, record: object) -> None:
+    """Send a record whole; ``received`` at the other end of the channel gives it back.
+
+    Only what a record holds besides its arrays becomes a letter: the arrays follow from where
+    they are, and arrive read-only, as they are in a record.
+    """
+    arrays: list[pickle.PickleBuffer] = []
+    letter = io.BytesIO()
+    _Letter(letter, protocol=5, buffer_callback=arrays.append).dump(record)
+    channel.send_bytes(len(arrays).to_bytes(8, "little"))
+    channel.send_bytes(letter.getbuffer())
+    for array in arrays:
+        channel.send_bytes(array.raw())
+
+
+def received(channel: Connection) -> Any:
+    """Return what the other end sent; raises ``EOFError`` where it is gone."""
+    count = int.from_bytes(channel.recv_bytes(), "little")
+    letter = channel.recv_bytes()
+    return pickle.loads(letter, buffers=[channel.recv_bytes() for _ in range(count)])
+
+
+class _Letter(pickle.Pickler):
+    def reducer_override(self, thing: object) -> Any:
+        if isinstance(thing, MappingProxyType):  # which alone of what is frozen does not pickle
+            return _view, (dict(thing),)
+        return NotImplemented
+
+
+def _view(held: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(held)

@@ -7,13 +7,12 @@ import numpy as np
 from piezoid.design.certificate import Certificate
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import DisturbanceObserver
-from piezoid.design.plain import from_plain, to_plain
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Margins, margins, sensitivities
 from piezoid.design.specification import Specification
-from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.provenance import seal, unseal
+from piezoid.provenance import seal
+from piezoid.record_json import read_sealed, to_json
 from piezoid.showing import shown
 
 SCHEMA = "piezoid.design/1"
@@ -199,7 +198,7 @@ class Design:
 
     def to_json(self) -> bytes:
         """Return the sealed file ``design.json``."""
-        return seal(SCHEMA, to_plain(self))
+        return seal(SCHEMA, to_json(self))
 
     def axis(self, name: str) -> AxisDesign:
         """Return one axis; ``KeyError`` if it was not designed."""
@@ -211,16 +210,8 @@ class Design:
 
 def design_from_json(content: bytes, place: str = "design.json") -> Design:
     """Read ``design.json`` back, exactly; a changed bit or another schema is refused."""
-    record = unseal(content, SCHEMA, place)
-    plain = {name: record[name] for name in record if name not in ("schema", "digest")}
-    try:
-        return from_plain(Design, plain, place)
-    except (LookupError, ArithmeticError, TypeError, ValueError, AttributeError) as error:
-        raise ParameterFileError(
-            f"{place}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {SCHEMA}, of its own kind",
-            remedy="Design the controllers again with this version.",
-        ) from error
+    remedy = "Design the controllers again with this version."
+    return read_sealed(Design, content, SCHEMA, place, remedy=remedy)
 
 
 def members_of(family: PlantFamily) -> tuple[Member, ...]:

@@ -58,8 +58,3 @@ def decibel(magnitude: ArrayLike) -> Array:
     """Return 20 log10 |magnitude|; zero becomes -inf."""
     with np.errstate(divide="ignore"):
         return np.asarray(20.0 * np.log10(np.abs(np.asarray(magnitude))))
-
-
-def from_decibel(level_dB: ArrayLike) -> Array:
-    """Return the magnitude of a level in decibels."""
-    return np.asarray(10.0 ** (np.asarray(level_dB, dtype=np.float64) / 20.0))

@@ -79,14 +79,3 @@ def log_current(current_A: Array, *, set_point_A: float, floor_A: float) -> Arra
     upright_A = math.copysign(1.0, set_point_A) * current_A
     nepers: Array = np.log(np.maximum(upright_A, floor_A) / abs(set_point_A))
     return nepers
-
-
-def gain_of_decay(decay_per_m: float, *, drive_gain_m_per_V: float) -> float:
-    """Return the junction's gain in nepers per volt of drive.
-
-        dy/du = k g_z
-
-    k    decay_per_m         1/m
-    g_z  drive_gain_m_per_V  tip extension per volt at the converter, amplifier included
-    """
-    return decay_per_m * drive_gain_m_per_V

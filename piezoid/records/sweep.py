@@ -1,41 +1,6 @@
-"""Sweep: the drive and response of one axis, cut into branches at the reversals of the drive."""
+"""Where a drive turns: the ends of its monotone branches."""
 
-import itertools
-from dataclasses import dataclass
-
-import numpy as np
-
-from piezoid.numerics.arrays import Array, frozen, same_length
-from piezoid.records.recording import Recording
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sweep:
-    """One uninterrupted piece of a recording, seen as a sequence of monotone branches.
-
-    name              the recording's name
-    sampling_rate_Hz  > 0
-    voltage_V         (samples,)
-    displacement_m    (samples,)
-    reversals         (count,)  indices of the turning points of the drive, increasing
-    """
-
-    name: str
-    sampling_rate_Hz: float
-    voltage_V: Array
-    displacement_m: Array
-    reversals: tuple[int, ...]
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "voltage_V", frozen(self.voltage_V, "voltage_V"))
-        object.__setattr__(self, "displacement_m", frozen(self.displacement_m, "displacement_m"))
-        same_length([("voltage_V", self.voltage_V), ("displacement_m", self.displacement_m)])
-
-    @property
-    def branches(self) -> tuple[slice, ...]:
-        """The monotone runs between reversals, each with both of its end points."""
-        edges = (0, *self.reversals, len(self.voltage_V) - 1)
-        return tuple(slice(a, b + 1) for a, b in itertools.pairwise(edges) if b > a)
+from piezoid.numerics.arrays import Array
 
 
 def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
@@ -65,19 +30,3 @@ def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:
                 found.append(low)
             direction, low, high = 1, k, k
     return tuple(found)
-
-
-def sweeps_of(recording: Recording, noise_V: float) -> tuple[Sweep, ...]:
-    """Cut a recording's own axis into sweeps, one for each piece between breaks."""
-    voltage_V, displacement_m = recording.voltage_V(), recording.displacement_m()
-    return tuple(
-        Sweep(
-            name=recording.name,
-            sampling_rate_Hz=recording.sampling_rate_Hz,
-            voltage_V=voltage_V[piece],
-            displacement_m=displacement_m[piece],
-            reversals=reversals_of(np.asarray(voltage_V[piece]), noise_V),
-        )
-        for piece in recording.pieces
-        if piece.stop - piece.start > 1
-    )

@@ -1,12 +1,9 @@
 """Verification: the record that leaves this floor, and its file ``verification.json``."""
 
-import dataclasses
 from dataclasses import dataclass
 
-from msgspec import ValidationError, convert
-
-from piezoid.errors import ParameterFileError
-from piezoid.provenance import seal, unseal
+from piezoid.provenance import seal
+from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.verification.criteria import Verdict
@@ -108,32 +105,27 @@ class Verification:
 
     def to_json(self) -> bytes:
         """Return ``verification.json``, sealed."""
-        content = dataclasses.asdict(self)
-        for plain, verdict in zip(content["verdicts"], self.verdicts, strict=True):
-            plain["passed"] = verdict.passed
-        for plain, proof in zip(content["proofs"], self.proofs, strict=True):
-            plain["passed"] = proof.passed
-        return seal(SCHEMA, {"passed": self.passed, **content})
+        return seal(SCHEMA, {"passed": self.passed, **to_json(self, LAYOUTS)})
+
+
+LAYOUTS = tuple(
+    RecordLayout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
+    for kind in (Verdict, Proof)
+)
 
 
 def verification_from_json(content: bytes, place: str = "verification.json") -> Verification:
     """Read ``verification.json`` back; refuse a changed bit, another schema, a missing entry."""
-    record = unseal(content, SCHEMA, place)
-    try:
-        found = convert(record, Verification)
+    remedy = "Verify again with this version."
+    found = read_sealed(Verification, content, SCHEMA, place, remedy=remedy, layouts=LAYOUTS)
+    with refusing(SCHEMA, place, remedy=remedy):
         named = [row.method for row in found.comparison]
         named += [row.method for row in found.spirals] + [row.method for row in found.traces]
         for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
         _check_spirals(found)
         _check_pictures(found)
-        return found
-    except (ValidationError, ValueError) as error:
-        raise ParameterFileError(
-            f"{place}: {type(error).__name__} at {error}",
-            needed=f"every entry of schema {SCHEMA}, of its own kind",
-            remedy="Verify again with this version.",
-        ) from error
+    return found
 
 
 def _check_spirals(found: Verification) -> None:

@@ -11,13 +11,16 @@ from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.jumps import SETTLED, behind_jumps, struck
 from piezoid.diagnosis.search import Outcome, search
-from piezoid.identification.extensions import extension_from_json
+from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
+from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
+from piezoid.record_json import from_json, to_json
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import Lab, read_lab
 
 from .play_stage import NOISE_m, STROKE_m, moved, recording
 
+LAYOUTS = (LAYOUT_OF_EXTENSIONS,)
 RATE_Hz = 500.0  # at which the recording that jumps was made
 JUMP_AT = 4100
 FINER = 40  # steps of the true motion for one sample
@@ -153,4 +156,6 @@ def test_a_model_keeps_a_struck_mode_as_the_jump_has_shown_it() -> None:
     free = mode.free()
     np.testing.assert_array_equal(free.lower, free.upper)
     np.testing.assert_allclose(free.value, [961.0, 12.0, 0.5])
-    np.testing.assert_array_equal(extension_from_json(mode.to_json()).free().value, free.value)
+    np.testing.assert_array_equal(
+        from_json(Extension, to_json(mode, LAYOUTS), LAYOUTS).free().value, free.value
+    )

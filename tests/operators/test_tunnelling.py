@@ -11,7 +11,6 @@ from piezoid.operators.tunnelling import (
     barrier_of_decay,
     current_through_gap,
     decay_of_barrier,
-    gain_of_decay,
     log_current,
 )
 
@@ -71,9 +70,3 @@ def test_extending_the_tip_raises_the_log_current() -> None:
 def test_a_lost_tip_reads_as_the_floor() -> None:
     nepers = log_current(np.array([-1e-12, 0.0, 1e-16]), set_point_A=1e-9, floor_A=1e-13)
     assert nepers == pytest.approx(np.full(3, math.log(1e-4)), rel=EXACT)
-
-
-@pytest.mark.parametrize(("barrier_eV", "nepers"), [(1.0, 184.0), (4.0, 369.0)])
-def test_eighteen_nanometres_per_volt_make_these_gains(barrier_eV: float, nepers: float) -> None:
-    gain = gain_of_decay(decay_of_barrier(barrier_eV), drive_gain_m_per_V=18e-9)
-    assert gain == pytest.approx(nepers, abs=0.6)

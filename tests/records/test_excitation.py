@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
-from piezoid.records.excitation import Drive, DriveLimits, log_chirp, small_steps, stepped_sine
+from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.multisine import multisines, odd_lines
 
 RATE_HZ = 10_000.0
@@ -72,46 +72,6 @@ def test_a_multisine_outside_its_limits_is_refused(
 ) -> None:
     with pytest.raises(ExcitationError, match="Lower rms_V"):
         sines(rng, **changed)
-
-
-@pytest.mark.parametrize("amplitude_V", [0.3, 50.0])
-def test_chirp_and_stepped_sine_stay_inside_voltage_and_slew(amplitude_V: float) -> None:
-    common = {
-        "amplitude_V": amplitude_V,
-        "offset_V": 4.0,
-        "axis": "x",
-        "sampling_rate_Hz": RATE_HZ,
-        "limits": LIMITS,
-    }
-    chirp = log_chirp(lowest_Hz=5, highest_Hz=4000, duration_s=2.0, **common)
-    steps = stepped_sine([10, 630, 3000], cycles=20, **common)
-    for drive in (chirp, steps):
-        _assert_inside(drive)
-
-
-def test_a_chirp_passes_each_frequency_at_its_time() -> None:
-    chirp = log_chirp(
-        lowest_Hz=10,
-        highest_Hz=1000,
-        duration_s=4.0,
-        amplitude_V=1.0,
-        offset_V=0.5,
-        axis="x",
-        sampling_rate_Hz=RATE_HZ,
-        limits=LIMITS,
-    )
-    middle = chirp.voltage_V[19_000:21_000, 0] - 0.5
-    crossings = np.count_nonzero(np.diff(np.sign(middle)))
-    assert crossings == pytest.approx(2 * 100 * 0.2, abs=2)  # 100 Hz half way, for 0.2 s
-
-
-def test_small_steps_ramp_no_steeper_than_allowed_and_hold() -> None:
-    steps = small_steps([0, 5, 4], hold_s=0.1, axis="x", sampling_rate_Hz=RATE_HZ, limits=LIMITS)
-    _assert_inside(steps)
-    held = np.count_nonzero(steps.voltage_V == 5.0)
-    assert held in (1000, 1001)
-    with pytest.raises(ExcitationError, match="level 12 V"):
-        small_steps([0, 12], hold_s=0.1, axis="x", sampling_rate_Hz=RATE_HZ, limits=LIMITS)
 
 
 def test_the_csv_comes_back_exactly_under_a_header_with_units(rng: np.random.Generator) -> None:

@@ -1,8 +1,7 @@
 """What a data sheet's "bandwidth" means: a first-order pole, or a resonance."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,18 +47,6 @@ class BandwidthVerdict:
     peak_Hz: float | None
     highest_Hz: float
     text: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        interval = self.phase_interval_deg
-        return {**asdict(self), "phase_interval_deg": None if interval is None else list(interval)}
-
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> "BandwidthVerdict":
-        """Return the record that ``to_json`` wrote, number for number."""
-        interval = content["phase_interval_deg"]
-        pair = None if interval is None else (interval[0], interval[1])
-        return BandwidthVerdict(**{**content, "phase_interval_deg": pair})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

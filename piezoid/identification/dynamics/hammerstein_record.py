@@ -1,8 +1,7 @@
 """What a model carries on of a joint fit of hysteresis and dynamics."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 Order = Literal["before", "behind", "undecided"]
 
@@ -65,17 +64,3 @@ class JointFit:
     apart_rms_m: tuple[float, ...]
     joint_rms_m: tuple[float, ...]
     structure: StructureVerdict
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
-        }
-
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> "JointFit":
-        """Return the record that ``to_json`` wrote, number for number."""
-        lists = {name: tuple(v) for name, v in content.items() if isinstance(v, list)}
-        structure = StructureVerdict(**content["structure"])
-        return JointFit(**{**content, **lists, "structure": structure})

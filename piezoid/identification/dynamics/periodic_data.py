@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.records.recording import Recording
 
 Spectrum = NDArray[np.complex128]
 EXCITED_FRACTION = 0.02  # designed lines differ by less; what leaks onto the others lies below
@@ -73,48 +71,3 @@ class PeriodicData:
     def frequency_Hz(self, lines: NDArray[np.int64]) -> Array:
         """Return the frequencies of lines."""
         return np.asarray(lines * self.sampling_rate_Hz / len(self.voltage_V))
-
-
-def cut_periods(
-    recordings: Sequence[Recording],
-    *,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    period_samples: int,
-    settling_periods: int = 1,
-) -> PeriodicData:
-    """Cut one recording per realisation into its steady periods.
-
-    recordings        one for each realisation, started with the drive's first sample
-    inputs, outputs   axes whose voltage was driven and whose displacement was measured
-    period_samples    > 0
-    settling_periods  whole periods at the start to leave out, while transients decay
-
-    Raises ``ExcitationError`` where a recording is too short or broken.
-    """
-    steady = min(r.samples // period_samples for r in recordings) - settling_periods
-    broken = [r.name for r in recordings if r.breaks or r.samples < period_samples]
-    if steady < 1 or broken:
-        raise ExcitationError(
-            f"{steady} steady periods of {period_samples} samples"
-            + (f", and breaks in {', '.join(broken)}" if broken else ""),
-            needed="at least one whole period after settling, without a break, in each recording",
-            remedy="Record more periods, or give the drive's true period.",
-        )
-    span = slice(settling_periods * period_samples, (settling_periods + steady) * period_samples)
-    driven = [np.stack([r.voltage_V(a)[span] for a in inputs]) for r in recordings]
-    moved = [np.stack([r.displacement_m(a)[span] for a in outputs]) for r in recordings]
-    return PeriodicData(
-        sampling_rate_Hz=recordings[0].sampling_rate_Hz,
-        inputs=tuple(inputs),
-        outputs=tuple(outputs),
-        voltage_V=_by_period(driven, period_samples),
-        displacement_m=_by_period(moved, period_samples),
-    )
-
-
-def _by_period(channels: list[Array], period_samples: int) -> Array:
-    """(realisations, channels, all samples) -> (samples, channels, realisations, periods)."""
-    whole = np.stack(channels)
-    cut = whole.reshape(*whole.shape[:2], -1, period_samples)
-    return np.ascontiguousarray(cut.transpose(3, 1, 0, 2))

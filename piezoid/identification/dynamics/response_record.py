@@ -1,8 +1,6 @@
 """ResponseFit: what a model keeps of a measured frequency response beside its modes."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,20 +78,6 @@ class ResponseFit:
     left_relative: float
     left_Hz: float
     slow: SlowPart | None
-
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values."""
-        return asdict(self)
-
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> "ResponseFit":
-        """Return the record that ``to_json`` wrote, number for number."""
-        held = {field.name: content[field.name] for field in fields(ResponseFit)}
-        slow = held["slow"]
-        if slow is not None:
-            ends = {key: tuple(slow[key]) for key in ("slope_ci95", "phase_ci95")}
-            slow = SlowPart(**{**slow, **ends})
-        return ResponseFit(**{**held, "left_out_Hz": tuple(held["left_out_Hz"]), "slow": slow})
 
     def scaled(self, factor: float) -> "ResponseFit":
         """Return it with another gain, as where a recording says it."""

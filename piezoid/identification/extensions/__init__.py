@@ -20,6 +20,7 @@ from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
+from piezoid.record_json import RecordLayout, fields_of, from_fields
 
 EXTENSIONS: tuple[type[Extension], ...] = (
     SlewLimit,
@@ -44,9 +45,16 @@ def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     return tuple(sorted(extensions, key=lambda extension: place[extension.kind]))
 
 
-def extension_from_json(entries: Mapping[str, Any]) -> Extension:
+def _entry(extension: Extension) -> dict[str, Any]:
+    return {"kind": extension.kind, **fields_of(extension)}
+
+
+def _extension(entry: Mapping[str, Any]) -> Extension:
     """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
     for known in EXTENSIONS:
-        if known.kind == entries["kind"]:
-            return known.from_json(entries)
-    raise ValueError(f"extension kind {entries['kind']!r}")
+        if known.kind == entry["kind"]:
+            return from_fields(known, entry)
+    raise ValueError(f"extension kind {entry['kind']!r}")
+
+
+LAYOUT_OF_EXTENSIONS = RecordLayout(kind=Extension, write=_entry, read=_extension)

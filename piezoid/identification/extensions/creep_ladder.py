@@ -52,14 +52,6 @@ class CreepLadder(Extension):
                 total += share * relaxed(moved, time_s, where.rate_Hz)
         return total
 
-    @property
-    def per_decade(self) -> float:
-        """Share of a step for each decade of time, on average over the ladder."""
-        if len(self.time_s) == 1:
-            return self.share[0]
-        spacing = np.log10(self.time_s[-1] / self.time_s[0]) / (len(self.time_s) - 1)
-        return float(np.mean(self.share) / spacing)
-
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the ladder as a linear system that relaxes over seconds."""
         rate_per_s = 1.0 / np.array(self.time_s)

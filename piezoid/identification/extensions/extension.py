@@ -7,7 +7,7 @@ An extension acts at one of these places and leaves the others alone. All number
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -150,19 +150,6 @@ class Extension:
     def prior(self) -> Array:
         """Return rows whose product with the numbers is near 0 beforehand, (rows, numbers)."""
         return np.zeros((0, len(self.free().value)))
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the content for model.json."""
-        return {"kind": self.kind, **asdict(self)}
-
-    @classmethod
-    def from_json(cls, entries: Mapping[str, Any]) -> Self:
-        """Read it back."""
-        return cls(**{name: _tuples(value) for name, value in entries.items() if name != "kind"})
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
 
 
 def within(place: str, value: float, low: float, high: float) -> None:

@@ -1,8 +1,8 @@
 """The grid hums in the reading."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -151,20 +151,3 @@ class MainsLines(Extension):
             parts += [np.diff(np.eye(knots), axis=0)] * (2 * len(hum.harmonic))
         wide = sum(2 * len(hum.cosine_m) for hum in self.hums)
         return np.asarray(block_diag(*parts)).reshape(-1, wide)
-
-    @classmethod
-    def from_json(cls, entries: Mapping[str, Any]) -> Self:
-        """Read it back."""
-        hums = tuple(
-            Hum(
-                recording=hum["recording"],
-                first=hum["first"],
-                harmonic=tuple(hum["harmonic"]),
-                cosine_m=tuple(hum["cosine_m"]),
-                sine_m=tuple(hum["sine_m"]),
-            )
-            for hum in entries["hums"]
-        )
-        return cls(
-            frequency_Hz=entries["frequency_Hz"], hums=hums, std=tuple(entries.get("std", ()))
-        )

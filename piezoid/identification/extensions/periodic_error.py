@@ -9,7 +9,6 @@ from piezoid.identification.extensions.extension import Extension, Free, free, w
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
-ROUNDS = 60
 LARGEST = 0.9 / (2.0 * np.pi)  # of a wavelength: beyond, a reading has several positions
 
 
@@ -48,13 +47,6 @@ class PeriodicError(Extension):
         for n, (a, b) in enumerate(zip(self.cosine_m, self.sine_m, strict=True), start=1):
             total += a * np.cos(n * turn) + b * np.sin(n * turn)
         return total
-
-    def corrected(self, reading_m: Array) -> Array:
-        """Return the position a reading stands for; the error is a contraction."""
-        position_m = np.array(reading_m, dtype=np.float64)
-        for _ in range(ROUNDS):
-            position_m = reading_m - (self.reading(position_m) - position_m)
-        return position_m
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the largest error: a loop follows the reading."""

@@ -1,8 +1,8 @@
 """The stage moves slowly whatever the drive does."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 
@@ -96,17 +96,6 @@ class ThermalDrift(Extension):
         steps = np.eye(count) - np.eye(count, k=-1)
         rows = np.vstack([np.diff(steps, axis=0), STEADY * steps])
         return np.asarray(np.kron(np.eye(len(self.curves)), rows), dtype=np.float64)
-
-    @classmethod
-    def from_json(cls, entries: Mapping[str, Any]) -> Self:
-        """Read it back."""
-        return cls(
-            curves=tuple(
-                DriftCurve(**{**curve, "level_m": tuple(curve["level_m"])})
-                for curve in entries["curves"]
-            ),
-            std=tuple(entries.get("std", ())),
-        )
 
 
 def _splines(knots: int, samples: int) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.barrier_fit import NORMAL_95, BarrierFit
+from piezoid.record_json import Interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,9 +23,9 @@ class DirectionShift:
 
     reference_current_A: float
     shift_m: float
-    shift_interval_m: tuple[float, float]
+    shift_interval_m: Interval
     decay_change: float
-    decay_change_interval: tuple[float, float]
+    decay_change_interval: Interval
 
     @property
     def is_one_decay(self) -> bool:

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
 
-Interval = tuple[float, float]
 _NORMAL_95 = 1.959963984540054
 
 

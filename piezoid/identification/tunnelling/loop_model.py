@@ -1,9 +1,8 @@
 """LoopPlant: what a model carries on of a closed loop, over all of its records."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
 from piezoid.identification.tunnelling.confidence import Confidence
@@ -13,8 +12,8 @@ from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import LoopNoise, MainsLine, NoiseSource
 from piezoid.numerics.arrays import Array
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
 
-Interval = tuple[float, float]
 _GRADES = (Confidence.LOW, Confidence.MEDIUM, Confidence.HIGH)
 
 
@@ -161,22 +160,6 @@ def summarise_record(
     )
 
 
-def loop_from_json(content: Mapping[str, Any]) -> LoopPlant:
-    """Return the record that was written as plain JSON values, number for number."""
-    names = ("gain_interval", "sensor_pole_interval_Hz", "delay_interval_s", "barrier_interval_eV")
-    rig = content["rig"]
-    changed = {
-        **{name: _interval(content[name]) for name in names},
-        "plant": JunctionPlant(**content["plant"]),
-        "family": tuple(JunctionPlant(**member) for member in content["family"]),
-        "confidence": Confidence(content["confidence"]),
-        "reasons": tuple(content["reasons"]),
-        "rig": None if rig is None else LoopRig(**rig),
-        "records": tuple(_summary_from_json(record) for record in content["records"]),
-    }
-    return LoopPlant(**{**content, **changed})
-
-
 def _intervals(fits: Sequence[ClosedLoopFit]) -> tuple[Interval, Interval, Interval]:
     if len(fits) == 1:
         one = fits[0]
@@ -212,25 +195,3 @@ def _unrest(noise: LoopNoise) -> GapUnrest:
         limiting_source=noise.limiting_source,
         limiting_electronics=noise.limiting_electronics,
     )
-
-
-def _interval(content: Sequence[Any]) -> Interval:
-    low, high = content
-    return float(low), math.inf if high is None else float(high)
-
-
-def _summary_from_json(content: Mapping[str, Any]) -> LoopSummary:
-    intervals = {n: _interval(content[n]) for n in ("gain_interval", "barrier_interval_eV")}
-    unrest = content["unrest"]
-    held = None if unrest is None else _unrest_from_json(unrest)
-    return LoopSummary(**{**content, **intervals, "unrest": held})
-
-
-def _unrest_from_json(content: Mapping[str, Any]) -> GapUnrest:
-    low, high = content["drift_interval_m_per_s"]
-    changed = {
-        "drift_interval_m_per_s": (float(low), float(high)),
-        "mains": tuple(MainsLine(**line) for line in content["mains"]),
-        "sources": tuple(NoiseSource(**source) for source in content["sources"]),
-    }
-    return GapUnrest(**{**content, **changed})

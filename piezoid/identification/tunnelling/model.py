@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,13 +11,12 @@ from piezoid.identification.tunnelling.barrier_fit import BarrierFit
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.directions import DirectionShift
 from piezoid.identification.tunnelling.joint_barrier import JointBarrier
-from piezoid.identification.tunnelling.loop_model import LoopPlant, loop_from_json
+from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.sweep_pairs import DriftFreeDecay, judge_together
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
 
 __all__ = ["GapLaw", "LoopPlant", "TunnellingModel", "common_law", "describe_gap_law"]
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,26 +71,6 @@ class TunnellingModel:
         if self.gap_law is None and self.loop_plant is None:
             raise ValueError("a TunnellingModel needs a gap law or a loop plant")
 
-    def to_json(self) -> dict[str, Any]:
-        """Return plain JSON values; an infinite end of an interval becomes null."""
-        plain: dict[str, Any] = _plain(asdict(self))
-        return plain
-
-    @staticmethod
-    def from_json(content: Mapping[str, Any]) -> "TunnellingModel":
-        """Return the record that ``to_json`` wrote, number for number."""
-        law, loop = content["gap_law"], content["loop_plant"]
-        forward, backward = content.get("forward"), content["backward"]
-        shift, joint = content["shift"], content["joint"]
-        return TunnellingModel(
-            gap_law=None if law is None else _law_from_json(law),
-            loop_plant=None if loop is None else loop_from_json(loop),
-            forward=None if forward is None else _law_from_json(forward),
-            backward=None if backward is None else _law_from_json(backward),
-            shift=None if shift is None else _shift_from_json(shift),
-            joint=None if joint is None else _joint_from_json(joint),
-        )
-
 
 def describe_gap_law(fit: BarrierFit) -> GapLaw:
     """Take from a fit of sweeps what a model carries on."""
@@ -143,44 +121,3 @@ def common_law(fits: Mapping[Direction, BarrierFit], found: DriftFreeDecay) -> G
         confidence=confidence,
         reasons=tuple(reason.text for reason in reasons),
     )
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: _plain(inner) for name, inner in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, Confidence):
-        return value.value
-    if isinstance(value, float) and math.isinf(value):
-        return None
-    return value
-
-
-def _interval(content: list[Any]) -> Interval:
-    low, high = content
-    return float(low), math.inf if high is None else float(high)
-
-
-def _law_from_json(content: Mapping[str, Any]) -> GapLaw:
-    intervals = {n: _interval(content[n]) for n in ("decay_interval_per_m", "barrier_interval_eV")}
-    alone = {"sweep_decay_per_m": tuple(content["sweep_decay_per_m"])}
-    return GapLaw(**{**content, **intervals, **alone, **_judgement(content)})
-
-
-def _shift_from_json(content: Mapping[str, Any]) -> DirectionShift:
-    names = ("shift_interval_m", "decay_change_interval")
-    return DirectionShift(**{**content, **{name: _interval(content[name]) for name in names}})
-
-
-def _joint_from_json(content: Mapping[str, Any]) -> JointBarrier:
-    names = ("ratio_interval", "decay_interval_per_m", "barrier_interval_eV")
-    intervals = {name: _interval(content[name]) for name in names}
-    return JointBarrier(**{**content, **intervals})
-
-
-def _judgement(content: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "confidence": Confidence(content["confidence"]),
-        "reasons": tuple(content["reasons"]),
-    }

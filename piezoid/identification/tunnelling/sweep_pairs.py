@@ -27,8 +27,7 @@ from piezoid.identification.tunnelling.confidence import Confidence, Reason, jud
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
-
-Interval = tuple[float, float]
+from piezoid.record_json import Interval
 
 _DRIFT_m_per_s = 50e-12  # standard deviation: 1 to 100 pm/s in the laboratories we know of
 _UNSTATED_s = 1.8  # of one way where no file says it: 95 % of what 0.1 to 5 s to and fro allow

@@ -11,6 +11,7 @@ from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.analogue import cascade, first_order, resonance
 from piezoid.operators.linear import ContinuousSystem, sample
+from piezoid.record_json import from_json, to_json
 from tests.identification.dynamics.stage import AMPLIFIER, DECLARATION, RATE_HZ, record
 from tests.identification.dynamics.test_axis_dynamics import chirp, recorded
 from tests.reports.known_stage import axis_model
@@ -96,7 +97,7 @@ def test_a_fit_tells_the_stage_s_resonance_and_compares_what_was_stated() -> Non
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "resonance"
     assert found.bandwidth.text in found.remarks
-    assert BandwidthVerdict.from_json(found.bandwidth.to_json()) == found.bandwidth
+    assert from_json(BandwidthVerdict, to_json(found.bandwidth)) == found.bandwidth
 
 
 def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:

@@ -1,9 +1,7 @@
 """The parametric fit: modes, damping and delay come back, within what it says of them."""
 
 import json
-import sys
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from piezoid.identification.dynamics.fit_dynamics import (
     _trial_delays,
     fit_dynamics,
 )
-from piezoid.identification.dynamics.interchange import from_control, to_control
 from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Lines, Structure
@@ -175,22 +172,6 @@ def test_more_parameters_than_values_are_refused(rng: np.random.Generator) -> No
     narrow = estimate_response(record(rng)).band(600, 700)
     with pytest.raises(IdentificationError, match="usable real values"):
         fit_dynamics(narrow, Structure(modes=6, direct=True), DECLARATION)
-
-
-def test_python_control_receives_and_returns_the_same_matrices(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """With a stand-in of its interface, so that the package need not be installed."""
-    stand_in = SimpleNamespace(
-        ss=lambda A, B, C, D, dt: SimpleNamespace(A=A, B=B, C=C, D=D, dt=dt)
-    )
-    monkeypatch.setitem(sys.modules, "control", stand_in)
-    plain = truth().sampled(RATE_HZ)
-    back = from_control(to_control(truth(), RATE_HZ))
-    for name in "ABCD":
-        np.testing.assert_array_equal(getattr(back, name), getattr(plain, name))
-    with pytest.raises(ValueError, match="dt is 0"):
-        from_control(SimpleNamespace(dt=0))
 
 
 def test_two_modes_started_in_one_place_find_theirs(rng: np.random.Generator) -> None:

@@ -5,16 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import chirp
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics import periodic_estimate
 from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.periodic_data import PeriodicData, cut_periods
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import sample
-from piezoid.records.excitation import DriveLimits, log_chirp
-from piezoid.records.recording import Channel, Quantity, Recording
 from tests.identification.dynamics.stage import PERIOD, RATE_HZ, record, truth
 
 
@@ -141,26 +139,6 @@ def test_the_record_survives_json(rng: np.random.Generator) -> None:
         np.testing.assert_array_equal(getattr(after, name), value)
 
 
-def test_recordings_are_cut_at_their_periods_after_settling() -> None:
-    samples = np.arange(35.0)
-    recording = Recording(
-        name="r",
-        digest="",
-        axis="x",
-        sampling_rate_Hz=1.0,
-        channels=(
-            Channel(quantity=Quantity.VOLTAGE, axis="x", values=samples, label="u"),
-            Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=-samples, label="y"),
-        ),
-    )
-    data = cut_periods([recording], inputs=["x"], outputs=["x"], period_samples=10)
-    assert isinstance(data, PeriodicData)
-    np.testing.assert_array_equal(data.voltage_V[:, 0, 0, :], np.arange(10.0, 30).reshape(2, 10).T)
-    np.testing.assert_array_equal(data.displacement_m, -data.voltage_V)
-    with pytest.raises(ExcitationError, match="0 steady periods"):
-        cut_periods([recording], inputs=["x"], outputs=["x"], period_samples=20)
-
-
 def test_sampling_faster_than_the_stage_leaves_the_continuous_response() -> None:
     model = truth()
     frequency_Hz = np.linspace(50, 3000, 40)
@@ -171,15 +149,5 @@ def test_sampling_faster_than_the_stage_leaves_the_continuous_response() -> None
 
 
 def _chirp_V() -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    limits = DriveLimits(voltage_min_V=-1, voltage_max_V=1, slew_V_per_s=1e6)
-    drive = log_chirp(
-        lowest_Hz=20,
-        highest_Hz=3000,
-        duration_s=10.0,
-        amplitude_V=0.5,
-        offset_V=0.0,
-        axis="x",
-        sampling_rate_Hz=RATE_HZ,
-        limits=limits,
-    )
-    return drive.voltage_V[:, 0]
+    time_s = np.arange(round(10.0 * RATE_HZ)) / RATE_HZ
+    return np.asarray(0.5 * chirp(time_s, 20.0, 10.0, 3000.0, method="logarithmic", phi=-90.0))

@@ -29,6 +29,7 @@ from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import resonance
 from piezoid.operators.linear import fraction
+from piezoid.record_json import from_json, to_json
 from piezoid.records.recording import Recording
 from tests.identification.dynamics.test_axis_dynamics import (
     DAMPING,
@@ -180,7 +181,7 @@ def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:
 
 
 def test_the_record_comes_back_number_for_number(together: Joint) -> None:
-    assert JointFit.from_json(together.record.to_json()) == together.record
+    assert from_json(JointFit, to_json(together.record)) == together.record
 
 
 def test_plays_of_small_drives_stand_apart_from_those_there() -> None:

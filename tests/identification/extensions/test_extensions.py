@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import piezoid.identification.extensions as family
-from piezoid.identification.extensions import EXTENSIONS, extension_from_json
+from piezoid.identification.extensions import EXTENSIONS, LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
+from piezoid.record_json import from_json, to_json
 from tests.identification.extensions.samples import RATE_Hz, one_of_each, where
 
+LAYOUTS = (LAYOUT_OF_EXTENSIONS,)
 ids = {"ids": lambda extension: extension.kind}
 
 
@@ -26,12 +28,13 @@ def test_every_file_of_the_folder_is_registered() -> None:
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)
 def test_json_brings_back_the_last_bit(extension: Extension) -> None:
-    assert extension_from_json(json.loads(json.dumps(extension.to_json()))) == extension
+    written = json.loads(json.dumps(to_json(extension, LAYOUTS)))
+    assert from_json(Extension, written, LAYOUTS) == extension
 
 
 def test_a_kind_nobody_knows_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="'warp_drive'"):
-        extension_from_json({"kind": "warp_drive"})
+        from_json(Extension, {"kind": "warp_drive"}, LAYOUTS)
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)

@@ -14,6 +14,7 @@ from piezoid.identification.tunnelling.loop_model import describe_loop_plant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
 from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
+from piezoid.record_json import from_json, to_json
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import identified, loop_records
 from tests.identification.tunnelling.sweeps import sweep
@@ -87,16 +88,16 @@ def test_the_model_comes_back_number_for_number(
         gap_law=describe_gap_law(fit_barrier([sweep(rng)])),
         loop_plant=describe_loop_plant(fits, family, drive_gain_m_per_V=18e-9),
     )
-    text = json.dumps(model.to_json(), allow_nan=False)
-    assert TunnellingModel.from_json(json.loads(text)) == model
+    text = json.dumps(to_json(model), allow_nan=False)
+    assert from_json(TunnellingModel, json.loads(text)) == model
 
 
 def test_an_unbounded_interval_survives_json(rng: np.random.Generator) -> None:
     weak = fit_barrier([sweep(rng, peak_A=0.02e-12, floor_A=0.05e-12)])
     assert weak.decay_interval_per_m[1] == np.inf
     model = TunnellingModel(gap_law=describe_gap_law(weak), loop_plant=None)
-    text = json.dumps(model.to_json(), allow_nan=False)
-    assert TunnellingModel.from_json(json.loads(text)) == model
+    text = json.dumps(to_json(model), allow_nan=False)
+    assert from_json(TunnellingModel, json.loads(text)) == model
 
 
 def test_an_empty_model_is_refused() -> None:

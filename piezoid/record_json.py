@@ -1,0 +1,210 @@
+"""Records to JSON values and back by the types of their fields: every number with its last bit.
+
+A frozen record becomes a table of its fields, an array or a tuple becomes a list, an enumeration
+its value. Where a file is laid out in another way than its record, a ``RecordLayout`` says how. A
+number that may be infinite is written as null, the only word JSON has for it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import Enum
+from functools import cache
+from math import inf, isinf
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+from msgspec import ValidationError, convert
+
+from piezoid.errors import ParameterFileError
+from piezoid.provenance import unseal
+
+Record = TypeVar("Record")
+_WRONG = (
+    ValidationError, LookupError, ArithmeticError, TypeError, ValueError, AttributeError,
+)  # fmt: skip
+Unbounded = Annotated[float, "null where infinite"]
+Interval = tuple[Unbounded, Unbounded]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordLayout:
+    """How records of one class, and of those derived from it, stand in a file.
+
+    write  record -> table of JSON values or of further records
+    read   table -> record; None reads the table field by field
+    """
+
+    kind: type
+    write: Callable[[Any], Mapping[str, Any]]
+    read: Callable[[Any], Any] | None = None
+
+
+def to_json(value: Any, layouts: Sequence[RecordLayout] = ()) -> Any:
+    """Return a record, an array, or a container of such, as what ``json`` writes.
+
+    An infinite number becomes None where the type of its field admits one of both, and is left for
+    ``seal`` to refuse elsewhere.
+    """
+    return _written(value, layouts, may_be_infinite=False)
+
+
+def fields_of(record: Any) -> dict[str, Any]:
+    """Return the fields of a record by name, as they are."""
+    return {field.name: getattr(record, field.name) for field in fields(record)}
+
+
+def from_json(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
+    """Return the record that ``to_json`` wrote; see ``from_fields`` for what is refused."""
+    return cast(Record, _read(kind, value, layouts, ""))
+
+
+def from_fields(kind: type[Record], value: Any, layouts: Sequence[RecordLayout] = ()) -> Record:
+    """Build a record from a table of its fields, whatever layout its class has.
+
+    A field with a default may be missing: an earlier version did not know it. A name that is a
+    property of the class is computed again, not read.
+
+    Raises ``ValueError`` for any other missing or unknown name, and for a value of another type,
+    with the path of the entry.
+    """
+    return _by_fields(kind, value, layouts, "")
+
+
+def read_sealed(
+    kind: type[Record],
+    content: bytes,
+    schema: str,
+    place: str,
+    *,
+    remedy: str,
+    layouts: Sequence[RecordLayout] = (),
+) -> Record:
+    """Read the record of a sealed file back.
+
+    Raises ``ParameterFileError`` where a bit was changed, the schema is another, or an entry is
+    missing, unknown or of another type; ``remedy`` says what to do about the latter.
+    """
+    record = unseal(content, schema, place)
+    held = {name: value for name, value in record.items() if name not in ("schema", "digest")}
+    with refusing(schema, place, remedy=remedy):
+        return from_json(kind, held, layouts)
+
+
+@contextmanager
+def refusing(schema: str, place: str, *, remedy: str) -> Iterator[None]:
+    """Turn whatever stumbles over an entry of a file into ``ParameterFileError``."""
+    try:
+        yield
+    except _WRONG as error:
+        raise ParameterFileError(
+            f"{place}: {type(error).__name__} at {error}",
+            needed=f"every entry of schema {schema}, of its own kind",
+            remedy=remedy,
+        ) from error
+
+
+def _written(value: Any, layouts: Sequence[RecordLayout], *, may_be_infinite: bool) -> Any:
+    layout = next((known for known in layouts if isinstance(value, known.kind)), None)
+    if layout is not None:
+        return to_json(layout.write(value), layouts)
+    if is_dataclass(value) and not isinstance(value, type):
+        infinite = _fields_that_may_be_infinite(type(value))
+        return {
+            name: _written(held, layouts, may_be_infinite=name in infinite)
+            for name, held in fields_of(value).items()
+        }
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, tuple | list):
+        return [_written(item, layouts, may_be_infinite=may_be_infinite) for item in value]
+    if isinstance(value, Mapping):
+        return {
+            name: _written(item, layouts, may_be_infinite=may_be_infinite)
+            for name, item in value.items()
+        }
+    if isinstance(value, Enum):
+        return value.value
+    return None if may_be_infinite and isinstance(value, float) and isinf(value) else value
+
+
+def _read(kind: Any, value: Any, layouts: Sequence[RecordLayout], path: str) -> Any:
+    origin, arguments = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType):
+        inner = next(argument for argument in arguments if argument is not NoneType)
+        return None if value is None else _read(inner, value, layouts, path)
+    if kind == Unbounded:
+        return inf if value is None else _leaf(float, value, path)
+    if origin is tuple:
+        return _tuple(arguments, _leaf(list[Any], value, path), layouts, path)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        table = _leaf(dict[str, Any], value, path)
+        return {k: _read(arguments[1], held, layouts, f"{path}.{k}") for k, held in table.items()}
+    if origin is np.ndarray:
+        return np.array(value, dtype=np.float64)
+    if not is_dataclass(kind):
+        return _leaf(kind, value, path)
+    layout = next((known for known in layouts if issubclass(cast(type, kind), known.kind)), None)
+    if layout is not None and layout.read is not None:
+        return layout.read(value)
+    return _by_fields(cast(type, kind), value, layouts, path)
+
+
+def _tuple(
+    kinds: tuple[Any, ...], values: list[Any], layouts: Sequence[RecordLayout], path: str
+) -> tuple[Any, ...]:
+    if kinds[-1] is Ellipsis:
+        kinds = kinds[:1] * len(values)
+    if len(kinds) != len(values):
+        raise ValueError(f"{path}: {len(values)} values, expected {len(kinds)}")
+    pairs = enumerate(zip(kinds, values, strict=True))
+    return tuple(_read(kind, value, layouts, f"{path}[{k}]") for k, (kind, value) in pairs)
+
+
+def _by_fields(
+    kind: type[Record], value: Any, layouts: Sequence[RecordLayout], path: str
+) -> Record:
+    table = _leaf(dict[str, Any], value, path)
+    known = {field.name: field for field in fields(cast(Any, kind))}
+    needed = {
+        name
+        for name, field in known.items()
+        if field.default is MISSING and field.default_factory is MISSING
+    }
+    unknown = {name for name in table if name not in known and not hasattr(kind, name)}
+    if unknown or not needed <= set(table):
+        raise ValueError(
+            f"{path or 'the top'}: the fields are {sorted(table)}, not {sorted(known)}"
+        )
+    hints = _hints(cast(Any, kind))
+    return kind(
+        **{
+            name: _read(hints[name], held, layouts, f"{path}.{name}")
+            for name, held in table.items()
+            if name in known
+        }
+    )
+
+
+def _leaf(kind: Any, value: Any, path: str) -> Any:
+    try:
+        return convert(value, kind)
+    except ValidationError as error:
+        raise ValueError(f"{path or 'the top'}: {error}") from error
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, include_extras=True)
+
+
+@cache
+def _fields_that_may_be_infinite(kind: type) -> frozenset[str]:
+    return frozenset(name for name, hint in _hints(kind).items() if _may_be_infinite(hint))
+
+
+def _may_be_infinite(hint: Any) -> bool:
+    if hint == Unbounded or (float in get_args(hint) and NoneType in get_args(hint)):
+        return True
+    return any(_may_be_infinite(inner) for inner in get_args(hint))
