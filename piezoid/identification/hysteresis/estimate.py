@@ -51,7 +51,6 @@ FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
 EXPLAINED = 0.5  # of what the same curve leaves without it: a lag that takes off less is no loop
-REFIT = 8  # Jacobians behind what was taken out of a fit: it was at its end already
 POLISH = 4  # Jacobians over every row once the thinned search is done
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]
@@ -183,7 +182,7 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
 def _final(ready: Prepared, choice: Choice) -> Fitted:
     settings = replace(ready.settings, rows=FINAL_ROWS)
     fitted = search(ready.pieces, choice.best.shape, settings)
-    fitted = simplified(fitted, iterations=REFIT)
+    fitted = simplified(fitted, iterations=settings.iterations)
     if fitted.task.stride == 1:
         return fitted
     polished = minimise(fitted.minimum.theta, replace(fitted.task, stride=1), iterations=POLISH)

@@ -127,12 +127,10 @@ class Grams:
 
     normal    (blocks, total, total)  J_c'J_c, in the order of the whole vector
     gradient  (blocks, total)         J_c'e_c
-    square    (blocks,)               e_c'e_c
     """
 
     normal: Array
     gradient: Array
-    square: Array
 
 
 def grams_of(theta: Array, task: Task) -> Grams:
@@ -141,7 +139,7 @@ def grams_of(theta: Array, task: Task) -> Grams:
     edges = block_edges(task.pieces)
     blocks = sum(len(edge) - 1 for edge in edges)
     normals = np.zeros((blocks, coordinates.total, coordinates.total))
-    gradients, squares = np.zeros((blocks, coordinates.total)), np.zeros(blocks)
+    gradients = np.zeros((blocks, coordinates.total))
     before = 0
     for index, piece in enumerate(task.pieces):
         place = column_places(coordinates, index)
@@ -158,9 +156,8 @@ def grams_of(theta: Array, task: Task) -> Grams:
                 tangent, residual = rows.tangent[block == c], rows.residual[block == c]
                 normals[c][np.ix_(place, place)] += tangent.T @ tangent
                 gradients[c][place] += tangent.T @ residual
-                squares[c] += residual @ residual
         before += len(edges[index]) - 1
-    return Grams(normal=normals, gradient=gradients, square=squares)
+    return Grams(normal=normals, gradient=gradients)
 
 
 def block_edges(pieces: Sequence[Piece]) -> list[NDArray[np.int_]]:

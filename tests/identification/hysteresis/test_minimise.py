@@ -30,6 +30,7 @@ def search(monkeypatch):
             coordinates=SimpleNamespace(bounds=lambda _: bounds),
             longest_lag_s=0.0,
             held=(),
+            roughness=lambda _: 0.0,
         )
         return minimise(np.full(2, 0.5), task, iterations=iterations)
 

@@ -5,7 +5,6 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.identification.hysteresis.as_good import is_as_good
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape
 from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.order import folds_of, is_untested
@@ -62,7 +61,7 @@ def test_weights_are_a_positive_density_within_what_drive_and_data_allow(law: st
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_choice_is_within_the_doubt_of_the_best_of_all_that_was_tried(law: str) -> None:
+def test_the_choice_is_as_good_as_the_best_of_all_that_was_tried(law: str) -> None:
     quality = law_fitted(law).quality
     least_m = min(order.held_out_rms_m for order in quality.orders)
     assert quality.held_out_rms_m < 1.15 * least_m
@@ -104,11 +103,3 @@ def test_what_is_trained_on_goes_as_far_as_what_is_tested() -> None:
     for training, testing in folds_of(pieces):
         furthest = max(float(np.ptp(piece.drive)) for piece in testing)
         assert max(float(np.ptp(piece.drive)) for piece in training) > 0.94 * furthest
-
-
-def test_a_difference_that_only_some_blocks_show_is_no_difference() -> None:
-    best = np.full(24, 1.0)
-    scattered = best + 0.3 * np.random.default_rng(0).standard_normal(24) + 0.05
-    assert is_as_good(scattered, best, 1.02)
-    assert not is_as_good(best + 0.1, best, 1.02)
-    assert is_as_good(best + 0.03, best, 1.02)
