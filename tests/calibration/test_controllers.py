@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from piezoid.calibration.controllers import controllers_of
 from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
-from piezoid_cli.controllers import controllers_of
 
 PARAMETERS = SimpleNamespace(unshipped={})
 STEPS = {
