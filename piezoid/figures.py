@@ -17,6 +17,7 @@ from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
 from piezoid.identification.prediction import Comparison
 from piezoid.numerics.arrays import Array
+from piezoid.readable import told
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.verification import Verification
@@ -67,11 +68,13 @@ def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None"
             )
         axes.set(xlabel="time (s)", ylabel=f"displacement of {own} ({unit})")
     drive = axes.twinx() if channel is not None else axes
-    drive.plot(*_thinned(time_s, voltage_V), color=THIRD, linewidth=0.9)
+    drive.plot(*_thinned(time_s, voltage_V), color=THIRD, linewidth=2.2, alpha=0.45)
     drive.set_ylabel(f"drive of {own} (V)", color=THIRD)
     drive.set_xlabel("time (s)")
     drive.tick_params(axis="y", colors=THIRD)
     drive.spines["top"].set_visible(False)
+    axes.set_zorder(drive.get_zorder() + 1)  # what was measured in front
+    axes.patch.set_visible(False)
     return axes
 
 
@@ -88,8 +91,8 @@ def comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axe
         scale, unit = _scaled(held.measured_m, "m")
         axes.plot(
             *_thinned(held.voltage_V, scale * held.measured_m),
-            color=MEASURED,
-            linewidth=1.6,
+            color=FAINT,
+            linewidth=2.4,
             label="measured",
         )
         axes.plot(
@@ -159,9 +162,9 @@ def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     found = [(f.effect, f.share * held.stroke_m) for f in held.findings]
     absent = [(n.effect, n.upper_bound_m) for n in held.not_detected if n.upper_bound_m]
     rows = [*found, *sorted(absent, key=lambda row: -row[1])]
-    axes = _axes(ax, height_inch=1.3 + 0.24 * max(len(rows), 3))
+    axes = _axes(ax, height_inch=1.6 + 0.24 * max(len(rows), 3))
     marks_m = [held.noise_floor_rms_m, held.baseline.rms_m, held.final.rms_m]
-    scale, unit = _scaled(np.array([*marks_m, *(size for _, size in rows)]), "m")
+    scale, unit = _scaled(np.array([max(marks_m)]), "m")
     least_m = 0.5 * min(size for size in [*marks_m, *(s for _, s in rows)] if size > 0.0)
     for place, (_, size_m) in enumerate(rows):
         if place < len(found):
@@ -190,7 +193,9 @@ def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     axes.set_yticks(range(len(rows)), [effect.replace("_", " ") for effect, _ in rows])
     axes.invert_yaxis()
     axes.set(xlabel=f"contribution to the displacement of {held.axis}, rms ({unit})")
-    axes.legend(frameon=False, fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    axes.legend(
+        frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3
+    )
     return axes
 
 
@@ -256,14 +261,14 @@ def loop(held: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
         return axes
     scale, unit = _scaled(held.reference, base)
     for values, label, shade, width in (
-        (held.reference, "reference", MEASURED, 1.6),
+        (held.reference, "reference", FAINT, 2.4),
         (held.position, what, MODEL, 0.8),
     ):
         axes.plot(
             *_thinned(held.time_s, scale * values), color=shade, linewidth=width, label=label
         )
     axes.set(xlabel="time (s)", ylabel=f"{what} of {held.axis} ({unit})")
-    axes.legend(frameon=False)
+    axes.legend(frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     return axes
 
 
@@ -283,7 +288,9 @@ def plan(held: Plan, *, ax: "Axes | None" = None) -> "Axes":
     return axes
 
 
-def _axes(ax: "Axes | None", *, height_inch: float = HEIGHT_inch) -> "Axes":
+def _axes(
+    ax: "Axes | None", *, width_inch: float = WIDTH_inch, height_inch: float = HEIGHT_inch
+) -> "Axes":
     """Return the axes that were given, or those of a new figure."""
     if ax is not None:
         from matplotlib.axes import Axes
@@ -297,7 +304,7 @@ def _axes(ax: "Axes | None", *, height_inch: float = HEIGHT_inch) -> "Axes":
         return ax
     import matplotlib.pyplot as plt
 
-    _, axes = plt.subplots(figsize=(WIDTH_inch, height_inch), dpi=150, layout="constrained")
+    _, axes = plt.subplots(figsize=(width_inch, height_inch), dpi=150, layout="constrained")
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     return axes
@@ -369,7 +376,10 @@ def _sensitivity(axis: AxisDesign, found: LoopDesign, color: str, axes: "Axes") 
         [np.abs(sensitivities(m, found.R, found.S, frequency_Hz).Syp) for m in found.members]
     )
     left_dB = 20.0 * np.log10(np.maximum(left, 1e-6))
-    name = f"axis {axis.axis}, {_METHODS.get(found.method, found.method)}"
+    name = (
+        f"axis {axis.axis}, {_METHODS.get(found.method, found.method)}, "
+        f"bandwidth {told(found.bandwidth_Hz, 'Hz')}"
+    )
     axes.fill_between(
         frequency_Hz, left_dB.min(axis=0), left_dB.max(axis=0), color=color, alpha=0.2, linewidth=0
     )
@@ -380,7 +390,7 @@ def _sensitivity(axis: AxisDesign, found: LoopDesign, color: str, axes: "Axes") 
 def _verdicts(held: Verification, ax: "Axes | None") -> "Axes":
     """Draw value over limit of every verdict that has a limit above 0."""
     judged = [v for v in held.verdicts if v.limit > 0.0]
-    axes = _axes(ax, height_inch=0.9 + 0.2 * max(len(judged), 4))
+    axes = _axes(ax, width_inch=1.6 * WIDTH_inch, height_inch=0.9 + 0.2 * max(len(judged), 4))
     shares = [max(v.value / v.limit, 1e-3) for v in judged]
     colors = [THIRD if v.passed else MODEL for v in judged]
     axes.barh(range(len(judged)), shares, height=0.6, color=colors)
@@ -389,5 +399,5 @@ def _verdicts(held: Verification, ax: "Axes | None") -> "Axes":
         range(len(judged)), [f"{v.name} ({v.scenario})" for v in judged], fontsize="x-small"
     )
     axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="value over its limit (1); above 1 it fails")
+    axes.set(xscale="log", xlabel="value / limit (1)")
     return axes

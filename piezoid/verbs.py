@@ -355,6 +355,12 @@ def simulate(
     careless  nobody cycles the drive before recording: the memory is unknown
 
     Raises ``RecordingError`` for a name that is not known, with those there are.
+
+    >>> stage = simulate(7, effects={"creep": 0.8})
+    >>> [effect["name"] for effect in stage.truth["effects"]]
+    ['creep']
+    >>> stage.recordings[0].axes
+    ('x',)
     """
     sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
     drawn, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)

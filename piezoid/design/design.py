@@ -178,6 +178,11 @@ class AxisDesign:
             raise ValueError(f"axis {self.axis} has no loop")
 
     @property
+    def sampling_rate_Hz(self) -> float:
+        """Samples per second of the controller."""
+        return self.loops[0].members[0].sampling_rate_Hz
+
+    @property
     def recommended(self) -> LoopDesign:
         """The loop to export unless somebody asks for another."""
         return self.loops[0]

@@ -142,10 +142,8 @@ class AxisModel:
 
     @property
     def zero_m(self) -> float:
-        """The displacement at which the operator's output is 0: the middle one of the fit's."""
-        if not self.starts:
-            return self.hysteresis.displacement_offset_m
-        return float(np.median([np.mean(start.zero_m) for start in self.starts]))
+        """The displacement at which the hysteresis' output is 0, middle of those of the fit."""
+        return self.hysteresis.displacement_offset_m
 
     def simulate(
         self,
@@ -167,6 +165,10 @@ class AxisModel:
 
         What goes wrong: a stage that was moved before is not de-poled. Let the drive begin with
         a loop over the range, and leave its displacement out.
+
+        >>> def of_model(model: "AxisModel") -> Array:
+        ...     cycled_V = np.concatenate([np.linspace(0.0, 10.0, 50), np.linspace(10.0, 0.0, 50)])
+        ...     return model.simulate(np.tile(cycled_V, 2), 100.0)[100:]
         """
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
         here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
