@@ -357,7 +357,7 @@ def simulate(
     Raises ``RecordingError`` for a name that is not known, with those there are.
 
     >>> stage = simulate(7, effects={"creep": 0.8})
-    >>> [effect["name"] for effect in stage.truth["effects"]]
+    >>> [effect["effect"] for effect in stage.truth["effects"]]
     ['creep']
     >>> stage.recordings[0].axes
     ('x',)

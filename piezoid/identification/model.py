@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
     from scipy.signal import StateSpace
 
-    from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.prediction import Comparison
-    from piezoid.verification.closed_loop import LoopRecord
 
 SCHEMA = "piezoid.model/1"
 
@@ -165,10 +163,6 @@ class AxisModel:
 
         What goes wrong: a stage that was moved before is not de-poled. Let the drive begin with
         a loop over the range, and leave its displacement out.
-
-        >>> def of_model(model: "AxisModel") -> Array:
-        ...     cycled_V = np.concatenate([np.linspace(0.0, 10.0, 50), np.linspace(10.0, 0.0, 50)])
-        ...     return model.simulate(np.tile(cycled_V, 2), 100.0)[100:]
         """
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
         here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
@@ -318,6 +312,18 @@ class AxisModel:
         return operator.dead_zones.run(h_m) + operator.displacement_offset_m
 
 
+class Diagnosed(Protocol):
+    """What of a diagnosis a stage is extended by."""
+
+    @property
+    def axis(self) -> str:
+        """The axis it is about."""
+
+    @property
+    def model(self) -> AxisModel | None:
+        """The axis with everything found in it, None where no model was at hand."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ActuatorModel:
     """A whole stage.
@@ -371,7 +377,7 @@ class ActuatorModel:
         """Return the stage with one axis replaced, or added."""
         return replace(self, axes={**self.axes, axis.axis: axis})
 
-    def extended(self, *diagnoses: "Diagnosis") -> "ActuatorModel":
+    def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
         """Return the stage with what diagnoses of its axes found, as it ships.
 
         Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
@@ -428,20 +434,21 @@ class ActuatorModel:
         axis: str | None = None,
         lab: Any = None,
         seed: int = 0,
-    ) -> "LoopRecord":
+    ) -> Any:
         """Run the compiled controller against this stage, from rest in the middle of its range.
 
-        reference_m  (samples,)  m from the middle, at the controller's rate
+        reference_m  (samples,)  m, as the sensor shows it, at the controller's rate; ``zero_m``
+                     of an axis is about the middle
         controller   a Design, what ``export`` returned, or a ParameterFile
         lab          a path or a Lab, of the design
         seed         of the sensor's noise
 
-        What goes wrong: see ``piezoid.verification.follow``.
+        Returns a ``LoopRecord``. What goes wrong: a reference outside the range the controller
+        keeps is limited there, which ``status`` says.
         """
-        done: LoopRecord = upstairs("verbs").simulate_loop(
+        return upstairs("verbs").simulate_loop(
             self, reference_m, controller, axis=axis, lab=lab, seed=seed
         )
-        return done
 
     def parameters(self) -> "DataFrame":
         """Return the numbers of every axis, the axis in front of each name."""

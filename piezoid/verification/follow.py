@@ -57,8 +57,8 @@ def follow(
     """Run the compiled controller of one axis against the identified plant, from rest.
 
     controller   whose C is stepped, with the numbers that ship
-    reference_m  (samples,)  m from where the drive is in the middle of its range; a tunnelling
-                 axis follows a current, A. At the controller's rate
+    reference_m  (samples,)  m, as the sensor shows it; a tunnelling axis follows a current, A.
+                 At the controller's rate
     axis         default: the only one there is
     lab          of the design
     seed         of the sensor's noise

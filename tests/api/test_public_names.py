@@ -65,7 +65,7 @@ def test_computing_loads_no_pictures() -> None:
     assert done.stdout.strip() == "False"
 
 
-EXAMPLES = ("piezoid.records.recording", "piezoid.verbs", "piezoid.identification.model")
+EXAMPLES = ("piezoid.records.recording", "piezoid.verbs")
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
