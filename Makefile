@@ -13,7 +13,7 @@ C_FILES := $(wildcard piezoid/*/*.c piezoid/*/*.h)
 .PHONY: demo test check format benchmark clean
 
 demo: $(READY)
-	$(BIN)/piezoid fit datasets/*.csv datasets/*.dat --lab datasets/lab.toml --out $(DEMO_OUT) --force
+	$(BIN)/piezoid demo --out $(DEMO_OUT) --force
 	@echo 'Open $(DEMO_OUT)/report.html, compile $(DEMO_OUT)/bundle/'
 
 test: $(READY)

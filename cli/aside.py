@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from piezoid_cli.stage_jobs import AxisJob, TipJob, Told, weight_of
+from piezoid.calibration.stage_jobs import AxisJob, TipJob, Told, weight_of
 
 if TYPE_CHECKING:
     from piezoid.identification.hysteresis.order import Trial

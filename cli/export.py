@@ -28,13 +28,11 @@ def export(
     """
     from json import loads
 
+    from piezoid.calibration.controllers import REFUSED, failed_files, failed_of, shipped
     from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
-    from piezoid.export.stage import export_stage
     from piezoid.identification.store import read_model
-    from piezoid.verification.shipping import shipping_of
-    from piezoid_cli.controllers import REFUSED, failed_files, failed_of
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
@@ -47,10 +45,15 @@ def export(
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]
     declared = lab_of(stage, lab)
-    made = export_stage(model, design, design_digest=digest, lab=declared)
     with shown(quiet=quiet) as told:
-        told("running the controller against the stage")
-        found = shipping_of(made, model, lab=declared, threads=usable_cores())
+        found = shipped(
+            model,
+            design,
+            design_digest=digest,
+            lab=declared,
+            told=told,
+            threads=usable_cores(),
+        )
     contents = failed_files(failed_of(found))
     file = found.parameters
     if file is not None:

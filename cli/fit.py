@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+    from piezoid.calibration.calibrate import Calibration
+    from piezoid.calibration.controllers import Controllers
     from piezoid.identification.model import ActuatorModel, AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
-    from piezoid_cli.calibration import Calibration
-    from piezoid_cli.controllers import Controllers
 
 
 def fit(

@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import typer
 from typer.core import TyperGroup
@@ -15,6 +15,7 @@ os.environ.update(
 )
 
 from piezoid_cli.batch import batch
+from piezoid_cli.demo import demo
 from piezoid_cli.design import design
 from piezoid_cli.diagnose import diagnose
 from piezoid_cli.export import export
@@ -33,7 +34,7 @@ INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 # What is wrong with the words behind a verb; the package names only one kind of it.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
 
-VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, report, simulate, batch)
+VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, report, simulate, batch, demo)
 
 
 class Verbs(TyperGroup):
@@ -60,8 +61,21 @@ for verb in VERBS:
     app.command()(verb)
 
 
+def _tell_version(asked: bool) -> None:
+    if asked:
+        from piezoid import __version__
+
+        typer.echo(f"piezoid {__version__}")
+        raise typer.Exit
+
+
 @app.callback()
-def piezoid() -> None:
+def piezoid(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_tell_version, is_eager=True, help="Tell the version."),
+    ] = False,
+) -> None:
     """From recordings of a piezo stage to a calibrated, verified controller.
 
     [bold]The usual way[/bold]: see what was understood, write a lab.toml to complete, then all of

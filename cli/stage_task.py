@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from piezoid_reports.fleet.records import CRASHED, FAILED, PASSED, REFUSED, FleetAxis, FleetStage
 
 if TYPE_CHECKING:
+    from piezoid.calibration.calibrate import Calibration
+    from piezoid.calibration.controllers import Controllers
     from piezoid.identification.model import AxisModel
-    from piezoid_cli.calibration import Calibration
-    from piezoid_cli.controllers import Controllers
 
 LAB = "lab.toml"
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from piezoid_cli.calibration import Calibration, Told
+    from piezoid.calibration.calibrate import Calibration, Told
 
 UNDIAGNOSED = (
     "not diagnosed: a fit in blocks does not look for causes; fit a part of the recording that "
@@ -23,15 +23,16 @@ def calibrate_streamed(
 
     The report has no loops and no residuals: they would take the recordings at once.
     """
+    from piezoid.calibration.calibrate import FittedStage, finished
     from piezoid.identification.streamed.fit_streamed import fit_streamed
     from piezoid.records.lab import read_lab
     from piezoid.records.streams.spool import spooled
-    from piezoid_cli.calibration import FittedStage, finished
+    from piezoid_reports.calibrated import with_report
 
     declared = None if lab is None else read_lab(lab)
     folder.mkdir(parents=True, exist_ok=True)
     with spooled(files, declared, folder=folder, progress=told) as spool:
         model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
-    return finished(
-        FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), None, lab, declared, told
-    )
+    done = finished(FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told)
+    told("writing the report")
+    return with_report(done, None, declared)

@@ -1,9 +1,151 @@
 """From recordings of a piezo stage to a calibrated, verified controller.
 
-files -> Recording -> ActuatorModel -> Diagnosis -> Design -> ParameterFile -> Verification
+    import piezoid
 
-Each arrow is one plain function from frozen records to one frozen record. The floors, lowest
-first: errors, provenance | numerics | operators, runtime | records | identification.
+    recordings = piezoid.read("sweep.csv", "check.csv", lab="lab.toml")
+    model = piezoid.fit(recordings, lab="lab.toml")
+    found = piezoid.diagnose(recordings, model=model, lab="lab.toml")
+    model = model.extended(found)
+    design = piezoid.design(model, lab="lab.toml")
+    shipping = piezoid.export(model, design, lab="lab.toml")
+
+Recordings -> ActuatorModel -> Diagnosis -> Design -> ParameterFile -> Verification: each verb is
+one function from frozen records to one frozen record. The names below are what may be relied on;
+all of them load when they are first used.
 """
 
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+# Name to the module that holds it.
+_PUBLIC = {
+    **dict.fromkeys(
+        (
+            *("calibrate", "design", "diagnose", "export", "fit", "load", "plan", "read"),
+            *("read_lab", "report", "save", "simulate", "verify", "VirtualStage"),
+        ),
+        "piezoid.verbs",
+    ),
+    "ActuatorModel": "piezoid.identification.model",
+    "AxisDesign": "piezoid.design.design",
+    "AxisModel": "piezoid.identification.model",
+    "Calibration": "piezoid.calibration.calibrate",
+    "Channel": "piezoid.records.recording",
+    "Collection": "piezoid.records.collection",
+    "Comparison": "piezoid.identification.prediction",
+    "Design": "piezoid.design.design",
+    "Diagnosis": "piezoid.diagnosis.diagnosis",
+    "Finding": "piezoid.diagnosis.diagnosis",
+    "Lab": "piezoid.records.lab",
+    "LoopDesign": "piezoid.design.design",
+    "LoopRecord": "piezoid.verification.closed_loop",
+    "ParameterFile": "piezoid.export.parameter_file",
+    "PiezoidError": "piezoid.errors",
+    "Plan": "piezoid.diagnosis.experiment",
+    "Quantity": "piezoid.records.recording",
+    "Recording": "piezoid.records.recording",
+    "Shipping": "piezoid.verification.shipping",
+    "Verification": "piezoid.verification.verification",
+}
+
+if TYPE_CHECKING:
+    from piezoid.calibration.calibrate import Calibration
+    from piezoid.design.design import AxisDesign, Design, LoopDesign
+    from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+    from piezoid.diagnosis.experiment import Plan
+    from piezoid.errors import PiezoidError
+    from piezoid.export.parameter_file import ParameterFile
+    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.prediction import Comparison
+    from piezoid.records.collection import Collection
+    from piezoid.records.lab import Lab
+    from piezoid.records.recording import Channel, Quantity, Recording
+    from piezoid.verbs import (
+        VirtualStage,
+        calibrate,
+        design,
+        diagnose,
+        export,
+        fit,
+        load,
+        plan,
+        read,
+        read_lab,
+        report,
+        save,
+        simulate,
+        verify,
+    )
+    from piezoid.verification.closed_loop import LoopRecord
+    from piezoid.verification.shipping import Shipping
+    from piezoid.verification.verification import Verification
+
+__all__ = (
+    "ActuatorModel",
+    "AxisDesign",
+    "AxisModel",
+    "Calibration",
+    "Channel",
+    "Collection",
+    "Comparison",
+    "Design",
+    "Diagnosis",
+    "Finding",
+    "Lab",
+    "LoopDesign",
+    "LoopRecord",
+    "ParameterFile",
+    "PiezoidError",
+    "Plan",
+    "Quantity",
+    "Recording",
+    "Shipping",
+    "Verification",
+    "VirtualStage",
+    "__version__",
+    "calibrate",
+    "design",
+    "diagnose",
+    "export",
+    "fit",
+    "load",
+    "plan",
+    "read",
+    "read_lab",
+    "report",
+    "save",
+    "simulate",
+    "verify",
+)
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for."""
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'piezoid' has no public name {name!r}")
+    found = getattr(import_module(_PUBLIC[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
+
+
+class _Package(ModuleType):
+    """The package: of ``design`` and ``export`` it shows the verbs, not the folders.
+
+    Importing ``piezoid.design.stage`` would otherwise put the folder where the verb is.
+    """
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name in _PUBLIC and isinstance(value, ModuleType):
+            return
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package

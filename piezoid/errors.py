@@ -13,6 +13,7 @@
     |   +-- UnstableLoopError
     |   +-- TemplateError             which template, at which frequency, by how much
     +-- ParameterFileError        wrong schema, failed digest, unknown name
+    +-- PictureError              nothing of that kind can be drawn
     +-- RuntimeLibraryError       compiled library missing or of another layout
 
 A verdict is data; an error is an exception. Every message has three parts: what was found, what
@@ -110,6 +111,10 @@ class TemplateError(DesignError):
 
 class ParameterFileError(PiezoidError):
     """A file of ours is of another schema, changed, or incomplete."""
+
+
+class PictureError(PiezoidError):
+    """A record has no picture of the kind that is asked for."""
 
 
 class RuntimeLibraryError(PiezoidError):

@@ -1,6 +1,8 @@
 """Design: the record that leaves this floor, and its file ``design.json``."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +16,11 @@ from piezoid.numerics.arrays import Array, frozen
 from piezoid.provenance import seal
 from piezoid.record_json import read_sealed, to_json
 from piezoid.showing import shown
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from scipy.signal import TransferFunction
 
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
@@ -133,6 +140,22 @@ class LoopDesign:
         known = [m.delay_margin_s for m in self.margins if m.delay_margin_s is not None]
         return min(known) if known else None
 
+    def to_scipy(self, part: str = "controller") -> "TransferFunction":
+        """Return a part of the nominal loop S u = T r' - R y as ``scipy.signal.TransferFunction``.
+
+        part  ``controller`` R / S, ``prefilter`` T / R, ``plant`` B / A, ``sensitivity``
+              A S / P, or ``closed_loop`` T B / P from r' to the reading; P = A S + B R
+        """
+        from piezoid.design.interchange import to_scipy
+
+        return to_scipy(self, part)
+
+    def to_control(self, part: str = "controller") -> Any:
+        """Return the same part for python-control, ``control.TransferFunction``."""
+        from piezoid.design.interchange import to_control
+
+        return to_control(self, part)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisDesign:
@@ -152,6 +175,11 @@ class AxisDesign:
     def __post_init__(self) -> None:
         if not self.loops:
             raise ValueError(f"axis {self.axis} has no loop")
+
+    @property
+    def sampling_rate_Hz(self) -> float:
+        """Samples per second of the controller."""
+        return self.loops[0].members[0].sampling_rate_Hz
 
     @property
     def recommended(self) -> LoopDesign:
@@ -184,6 +212,18 @@ class Design:
     rig_digest: str = ""
     remarks: tuple[str, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
+
+    def plot(self, *, axis: str | None = None, ax: "Axes | None" = None) -> "Axes":
+        """Draw how much of a disturbance each loop leaves, over frequency.
+
+        axis  default: all of them, with what is recommended
+        """
+        axes: Axes = upstairs("figures").design(self, axis=axis, ax=ax)
+        return axes
+
+    def save(self, path: str | Path) -> None:
+        """Write design.json."""
+        upstairs("verbs").save(self, path)
 
     def _repr_html_(self) -> str:
         loops = [

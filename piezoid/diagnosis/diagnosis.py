@@ -2,9 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from piezoid.identification.model import AxisModel
 from piezoid.showing import shown
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,6 +101,15 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """Return the names of what was found, largest gain first."""
         return tuple(finding.effect for finding in self.findings)
+
+    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Draw what each effect contributes, and what those that were not found are at most."""
+        axes: Axes = upstairs("figures").diagnosis(self, ax=ax)
+        return axes
+
+    def save(self, path: str | Path) -> None:
+        """Write diagnosis.json; the model with what was found in it stands in model.json."""
+        upstairs("verbs").save(self, path)
 
     def _repr_html_(self) -> str:
         found = [

@@ -10,6 +10,7 @@ here: the expectation is that of separation.py.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.bench import Bench, bench_of
@@ -23,6 +24,10 @@ from piezoid.identification.model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +60,11 @@ class Plan:
     def duration_s(self) -> float:
         """Return how long the drive takes."""
         return len(self.drive.voltage_V) / self.drive.sampling_rate_Hz
+
+    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
+        """Draw the drive of the next experiment over time."""
+        axes: Axes = upstairs("figures").plan(self, ax=ax)
+        return axes
 
 
 def plan(

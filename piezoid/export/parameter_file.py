@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from piezoid.provenance import seal, unseal
 from piezoid.runtime.library import PRECISIONS, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 from piezoid.runtime.values import SEALED, Values, complete
+from piezoid.upstairs import upstairs
 
 # What a C enumerator and a file name can both carry.
 _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
@@ -122,6 +124,10 @@ class ParameterFile:
             needed=f"one of {', '.join(axis.axis for axis in self.axes)}",
             remedy="Export that axis as well, or ask for one that is there.",
         )
+
+    def save(self, path: str | Path) -> None:
+        """Write params.json; ``bundle`` holds what firmware compiles beside it."""
+        upstairs("verbs").save(self, path)
 
 
 def to_json(file: ParameterFile) -> bytes:

@@ -1,11 +1,14 @@
 """ActuatorModel: what is known of a stage, axis by axis, with how well it is known."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from piezoid.errors import IdentificationError
+from piezoid.errors import IdentificationError, NotInvertibleError, RecordingError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -18,7 +21,16 @@ from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.readable import told
+from piezoid.records.recording import Recording
 from piezoid.showing import shown
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+    from scipy.signal import StateSpace
+
+    from piezoid.identification.prediction import Comparison
 
 SCHEMA = "piezoid.model/1"
 
@@ -130,24 +142,143 @@ class AxisModel:
         """The de-poled state."""
         return self.hysteresis.virgin_memory()
 
+    @property
+    def zero_m(self) -> float:
+        """The displacement at which the hysteresis' output is 0, middle of those of the fit."""
+        return self.hysteresis.displacement_offset_m
+
     def simulate(
         self,
-        voltage_V: Array,
+        voltage_V: ArrayLike,
         sampling_rate_Hz: float,
-        memory_V: Array,
+        memory_V: Array | None = None,
         where: Where | None = None,
+        *,
+        zero_m: float | None = None,
     ) -> Array:
         """Return the displacement this axis makes of a drive.
 
         voltage_V         (samples,)  V
         sampling_rate_Hz  Hz
-        memory_V          (plays,)    V, admissible, before the first sample
+        memory_V          (plays,)    V, admissible, before the first sample; None: de-poled
         where             the piece of a recording, for extensions that belong to one
+        zero_m            m; None: ``zero_m`` of the model
         returned          (samples,)  m
+
+        What goes wrong: a stage that was moved before is not de-poled. Let the drive begin with
+        a loop over the range, and leave its displacement out.
         """
-        here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(voltage_V))
-        moved_m = self.moved(voltage_V, memory_V, here)
-        return self.read(self.hysteresis.displacement_offset_m + moved_m)
+        drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
+        here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
+        moved_m = self.moved(drive_V, self._memory(memory_V), here)
+        return self.read((self.zero_m if zero_m is None else zero_m) + moved_m)
+
+    def inverse(
+        self,
+        displacement_m: ArrayLike,
+        memory_V: Array | None = None,
+        *,
+        zero_m: float | None = None,
+    ) -> Array:
+        """Return the voltage whose hysteresis makes this displacement.
+
+            u = u_off + gamma^-1(H^-1[Psi^-1(y - y_off)])                     [Kuhnen 2003]
+
+        displacement_m  (samples,)  m
+        memory_V        (plays,)    V, before the first sample; None: de-poled
+        zero_m          m; None: ``zero_m`` of the model
+        returned        (samples,)  V
+
+        Of the hysteresis alone: lag, dynamics and what a diagnosis added are not inverted, and
+        voltages outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights
+        without an inverse.
+        """
+        if not self.hysteresis.is_invertible:
+            least, _ = self.hysteresis.slope_sector_m_per_V
+            raise NotInvertibleError(
+                f"axis {self.axis}: the flattest branch has a slope of {least:g} m/V",
+                needed="a hysteresis that rises everywhere",
+                remedy="Fit recordings over a range in which the stage does.",
+            )
+        wanted_m = _drive(displacement_m, f"the displacement of axis {self.axis}", "m")
+        zero = self.zero_m if zero_m is None else zero_m
+        output_m = self.polarity * (wanted_m - zero) + self.hysteresis.displacement_offset_m
+        return self.hysteresis.inverse_run(output_m, self._memory(memory_V))[0]
+
+    def _memory(self, given: Array | None) -> Array:
+        """Return the memory before the first sample, or refuse one of another length."""
+        if given is None:
+            return self.virgin_memory_V
+        memory_V, plays = np.asarray(given, dtype=np.float64), len(self.hysteresis.plays.weight)
+        if memory_V.shape != (plays,):
+            raise IdentificationError(
+                f"axis {self.axis}: a memory of shape {memory_V.shape}",
+                needed=f"the state of each of its {plays} plays",
+                remedy="Take virgin_memory_V, or memory_V of one of its starts.",
+            )
+        return memory_V
+
+    def predict(self, recording: Recording) -> Array:
+        """Return what this axis should show in a recording, of the fit or not, (samples,) m.
+
+        Memory and zero at its beginning, which no model can know, are taken from the recording's
+        own displacement where it holds one; see ``prediction.predict``.
+        """
+        from piezoid.identification.prediction import predict
+
+        return predict(self, recording)
+
+    def compare(self, recording: Recording) -> "Comparison":
+        """Return a recording beside ``predict``: errors, a frame and a picture of them."""
+        from piezoid.identification.prediction import compare
+
+        return compare(self, recording)
+
+    def parameters(self) -> "DataFrame":
+        """Return every number of the model by name, with unit and 95 % interval.
+
+        The columns are ``value``, ``unit``, ``low`` and ``high``; NaN where no interval is known.
+        """
+        from piezoid.identification.parameters import parameters_of
+
+        return parameters_of(self)
+
+    def to_scipy(self, sampling_rate_Hz: float | None = None) -> "StateSpace":
+        """Return the linear part from drive to reading, V to m, as ``scipy.signal.StateSpace``.
+
+        sampling_rate_Hz  of a discrete system behind a zero-order hold, its delay in the states;
+                          None: in continuous time, of an axis without delay
+
+        The hysteresis stands there as the middle of its slopes. Raises ``IdentificationError``
+        where a delay has no system in continuous time.
+        """
+        from piezoid.identification.interchange import to_scipy
+
+        return to_scipy(self, sampling_rate_Hz)
+
+    def to_control(self, sampling_rate_Hz: float | None = None) -> Any:
+        """Return the same for python-control, ``control.StateSpace``; it must be installed."""
+        from piezoid.identification.interchange import to_control
+
+        return to_control(self, sampling_rate_Hz)
+
+    def plot(
+        self,
+        kind: str = "loop",
+        *,
+        recording: Recording | None = None,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw the loops of the model (``loop``) or its linear response (``response``).
+
+        recording  drawn beside what the model says of it; then ``loop`` or ``error``
+        """
+        figures = upstairs("figures")
+        if recording is not None:
+            shown_beside: Axes = figures.comparison(self.compare(recording), kind, ax=ax)
+            return shown_beside
+        axes: Axes = figures.axis_model(self, kind, ax=ax)
+        return axes
 
     def moved(self, voltage_V: Array, memory_V: Array, where: Where) -> Array:
         """Return the displacement away from the zero, before the sensor reads it, (samples,)."""
@@ -183,6 +314,18 @@ class AxisModel:
             later_m = extension.irreversible(walls_m, rate_Hz)
             h_m = h_m if later_m is walls_m else reversible_m + later_m
         return operator.dead_zones.run(h_m) + operator.displacement_offset_m
+
+
+class Diagnosed(Protocol):
+    """What of a diagnosis a stage is extended by."""
+
+    @property
+    def axis(self) -> str:
+        """The axis it is about."""
+
+    @property
+    def model(self) -> AxisModel | None:
+        """The axis with everything found in it, None where no model was at hand."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,6 +366,146 @@ class ActuatorModel:
     def applies(self) -> bool:
         """Whether the model class applies to every axis."""
         return all(axis.verdict.applies for axis in self.axes.values())
+
+    def one(self, axis: str | None = None) -> AxisModel:
+        """Return the named axis, or the only one there is; several are refused without a name."""
+        if axis is None and len(self.axes) != 1:
+            raise IdentificationError(
+                f"{self.stage}: no axis named, the model holds {', '.join(self.axes) or 'none'}",
+                needed="one axis",
+                remedy="Name it, as in axis='x', or take it by model['x'].",
+            )
+        return self[next(iter(self.axes)) if axis is None else axis]
+
+    def with_axis(self, axis: AxisModel) -> "ActuatorModel":
+        """Return the stage with one axis replaced, or added."""
+        return replace(self, axes={**self.axes, axis.axis: axis})
+
+    def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
+        """Return the stage with what diagnoses of its axes found, as it ships.
+
+        Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
+        from its file: that holds no model.
+        """
+        found = self
+        for diagnosis in diagnoses:
+            if diagnosis.model is None:
+                raise IdentificationError(
+                    f"{self.stage}: the diagnosis of axis {diagnosis.axis} holds no model",
+                    needed="a diagnosis made with model=, and not read from a file",
+                    remedy="Diagnose the recordings again with the model.",
+                )
+            found = found.with_axis(diagnosis.model)
+        return found
+
+    def simulate(
+        self,
+        voltage_V: ArrayLike,
+        sampling_rate_Hz: float,
+        memory_V: Array | None = None,
+        *,
+        zero_m: float | None = None,
+        axis: str | None = None,
+    ) -> Array:
+        """Return what an axis makes of a drive, as ``AxisModel.simulate``."""
+        own = self.one(axis)
+        return own.simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
+
+    def predict(self, recording: Recording, *, axis: str | None = None) -> Array:
+        """Return what an axis should show in a recording; default: the axis it is about."""
+        return self[axis or recording.axis].predict(recording)
+
+    def compare(self, recording: Recording, *, axis: str | None = None) -> "Comparison":
+        """Return a recording beside ``predict``."""
+        return self[axis or recording.axis].compare(recording)
+
+    def inverse(
+        self,
+        displacement_m: ArrayLike,
+        memory_V: Array | None = None,
+        *,
+        zero_m: float | None = None,
+        axis: str | None = None,
+    ) -> Array:
+        """Return the voltage of an axis that makes a displacement, as ``AxisModel.inverse``."""
+        return self.one(axis).inverse(displacement_m, memory_V, zero_m=zero_m)
+
+    def simulate_loop(
+        self,
+        reference_m: ArrayLike,
+        controller: Any,
+        *,
+        axis: str | None = None,
+        lab: Any = None,
+        seed: int = 0,
+    ) -> Any:
+        """Run the compiled controller against this stage, from rest in the middle of its range.
+
+        reference_m  (samples,)  m, as the sensor shows it, at the controller's rate; ``zero_m``
+                     of an axis is about the middle
+        controller   a Design, what ``export`` returned, or a ParameterFile
+        lab          a path or a Lab, of the design
+        seed         of the sensor's noise
+
+        Returns a ``LoopRecord``. What goes wrong: a reference outside the range the controller
+        keeps is limited there, which ``status`` says.
+        """
+        return upstairs("verbs").simulate_loop(
+            self, reference_m, controller, axis=axis, lab=lab, seed=seed
+        )
+
+    def parameters(self) -> "DataFrame":
+        """Return the numbers of every axis, the axis in front of each name."""
+        from pandas import concat
+
+        return concat(
+            {name: axis.parameters() for name, axis in self.axes.items()}, names=["axis", "name"]
+        )
+
+    def to_scipy(
+        self, sampling_rate_Hz: float | None = None, *, axis: str | None = None
+    ) -> "StateSpace":
+        """Return the linear part of an axis, as ``AxisModel.to_scipy``."""
+        return self.one(axis).to_scipy(sampling_rate_Hz)
+
+    def to_control(self, sampling_rate_Hz: float | None = None, *, axis: str | None = None) -> Any:
+        """Return the linear part of an axis, as ``AxisModel.to_control``."""
+        return self.one(axis).to_control(sampling_rate_Hz)
+
+    def plot(
+        self,
+        kind: str = "loop",
+        *,
+        recording: Recording | None = None,
+        axis: str | None = None,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw one axis, as ``AxisModel.plot``; default: the recording's, or the only one."""
+        told_axis = recording.axis if axis is None and recording is not None else axis
+        return self.one(told_axis).plot(kind, recording=recording, ax=ax)
+
+    def save(self, path: str | Path) -> None:
+        """Write model.json."""
+        upstairs("verbs").save(self, path)
+
+
+def _drive(given: ArrayLike, place: str, unit: str) -> Array:
+    """Return samples as the operators take them, or refuse what is no signal."""
+    values = np.asarray(given, dtype=np.float64)
+    if values.ndim != 1 or not len(values):
+        raise RecordingError(
+            f"{place} has shape {values.shape}",
+            needed=f"one number in {unit} for each sample, shape (samples,)",
+            remedy="Pass each axis by itself.",
+        )
+    if not np.isfinite(values).all():
+        place_of = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise RecordingError(
+            f"{place} is {values[place_of]} at sample {place_of}",
+            needed="finite numbers",
+            remedy="Leave out or bridge the samples without one.",
+        )
+    return values
 
 
 def _shown(axis: AxisModel) -> tuple[str, str]:

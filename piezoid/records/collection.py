@@ -1,9 +1,10 @@
 """The files of a stage, sorted: recordings over time, over a frequency, and over a height."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from piezoid.errors import RecordingError
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab
@@ -13,11 +14,12 @@ from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
+from piezoid.showing import shown
 
 
 @dataclass(frozen=True, kw_only=True)
 class Collection:
-    """What files of one stage hold.
+    """What files of one stage hold; iterated and indexed, its recordings.
 
     recordings  samples over time
     sweeps      tables over a height that name no clock, as a Z spectroscopy is
@@ -25,8 +27,33 @@ class Collection:
     """
 
     recordings: tuple[Recording, ...]
-    sweeps: tuple[RawTable, ...]
+    sweeps: tuple[RawTable, ...] = ()
     responses: tuple[FrequencyResponseRecord, ...] = ()
+
+    def __iter__(self) -> Iterator[Recording]:
+        return iter(self.recordings)
+
+    def __len__(self) -> int:
+        return len(self.recordings)
+
+    def __getitem__(self, wanted: int | str) -> Recording:
+        """Return a recording by its place or its name, or refuse naming those there are."""
+        if isinstance(wanted, int):
+            return self.recordings[wanted]
+        for recording in self.recordings:
+            if recording.name == wanted:
+                return recording
+        raise RecordingError(
+            f"no recording is called {wanted!r}",
+            needed=f"one of {', '.join(recording.name for recording in self.recordings)}",
+            remedy="Name one of those, or read its file as well.",
+        )
+
+    def _repr_html_(self) -> str:
+        rows = [(r.name, f"{r.samples} samples, axis {r.axis}") for r in self.recordings]
+        rows += [(sweep.name, f"{sweep.rows} rows over height") for sweep in self.sweeps]
+        rows += [(one.name, "frequency response") for one in self.responses]
+        return shown(f"{len(self.recordings)} recordings", rows)
 
 
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:

@@ -3,6 +3,7 @@
 import ctypes
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,14 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
+from piezoid.upstairs import upstairs
 from piezoid.verification.loop_library import Kept, LoopRun, loop_library
 from piezoid.verification.loop_plant import begun_plant, rest_position
 from piezoid.verification.plant import AxisPlant, Junction
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
 
 
 class Fault(IntEnum):
@@ -37,6 +43,7 @@ class LoopRecord:
     status     (samples,)  the runtime's bits
     driven     (samples,)  what moved the response, its largest in a sample: V behind the
                amplifier (junction: nepers, the tip's extension times the decay)
+    unit       of reference, position and measured: ``m`` or ``A``
     """
 
     axis: str
@@ -47,6 +54,34 @@ class LoopRecord:
     voltage_V: Array
     status: NDArray[np.uint32]
     driven: Array
+    unit: str = "m"
+
+    @property
+    def time_s(self) -> Array:
+        """Time of every sample from the first, (samples,)."""
+        return np.asarray(np.arange(len(self.reference)) / self.sampling_rate_Hz)
+
+    @property
+    def error(self) -> Array:
+        """Reference less position, (samples,), m (junction: A)."""
+        return np.asarray(self.reference - self.position)
+
+    @property
+    def rms_error(self) -> float:
+        """Root of the mean squared error."""
+        return float(np.sqrt(np.mean(self.error**2)))
+
+    def to_frame(self) -> "DataFrame":
+        """Return a pandas DataFrame, a row for each sample; positions in m (junction: A)."""
+        from pandas import DataFrame
+
+        names = ("time_s", "reference", "position", "measured", "voltage_V", "error", "status")
+        return DataFrame({name: getattr(self, name) for name in names})
+
+    def plot(self, kind: str = "path", *, ax: "Axes | None" = None) -> "Axes":
+        """Draw reference and position (``path``) or the error (``error``) over time."""
+        axes: Axes = upstairs("figures").loop(self, kind, ax=ax)
+        return axes
 
 
 def run_axis(
@@ -98,6 +133,7 @@ def run_axis(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         reference=np.asarray(reference, dtype=np.float64),
         status=status,
+        unit="A" if isinstance(plant.response, Junction) else "m",
         **outputs,
     )
 

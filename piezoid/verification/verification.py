@@ -1,14 +1,20 @@
 """Verification: the record that leaves this floor, and its file ``verification.json``."""
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
+from piezoid.upstairs import upstairs
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
 from piezoid.verification.trace import SpiralTrace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SCHEMA = "piezoid.verification/1"
 _LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
@@ -90,6 +96,15 @@ class Verification:
     def passed(self) -> bool:
         """Whether every verdict passed, and every build that was made gave the same bits."""
         return all(v.passed for v in self.verdicts) and all(p.passed for p in self.proofs)
+
+    def plot(self, kind: str = "comparison", *, ax: "Axes | None" = None) -> "Axes":
+        """Draw the error over frequency by method (``comparison``), or all ``verdicts``."""
+        axes: Axes = upstairs("figures").verification(self, kind, ax=ax)
+        return axes
+
+    def save(self, path: str | Path) -> None:
+        """Write verification.json."""
+        upstairs("verbs").save(self, path)
 
     def _repr_html_(self) -> str:
         good = sum(verdict.passed for verdict in self.verdicts)

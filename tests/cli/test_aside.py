@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from piezoid.calibration.stage_jobs import AxisJob, TipJob
 from piezoid.identification.fit import fit_axis, unfitted
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.order import Trial
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid_cli.aside import Aside, made, with_trials_aside
-from piezoid_cli.stage_jobs import AxisJob, TipJob
 from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_parts import stage
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid_cli import stage_jobs
+from piezoid.calibration import stage_jobs
 from piezoid_cli.calibration import calibrate
 
 SAMPLES = 300

@@ -6,13 +6,13 @@ from json import loads
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from piezoid.calibration.stage_jobs import Designed
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.model import ActuatorModel
     from piezoid.records.lab import Lab
     from piezoid.verification.shipping import Shipping
     from piezoid.verification.verification import Verification
-    from piezoid_cli.stage_jobs import Designed
 
 Told = Callable[[str], None]
 REFUSED = "refused"
@@ -108,14 +108,8 @@ def _verified(
     model: "ActuatorModel", design: "Design", lab: "Lab | None", told: Told, threads: int
 ) -> Controllers:
     """Return what ships of a design, and what its run against the stage showed."""
-    from piezoid.export.stage import export_stage
-    from piezoid.verification.shipping import shipping_of
-
-    told("exporting")
-    design_digest = loads(design.to_json())["digest"]
-    parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
-    told("running the compiled controller against the stage")
-    found = shipping_of(parameters, model, lab=lab, threads=threads)
+    digest = loads(design.to_json())["digest"]
+    found = shipped(model, design, design_digest=digest, lab=lab, told=told, threads=threads)
     reasons = "; ".join(f"axis {axis}: {reason}" for axis, reason in found.reasons.items())
     return Controllers(
         design=design,
@@ -125,6 +119,31 @@ def _verified(
         reason="" if found.parameters is not None else reasons,
         refused=found.parameters is None or bool(found.parameters.unshipped),
     )
+
+
+def shipped(
+    model: "ActuatorModel",
+    design: "Design",
+    *,
+    design_digest: str,
+    lab: "Lab | None",
+    told: Told = lambda _: None,
+    threads: int = 1,
+) -> "Shipping":
+    """Export a design, run it against the stage, and return which axes may ship.
+
+    design_digest  of the design's file, for the chain of digests
+    threads        so many verify; what they find does not depend on it
+
+    Raises ``ParameterFileError`` or ``LabFileError`` where nothing can be exported.
+    """
+    from piezoid.export.stage import export_stage
+    from piezoid.verification.shipping import shipping_of
+
+    told("exporting")
+    parameters = export_stage(model, design, design_digest=design_digest, lab=lab)
+    told("running the compiled controller against the stage")
+    return shipping_of(parameters, model, lab=lab, threads=threads)
 
 
 def failed_of(found: "Shipping") -> "tuple[ParameterFile, Verification] | None":

@@ -1,0 +1,46 @@
+"""`piezoid demo`: the main job on the recordings that come with piezoid."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("piezoid-demo"),
+    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    processes: Annotated[
+        int | None,
+        typer.Option(
+            help="At most so many work side by side; not given, as many as there are cores.",
+            min=1,
+        ),
+    ] = None,
+    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+) -> None:
+    """Calibrate the bundled three-axis stage: `piezoid fit` on recordings that come with piezoid.
+
+    X and Y with hysteresis, Z with a tunnelling tip, and their lab.toml, from any folder. Open
+    report.html in the folder of results; the recordings themselves are named in it.
+
+    [bold]Examples[/bold]
+
+    piezoid demo
+
+    piezoid demo --out build/demo --force
+    """
+    from piezoid_cli.fit import fit
+    from piezoid_datasets import LAB, stage_files
+
+    # As a shell lists them: recordings over time first, whose order the results follow.
+    files = sorted(stage_files(), key=lambda path: (path.suffix, path.name))
+    fit(
+        files,
+        out,
+        lab=LAB,
+        force=force,
+        stream=False,
+        processes=processes,
+        quiet=quiet,
+        json=False,
+    )

@@ -1,0 +1,135 @@
+"""From recordings to every sealed file of a stage's folder; what is drawn is added upstairs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from piezoid.calibration.controllers import Controllers, controllers_of, files_of
+from piezoid.calibration.stage_jobs import AxisFound, Designed, TipFound, jobs_of, run_job
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.identification.model import ActuatorModel
+from piezoid.identification.store import write_model
+from piezoid.records.collection import Collection
+from piezoid.records.lab import Lab
+
+Told = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """One stage, from its recordings to the verdict on what ships.
+
+    diagnoses    of every axis that could be diagnosed, the first one in front
+    undiagnosed  why the others could not, a sentence each
+    controllers  what was designed and ships, or why nothing does
+    stumbled     a fault of ours ended a diagnosis or the way to the controller; the reasons say
+                 which
+    files        name and bytes of everything that belongs into the folder
+    """
+
+    model: ActuatorModel
+    diagnoses: tuple[Diagnosis, ...]
+    undiagnosed: tuple[str, ...]
+    controllers: Controllers
+    stumbled: bool
+    files: Mapping[str, bytes]
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The diagnosis of the first axis that has one."""
+        return self.diagnoses[0] if self.diagnoses else None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the model applies to every axis, and nothing about the controllers failed."""
+        return self.model.applies and self.controllers.passed and not self.stumbled
+
+    def save(self, folder: str | Path) -> None:
+        """Write every file into a folder, which is made; files of other names stay there."""
+        for name, content in self.files.items():
+            place = Path(folder) / name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(content)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittedStage:
+    """What was found of all axes.
+
+    designed  what came of designing them, in their order, a tip behind; None: not tried yet
+    """
+
+    model: ActuatorModel
+    diagnoses: tuple[Diagnosis, ...] = ()
+    undiagnosed: tuple[str, ...] = ()
+    stumbled: bool = False
+    designed: tuple[Designed, ...] | None = None
+
+
+def calibrate(
+    held: Collection, lab: Lab | None, told: Told = lambda _: None, *, threads: int = 1
+) -> Calibration:
+    """Fit, diagnose, design, export and verify one stage, one axis after the other.
+
+    threads  so many diagnose and verify; what they find does not depend on it
+
+    Raises what fitting raises; a stage for which no controller can be designed is a calibration
+    without one.
+    """
+    blank, jobs = jobs_of(held, lab, threads)
+    return finished(stage_of(blank, [run_job(job, told) for job in jobs]), lab, told, threads)
+
+
+def stage_of(blank: ActuatorModel, found: Sequence[AxisFound | TipFound]) -> FittedStage:
+    """Put together what came of the jobs of a stage.
+
+    blank  the stage before any fit
+    """
+    axes = [one for one in found if isinstance(one, AxisFound)]
+    tips = [one for one in found if isinstance(one, TipFound)]
+    return FittedStage(
+        model=replace(
+            blank,
+            axes={one.model.axis: one.model for one in axes},
+            tunnelling=tips[0].tunnelling if tips else None,
+        ),
+        diagnoses=tuple(one.diagnosis for one in axes if one.diagnosis is not None),
+        undiagnosed=tuple(one.undiagnosed for one in axes if one.undiagnosed),
+        stumbled=any(one.stumbled for one in axes),
+        designed=(*(one.designed for one in axes), *(one.designed for one in tips)),
+    )
+
+
+def finished(stage: FittedStage, lab: Lab | None, told: Told, threads: int = 1) -> Calibration:
+    """Design, export and verify a stage that is fitted.
+
+    threads  so many verify; the files are the same bytes
+    """
+    content = {"model.json": write_model(stage.model), **_told_files(stage.diagnoses, lab)}
+    made = controllers_of(
+        stage.model,
+        content["model.json"],
+        lab,
+        told,
+        designed=stage.designed,
+        threads=threads,
+    )
+    return Calibration(
+        model=stage.model,
+        diagnoses=stage.diagnoses,
+        undiagnosed=stage.undiagnosed,
+        controllers=made,
+        stumbled=stage.stumbled or made.stumbled,
+        files=content | files_of(made),
+    )
+
+
+def _told_files(diagnoses: Sequence[Diagnosis], lab: Lab | None) -> dict[str, bytes]:
+    """Return what was diagnosed, and what the laboratory said: later verbs ask for it again."""
+    files = {}
+    if diagnoses:
+        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
+    if lab is not None and lab.digest:
+        files["lab.toml"] = (lab.folder / lab.place).read_bytes()
+    return files

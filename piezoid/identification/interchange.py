@@ -1,0 +1,81 @@
+"""The linear part of an axis for scipy.signal and python-control."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.loop_model import LoopModel, loop_model
+from piezoid.identification.model import AxisModel
+from piezoid.operators.analogue import cascade
+from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, sample
+
+if TYPE_CHECKING:
+    from scipy.signal import StateSpace
+
+_NO_RATE_Hz = 1e9  # of a system in continuous time: every pole is slow beside it
+
+
+def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem:
+    """Return what lies between drive and reading, V to m, with its delay.
+
+        G(s) = polarity (m + M) / 2 front(s) behind(s) slow(s) sensor(s) e^(-s delay)
+
+    m and M are the ends of the hysteresis' slope sector: what it is to a linear loop.
+    """
+    loop: LoopModel = loop_model(axis, sampling_rate_Hz or _NO_RATE_Hz)
+    gain = axis.polarity * 0.5 * sum(axis.hysteresis.slope_sector_m_per_V) * loop.gain
+    whole = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
+    return ContinuousSystem(
+        A=whole.A, B=whole.B, C=gain * whole.C, D=gain * whole.D, delay_s=loop.delay_s
+    )
+
+
+def to_scipy(axis: AxisModel, sampling_rate_Hz: float | None) -> "StateSpace":
+    """Return the linear part as ``scipy.signal.StateSpace``, discrete where a rate is given."""
+    from scipy.signal import StateSpace
+
+    found = _system(axis, sampling_rate_Hz)
+    matrices = (found.A, found.B, found.C, found.D)
+    if isinstance(found, DiscreteSystem):
+        return StateSpace(*map(np.array, matrices), dt=found.interval_s)
+    return StateSpace(*map(np.array, matrices))
+
+
+def to_control(axis: AxisModel, sampling_rate_Hz: float | None) -> Any:
+    """Return the linear part as ``control.StateSpace``."""
+    found = _system(axis, sampling_rate_Hz)
+    interval_s = found.interval_s if isinstance(found, DiscreteSystem) else 0
+    return control().ss(found.A, found.B, found.C, found.D, interval_s)
+
+
+def control() -> Any:
+    """Return python-control, or say how to install it."""
+    try:
+        import control as package
+    except ImportError as error:
+        raise IdentificationError(
+            "python-control is not installed",
+            needed="the package control, which piezoid itself does without",
+            remedy="Install it with: pip install control. to_scipy() needs nothing more.",
+        ) from error
+    return package
+
+
+def _system(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSystem | DiscreteSystem:
+    found = linear_part(axis, sampling_rate_Hz)
+    if sampling_rate_Hz is not None:
+        if not 0.0 < sampling_rate_Hz < np.inf:
+            raise IdentificationError(
+                f"axis {axis.axis}: a sampling rate of {sampling_rate_Hz} Hz",
+                needed="a rate above 0 Hz",
+                remedy="Pass the rate of the controller.",
+            )
+        return sample(found, sampling_rate_Hz)
+    if found.delay_s > 0.0:
+        raise IdentificationError(
+            f"axis {axis.axis}: its linear part has a delay of {1e6 * found.delay_s:.4g} us",
+            needed="a sampling rate: a delay is no system of finite order in continuous time",
+            remedy="Pass sampling_rate_Hz; the delay then stands in the states.",
+        )
+    return found

@@ -1,0 +1,188 @@
+"""What a fitted axis says of recordings, those of the fit and any other.
+
+A recording begins somewhere: with a memory and at a zero that no model can know. Both are taken
+from its own displacement, and nothing else of it; the operator stays what was fitted.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from piezoid.identification.extensions.extension import Where
+from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import where_of, zero_of
+from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.records.recording import Quantity, Recording
+from piezoid.showing import shown
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+ROWS = 4000  # of a piece, to which memory and zero are fitted: hundreds of each would do
+# Memory slopes from which the search begins: at rest, left by a fall, left by a rise.
+BEGINNINGS = (0.0, 1.0, -1.0)
+STEPS = 40
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """A recording beside what a model says of it.
+
+    time_s                   (samples,)  s from the first sample
+    voltage_V                (samples,)
+    measured_m, predicted_m  (samples,)
+    """
+
+    recording: str
+    axis: str
+    time_s: Array
+    voltage_V: Array
+    measured_m: Array
+    predicted_m: Array
+
+    def __post_init__(self) -> None:
+        names = ("time_s", "voltage_V", "measured_m", "predicted_m")
+        for name in names:
+            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        same_length([(name, getattr(self, name)) for name in names])
+
+    @property
+    def error_m(self) -> Array:
+        """Measured less predicted, (samples,)."""
+        return np.asarray(self.measured_m - self.predicted_m)
+
+    @property
+    def rms_m(self) -> float:
+        """Root of the mean squared error."""
+        return float(np.sqrt(np.mean(self.error_m**2)))
+
+    @property
+    def rms_percent(self) -> float:
+        """The same in percent of the displacement's range; infinite where nothing moved."""
+        range_m = float(np.ptp(self.measured_m))
+        return 100.0 * self.rms_m / range_m if range_m > 0.0 else np.inf
+
+    @property
+    def largest_m(self) -> float:
+        """Largest magnitude of the error."""
+        return float(np.abs(self.error_m).max())
+
+    def to_frame(self) -> "DataFrame":
+        """Return a pandas DataFrame of the arrays and the error, a row for each sample."""
+        from pandas import DataFrame
+
+        names = ("time_s", "voltage_V", "measured_m", "predicted_m", "error_m")
+        return DataFrame({name: getattr(self, name) for name in names})
+
+    def plot(self, kind: str = "loop", *, ax: "Axes | None" = None) -> "Axes":
+        """Draw both over the drive (``loop``), or the error over time (``error``)."""
+        axes: Axes = upstairs("figures").comparison(self, kind, ax=ax)
+        return axes
+
+    def _repr_html_(self) -> str:
+        return shown(
+            f"{self.recording}, axis {self.axis}, beside the model",
+            (
+                ("error, rms", f"{self.rms_m:.3g} m, {self.rms_percent:.3f} % of the range"),
+                ("largest", f"{self.largest_m:.3g} m"),
+                ("samples", str(len(self.time_s))),
+            ),
+        )
+
+
+def predict(model: AxisModel, recording: Recording) -> Array:
+    """Return the displacement the model makes of a recording's drive, (samples,) m.
+
+    The drive runs free through the model, piece by piece. Where the recording holds the axis'
+    displacement, each piece's memory and constant zero are fitted to it, or those of the fit
+    taken, whichever leaves less; without, it begins de-poled at the zero of the fit.
+
+    Raises ``RecordingError`` where the axis' drive is missing. What goes wrong: drift, hum and
+    gain changes belong to recordings of the fit, of others they are left out; a constant error
+    cannot show, for the zero is fitted.
+    """
+    voltage_V = recording.voltage_V(model.axis)
+    channel = recording.find(Quantity.DISPLACEMENT, model.axis)
+    predicted_m = np.empty(recording.samples)
+    for part in recording.pieces:
+        where = where_of(recording, model.axis, part)
+        if channel is None:
+            free = model.simulate(voltage_V[part], where.rate_Hz, None, where)
+        else:
+            free = _followed(model, voltage_V[part], channel.values[part], where)
+        predicted_m[part] = free
+    return predicted_m
+
+
+def compare(model: AxisModel, recording: Recording) -> Comparison:
+    """Return a recording beside ``predict``; it must hold the axis' displacement."""
+    measured_m = recording.displacement_m(model.axis)
+    return Comparison(
+        recording=recording.name,
+        axis=model.axis,
+        time_s=recording.time_s,
+        voltage_V=recording.voltage_V(model.axis),
+        measured_m=measured_m,
+        predicted_m=predict(model, recording),
+    )
+
+
+def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
+    """Return what a piece should look like, from whichever start leaves less of it."""
+    found = _from_own_start(model, voltage_V, measured_m, where)
+    for start in model.starts:
+        if start.recording == where.recording and start.last <= len(voltage_V):
+            moved_m = model.moved(voltage_V, start.memory_V, where)
+            again = model.read(zero_of(start, where.samples) + moved_m)
+            found = min(found, again, key=lambda made: float(np.sum((made - measured_m) ** 2)))
+    return found
+
+
+def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where: Where) -> Array:
+    """Return a piece from the memory and the zero that fit it best.
+
+        z_i(0) = v(0) + sum_(j<=i) d_j s_j,   -1 <= s_j <= 1, d_j between thresholds
+
+    v is the drive behind envelope and declared amplifier; every such memory is admissible.
+    """
+    gap_V = np.diff(model.hysteresis.plays.threshold)
+    inner_V = _first_inner(model, voltage_V[:1], where.rate_Hz)
+    every = max(1, len(voltage_V) // ROWS)
+    scale_m = max(float(np.ptp(measured_m)), np.finfo(float).tiny)
+
+    def memory(slope: Array) -> Array:
+        return inner_V + np.concatenate([[0.0], np.cumsum(gap_V * slope)])
+
+    def moved(slope: Array) -> Array:
+        return model.moved(voltage_V, memory(slope), where)
+
+    def left(numbers: Array) -> Array:
+        made = model.read(numbers[-1] * scale_m + moved(numbers[:-1]))
+        return np.asarray((made - measured_m)[::every] / scale_m)
+
+    def begun(slope: float) -> Array:
+        slopes = np.full(len(gap_V), slope)
+        return np.append(slopes, float(np.mean(measured_m - moved(slopes))) / scale_m)
+
+    best = min(map(begun, BEGINNINGS), key=lambda numbers: float(np.sum(left(numbers) ** 2)))
+    ends = np.append(np.ones(len(gap_V)), np.inf)
+    found = least_squares(
+        left,
+        np.clip(best, -0.99 * ends, 0.99 * ends),
+        bounds=(-ends, ends),
+        diff_step=1e-4,
+        max_nfev=STEPS,
+    )
+    return model.read(found.x[-1] * scale_m + moved(found.x[:-1]))
+
+
+def _first_inner(model: AxisModel, first_V: Array, rate_Hz: float) -> float:
+    driven = first_V
+    for extension in model.extensions:
+        driven = extension.drive(driven, rate_Hz)
+    operator = model.hysteresis
+    return float(operator.envelope.run(driven - operator.voltage_offset_V)[0])

@@ -1,0 +1,298 @@
+"""Recordings from arrays and data frames, and back; judged as a file with these columns would be.
+
+Heading and unit decide what a column is, by the same rules as for files: ``Voltage [V]``,
+``position_um``. What they leave open is refused, never guessed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.errors import RecordingError, UnitError
+from piezoid.numerics.arrays import Array
+from piezoid.provenance import digest_of_bytes
+from piezoid.records.ingest import ingest_table, parts_of, with_remarks
+from piezoid.records.lab import Lab
+from piezoid.records.lab_tables import RecordingEntry
+from piezoid.records.meaning import Role, meaning_of
+from piezoid.records.recording import Quantity, Recording
+from piezoid.records.table import Column, RawTable
+from piezoid.records.units import heading_of, unit_of
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_SYMBOL = {quantity: quantity.value for quantity in Quantity} | {
+    Quantity.HUMIDITY: "%",
+    Quantity.REFERENCE: "",
+}
+_PERCENT = 100.0
+
+
+def from_arrays(
+    quantities: Mapping[str, ArrayLike | Mapping[str, ArrayLike] | None],
+    *,
+    time_s: ArrayLike | None,
+    sampling_rate_Hz: float | None,
+    axis: str,
+    name: str,
+) -> Recording:
+    """Return the recording that ``Recording.from_arrays`` describes.
+
+    quantities  values by ``voltage``, ``displacement`` and the like, (samples,) each, or by axis
+    """
+    if (time_s is None) == (sampling_rate_Hz is None):
+        raise RecordingError(
+            f"{name}: {'neither' if time_s is None else 'both'} time_s and sampling_rate_Hz given",
+            needed="one clock",
+            remedy="Give the time of every sample, or the rate of them all.",
+        )
+    arrays = {} if time_s is None else {"time": _samples(time_s, f"{name}: time_s")}
+    for quantity, given in quantities.items():
+        by_axis = given if isinstance(given, Mapping) else {axis: given}
+        for own, values in by_axis.items():
+            if values is not None:
+                arrays[f"{quantity}_{own}"] = _samples(values, f"{name}: {quantity} of {own}")
+    _same_length(name, arrays)
+    symbols = {q.name.lower(): q.value for q in Quantity} | {"time": "s"}
+    columns = tuple(
+        Column(
+            number=number,
+            label=label,
+            declared_unit=symbols[label.partition("_")[0]],
+            values=values,
+        )
+        for number, (label, values) in enumerate(arrays.items(), 1)
+    )
+    entry = RecordingEntry(
+        file=name,
+        axis=axis,
+        columns={label: number for number, label in enumerate(arrays, 1)},
+        sampling_rate_Hz=sampling_rate_Hz,
+    )
+    return _one(_table(name, columns), entry)
+
+
+def from_frame(
+    frame: "DataFrame",
+    *,
+    units: Mapping[str, str] | None,
+    columns: Mapping[str, str] | None,
+    axis: str | None,
+    name: str,
+    sampling_rate_Hz: float | None,
+) -> Recording:
+    """Return the recording that ``Recording.from_frame`` describes."""
+    _refuse_other_than_frame(frame, name)
+    headings = [str(heading) for heading in frame.columns]
+    for heading in (*(units or {}), *(columns or {}).values()):
+        if headings.count(heading) != 1:
+            held = ", ".join(map(repr, headings))
+            raise RecordingError(
+                f"{name}: {headings.count(heading)} columns are called {heading!r}, among {held}",
+                needed="the heading of one column",
+                remedy="Name the column as the frame does.",
+            )
+    declared = {heading: _known_unit(name, heading, unit) for heading, unit in _said(units)}
+    found = [*_index(frame, name), *_columns(frame, headings, set(_values(columns)), name)]
+    table = _table(
+        name,
+        tuple(
+            Column(number=k, label=label, declared_unit=declared.get(label, ""), values=values)
+            for k, (label, values) in enumerate(found, 1)
+        ),
+    )
+    entry = RecordingEntry(
+        file=name,
+        axis=axis,
+        columns=dict(columns or {}),
+        sampling_rate_Hz=sampling_rate_Hz,
+    )
+    try:
+        return _one(table, entry)
+    except UnitError as error:
+        raise UnitError(
+            error.found,
+            needed="one meaning, one axis and one unit for every column that is read",
+            remedy="Pass units={heading: unit} for columns without one, and columns={'voltage': "
+            "heading, 'displacement': heading} where headings do not say which is which.",
+        ) from error
+
+
+def to_frame(recording: Recording) -> "DataFrame":
+    """Return the data frame that ``Recording.to_frame`` describes."""
+    from pandas import DataFrame
+
+    time_s = np.arange(recording.samples) / recording.sampling_rate_Hz
+    held = {"time_s": time_s}
+    for channel in recording.channels:
+        label, values = f"{channel.quantity.name.lower()}_{channel.axis}", channel.values
+        if channel.quantity is Quantity.HUMIDITY:
+            held[f"{label} [%]"] = _PERCENT * values
+        else:
+            symbol = _SYMBOL[channel.quantity]
+            held[f"{label}_{symbol}" if symbol else label] = values
+    breaks = list(recording.breaks)
+    return DataFrame({label: np.insert(v, breaks, np.nan) for label, v in held.items()})
+
+
+def _one(table: RawTable, entry: RecordingEntry) -> Recording:
+    """Return a table as a recording, remarks of a file included."""
+    parts = parts_of(table, Lab(), entry)
+    if len(parts) > 1:
+        raise RecordingError(
+            f"{table.name}: it holds {len(parts)} stretches of different rate",
+            needed="one rate where one recording is asked for",
+            remedy="Make a recording of each stretch.",
+        )
+    return with_remarks(ingest_table(*parts[0]))
+
+
+def _table(name: str, columns: tuple[Column, ...]) -> RawTable:
+    text = "\n".join(f"{c.label}\t{c.declared_unit}" for c in columns)
+    content = b"".join(c.values.tobytes() for c in columns)
+    digest = digest_of_bytes(text.encode() + b"\0" + content)
+    return RawTable(name=name, digest=digest, format="data frame", columns=columns)
+
+
+def _samples(given: ArrayLike, place: str) -> Array:
+    try:
+        values = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(
+            f"{place} is {type(given).__name__} that holds other things than numbers ({error})",
+            needed="one number for each sample",
+            remedy="Pass an array of real numbers.",
+        ) from error
+    if values.ndim != 1:
+        raise RecordingError(
+            f"{place} has shape {values.shape}",
+            needed="one number for each sample, shape (samples,)",
+            remedy="Pass each channel as an array of its own.",
+        )
+    return values
+
+
+def _same_length(name: str, arrays: Mapping[str, Array]) -> None:
+    if len({len(values) for values in arrays.values()}) > 1:
+        lengths = ", ".join(f"{label} {len(values)}" for label, values in arrays.items())
+        raise RecordingError(
+            f"{name}: arrays of different length: {lengths}",
+            needed="one value of each for every sample",
+            remedy="Cut them to the same samples.",
+        )
+
+
+def _refuse_other_than_frame(frame: object, name: str) -> None:
+    from pandas import DataFrame, MultiIndex
+
+    if not isinstance(frame, DataFrame):
+        raise RecordingError(
+            f"{name}: {type(frame).__name__} given",
+            needed="a pandas DataFrame, one column for each channel",
+            remedy="Use Recording.from_arrays for arrays.",
+        )
+    if isinstance(frame.columns, MultiIndex) or isinstance(frame.index, MultiIndex):
+        raise RecordingError(
+            f"{name}: headings or rows on several levels",
+            needed="one heading for each column, one row for each sample",
+            remedy="Flatten it, for example with frame.droplevel(0, axis=1).",
+        )
+
+
+def _said(units: Mapping[str, str] | None) -> list[tuple[str, str]]:
+    return [] if units is None else list(units.items())
+
+
+def _values(columns: Mapping[str, str] | None) -> list[str]:
+    return [] if columns is None else list(columns.values())
+
+
+def _known_unit(name: str, heading: str, symbol: str) -> str:
+    """Return a unit somebody states, or refuse one that is none or contradicts the heading."""
+    unit, own = unit_of(symbol), heading_of(heading).unit
+    if unit is None:
+        raise UnitError(
+            f"{name}: the unit of {heading!r} is stated as {symbol!r}",
+            needed="a unit of time, voltage, length, current or temperature",
+            remedy="Write s, ms, V, mV, m, um, nm, A, nA, K, degC or the like.",
+        )
+    if own is not None and (own.dimension, own.factor) != (unit.dimension, unit.factor):
+        raise UnitError(
+            f"{name}: {heading!r} names the unit {own.symbol}, and {symbol} is stated",
+            needed="one unit for the column",
+            remedy="Leave it out of units, or rename the column.",
+        )
+    return symbol
+
+
+def _index(frame: "DataFrame", name: str) -> list[tuple[str, Array]]:
+    """Return the index as the clock, where it is one."""
+    from pandas import DatetimeIndex, TimedeltaIndex
+
+    index: Any = frame.index
+    if isinstance(index, DatetimeIndex | TimedeltaIndex):
+        if not len(index):
+            return []
+        elapsed: Any = index - index[0]
+        return [("time_s", _samples(elapsed.total_seconds(), f"{name}: the index"))]
+    if index.name is not None and meaning_of(heading_of(str(index.name))).role is Role.TIME:
+        return [(str(index.name), _samples(index, f"{name}: the index {index.name!r}"))]
+    return []
+
+
+def _columns(
+    frame: "DataFrame", headings: list[str], named: set[str], name: str
+) -> list[tuple[str, Array]]:
+    """Return the numeric columns, or refuse one without numbers that would have been read."""
+    from pandas.api.types import is_bool_dtype, is_numeric_dtype, is_timedelta64_dtype
+
+    found = []
+    for place, heading in enumerate(headings):
+        column: Any = frame.iloc[:, place]
+        is_time = meaning_of(heading_of(heading)).role is Role.TIME
+        if is_timedelta64_dtype(column.dtype) and is_time:
+            found.append((f"{heading} [s]", _samples(column.dt.total_seconds(), heading)))
+        elif is_numeric_dtype(column.dtype) and not is_bool_dtype(column.dtype):
+            found.append(
+                (heading, _samples(column.to_numpy(np.float64, na_value=np.nan), heading))
+            )
+        elif heading in named or meaning_of(heading_of(heading)).role is not Role.UNREAD:
+            raise RecordingError(
+                f"{name}: column {place + 1} {heading!r} is of type {column.dtype}",
+                needed="numbers",
+                remedy="Convert it with pandas.to_numeric, or leave the column out.",
+            )
+    if not found:
+        raise RecordingError(
+            f"{name}: no column of {len(headings)} holds numbers",
+            needed="a drive and a displacement",
+            remedy="Pass the frame that holds the samples.",
+        )
+    return found
+
+
+def part_of(recording: Recording, start_s: float, stop_s: float | None) -> Recording:
+    """Return the recording that ``Recording.seconds`` describes."""
+    rate_Hz, end_s = recording.sampling_rate_Hz, recording.duration_s
+    last_s = end_s if stop_s is None else stop_s
+    first, stop = (int(np.ceil(t * rate_Hz - 1e-6)) for t in (start_s, last_s))
+    stop = recording.samples if stop_s is None else stop
+    if not 0 <= first < stop <= recording.samples or stop - first < 2:
+        raise RecordingError(
+            f"{recording.name}: from {start_s:g} s to {last_s:g} s asked of {end_s:.6g} s",
+            needed="at least two samples inside the recording",
+            remedy=f"Choose from 0 to {end_s:.6g} s.",
+        )
+    told = f"{first / rate_Hz:.6g} to {(stop - 1) / rate_Hz:.6g} s"
+    return replace(
+        recording,
+        name=f"{recording.name} ({told})",
+        digest=digest_of_bytes(f"{recording.digest} {first} {stop}".encode()),
+        channels=tuple(replace(c, values=c.values[first:stop]) for c in recording.channels),
+        breaks=tuple(b - first for b in recording.breaks if first < b < stop),
+        bridged=tuple(b - first for b in recording.bridged if first <= b < stop),
+    )

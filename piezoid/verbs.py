@@ -1,0 +1,527 @@
+"""The verbs of ``import piezoid``: each from records to one record, as the command line does it.
+
+Wherever a ``lab`` is asked for, a path, a ``Lab`` or None will do. ``progress`` is told what is
+being done, a sentence each time.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from json import JSONDecodeError, loads
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from piezoid.calibration import calibrate as whole_way
+from piezoid.calibration.calibrate import Calibration
+from piezoid.calibration.controllers import shipped
+from piezoid.design.design import Design, design_from_json
+from piezoid.design.stage import Asked, design_stage
+from piezoid.diagnosis import diagnose as engine
+from piezoid.diagnosis import experiment
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.experiment import Plan
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
+from piezoid.errors import ParameterFileError, RecordingError
+from piezoid.export import parameter_file
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.identification import fit as identification
+from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.store import read_model, write_model
+from piezoid.records import lab as laboratory
+from piezoid.records.collection import Collection, collect
+from piezoid.records.comparison import refuse_misfits
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
+from piezoid.records.table import RawTable
+from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.follow import Controller, follow, parameters_of
+from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.shipping import Shipping
+from piezoid.verification.stage import verify_stage
+from piezoid.verification.verification import Verification, verification_from_json
+
+Place = str | Path
+Recordings = Recording | Collection | Iterable[Recording]
+Progress = Callable[[str], None] | None
+Sealed = ActuatorModel | Diagnosis | tuple[Diagnosis, ...] | Design | ParameterFile | Verification
+
+
+def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
+    """Read recordings of one stage, in any format ``piezoid inspect`` knows.
+
+    files  paths; one file may hold several recordings
+    lab    what the laboratory knows: columns, units, parts to use
+
+    Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
+    merely odd is in each recording's ``problems``.
+    """
+    if not files:
+        raise RecordingError(
+            "no file is given",
+            needed="one recording or more",
+            remedy="Name its file, as in piezoid.read('sweep.csv').",
+        )
+    return collect([_path(file) for file in files], _lab(lab))
+
+
+def read_lab(path: Place) -> Lab:
+    """Read a lab.toml; raises ``LabFileError`` with the line or table that cannot be used."""
+    return laboratory.read_lab(_path(path))
+
+
+def fit(
+    recordings: Recordings,
+    *,
+    lab: Lab | Place | None = None,
+    sweeps: Sequence[RawTable] = (),
+    progress: Progress = None,
+) -> ActuatorModel:
+    """Fit hysteresis and dynamics of every axis, and the junction of a tunnelling tip.
+
+    recordings  one or more of one stage
+    sweeps      tables of the current over the height; a Collection brings its own
+
+    Raises ``RecordingError`` for two of one name, ``ExcitationError`` where nothing can be
+    fitted. A model that does not apply is returned, and ``applies`` is False.
+    """
+    held = _recordings(recordings)
+    return identification.fit(
+        held.recordings,
+        lab=_lab(lab),
+        sweeps=(*held.sweeps, *sweeps),
+        progress=_told(progress),
+    )
+
+
+def diagnose(
+    recordings: Recordings,
+    *,
+    model: ActuatorModel | None = None,
+    axis: str | None = None,
+    lab: Lab | Place | None = None,
+    threads: int = 1,
+    progress: Progress = None,
+) -> Diagnosis:
+    """Name what a simulation with hysteresis alone gets wrong about one axis, and how much.
+
+    model    of a fit; errors are then of it, and ``model.extended(diagnosis)`` holds what was
+             found. None: errors are of a linear stand-in
+    axis     default: the first
+    threads  so many search; what they find does not depend on it
+
+    Raises ``RecordingError`` where recordings do not fit each other, ``ExcitationError`` where
+    nothing moves.
+    """
+    held, declared = _recordings(recordings).recordings, _lab(lab)
+    refuse_misfits(held)
+    wanted = axis or (next(iter(model.axes), None) if model is not None else None)
+    known = None if model is None else _known(model, wanted, held)
+    found = engine.diagnose(
+        held,
+        axis=wanted,
+        lab=declared,
+        model=known,
+        progress=_told(progress),
+        threads=threads,
+    )
+    if found.model is None:
+        return found
+    follows = identification.refined(found.model, held, declared or Lab())
+    return replace(found, model=follows)
+
+
+def plan(
+    model: ActuatorModel,
+    diagnosis: Diagnosis,
+    *,
+    lab: Lab | Place | None = None,
+    recordings: Recordings = (),
+    effect: str | None = None,
+    clock_Hz: float | None = None,
+    seed: int = 0,
+) -> Plan:
+    """Choose the drive of the next experiment, which tells best what a diagnosis left open.
+
+    recordings  those that were diagnosed, to say how much better than now it will be
+    effect      ask about this one; default: what was left most open
+    clock_Hz    of the converters, where neither lab nor model says it
+    seed        of what a drive leaves to chance
+
+    Raises ``ExcitationError`` where no drive shows any of it.
+    """
+    return experiment.plan(
+        model,
+        diagnosis,
+        lab=_lab(lab),
+        recordings=_recordings(recordings).recordings,
+        effect=effect,
+        clock_Hz=clock_Hz,
+        seed=seed,
+    )
+
+
+def design(
+    model: ActuatorModel,
+    *,
+    lab: Lab | Place | None = None,
+    sampling_rate_Hz: float | None = None,
+    specification: Place | None = None,
+    progress: Progress = None,
+) -> Design:
+    """Design the controllers of a stage with proven margins, every axis of which enough is known.
+
+    sampling_rate_Hz  of the controller; default: what lab.toml said at the fit
+    specification     path of a design.toml: what is asked for, over the defaults
+
+    Raises ``TemplateError`` where no controller meets what is asked, ``DesignError`` where too
+    little is known of every axis.
+    """
+    place = None if specification is None else _path(specification)
+    asked = None if place is None else Asked(text=_text(place), place=place.name)
+    return design_stage(
+        model,
+        model_digest=digest_of(model),
+        sampling_rate_Hz=sampling_rate_Hz,
+        lab=_lab(lab),
+        asked=asked,
+        progress=_told(progress),
+    )
+
+
+def export(
+    model: ActuatorModel,
+    design: Design,
+    *,
+    lab: Lab | Place | None = None,
+    threads: int = 1,
+    progress: Progress = None,
+) -> Shipping:
+    """Make what firmware needs of a design, run it against the stage, keep the axes that pass.
+
+    returned  ``parameters`` that ship, None where none do; ``verification``; ``reasons`` by axis
+
+    Raises ``ParameterFileError`` for a design of another model or rig, ``LabFileError`` for a tip
+    without guards.
+    """
+    if design.model_digest != digest_of(model):
+        raise ParameterFileError(
+            f"the design was made from the model {design.model_digest[:19]}..., this one is "
+            f"{digest_of(model)[:19]}...",
+            needed="design and model of one another",
+            remedy="Design the controllers of this model, or load the one of the design.",
+        )
+    return shipped(
+        model,
+        design,
+        design_digest=digest_of(design),
+        lab=_lab(lab),
+        told=_told(progress),
+        threads=threads,
+    )
+
+
+def verify(
+    parameters: ParameterFile | Shipping,
+    model: ActuatorModel,
+    *,
+    lab: Lab | Place | None = None,
+    limits: Place | None = None,
+    seed: int = 0,
+    threads: int = 1,
+) -> Verification:
+    """Run the compiled controller against the stage in every scenario, and judge what happens.
+
+    parameters  what ``export`` returned, or a ParameterFile
+    limits      path of a limits.toml; default: those of [verification] in lab.toml
+    seed        of sensor noise and drawn stages
+    """
+    place = None if limits is None else _path(limits)
+    return verify_stage(
+        parameters_of(parameters, model, _lab(lab)),
+        model,
+        lab=_lab(lab),
+        limits=None if place is None else limits_from_toml(_text(place), place.name),
+        seed=seed,
+        threads=threads,
+    )
+
+
+def simulate_loop(
+    model: ActuatorModel,
+    reference_m: ArrayLike,
+    controller: Controller,
+    *,
+    axis: str | None = None,
+    lab: Lab | Place | None = None,
+    seed: int = 0,
+) -> LoopRecord:
+    """Run one axis under its compiled controller, as ``ActuatorModel.simulate_loop``."""
+    return follow(model, controller, reference_m, axis=axis, lab=_lab(lab), seed=seed)
+
+
+def report(
+    model: ActuatorModel,
+    recordings: Recordings = (),
+    *,
+    diagnoses: Sequence[Diagnosis] = (),
+    design: Design | None = None,
+    shipping: Shipping | None = None,
+    lab: Lab | Place | None = None,
+) -> str:
+    """Return the page of a stage, HTML in one piece, with what is at hand.
+
+    recordings  those of the fit, to draw loops and residuals
+    """
+    held = _recordings(recordings)
+    files = {"model.json": write_model(model)}
+    if diagnoses:
+        files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
+    if design is not None:
+        files["design.json"] = design.to_json()
+    unshipped: Mapping[str, str] = {} if design is None else design.refused
+    if shipping is not None:
+        files["verification.json"] = shipping.verification.to_json()
+        unshipped = shipping.reasons
+        if shipping.parameters is not None:
+            files["params.json"] = parameter_file.to_json(shipping.parameters)
+            unshipped = shipping.parameters.unshipped
+    page: str = _reports("render").render(
+        model,
+        held.recordings,
+        held.sweeps,
+        design,
+        "" if design is not None else "no design was passed to the report.",
+        diagnoses=tuple(diagnoses),
+        verification=None if shipping is None else shipping.verification,
+        unshipped=unshipped,
+        files=files,
+        lab=_lab(lab),
+    )
+    return page
+
+
+def calibrate(
+    recordings: Recordings | Place | Sequence[Place],
+    *,
+    lab: Lab | Place | None = None,
+    threads: int = 1,
+    progress: Progress = None,
+) -> Calibration:
+    """Do all of it, as ``piezoid fit`` does: model, diagnoses, controllers, verification, report.
+
+    recordings  paths, or what ``read`` returned
+    returned    ``save(folder)`` writes every file, ``report.html`` among them
+    """
+    declared = _lab(lab)
+    held = _collected(recordings, declared)
+    found = whole_way.calibrate(held, declared, _told(progress), threads=threads)
+    made: Calibration = _reports("calibrated").with_report(found, held, declared)
+    return made
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VirtualStage:
+    """Recordings of a stage whose faults are known.
+
+    recordings  of it
+    lab         what its owner would declare
+    truth       what is hidden in it: ``effects`` with their sizes, the noise, the ceramic
+    files       name and bytes, as ``piezoid simulate`` writes them
+    """
+
+    recordings: Collection
+    lab: Lab
+    truth: Mapping[str, Any]
+    files: Mapping[str, bytes]
+
+
+def simulate(
+    seed: int = 0,
+    *,
+    effects: Mapping[str, float | None] | Sequence[str] = (),
+    truth: str | None = None,
+    drives: Sequence[str] | None = None,
+    careless: bool = False,
+) -> VirtualStage:
+    """Record a virtual stage; it shares no code with the model.
+
+    seed      decides everything left to chance
+    effects   to hide, by name; a mapping gives sizes in percent of the stroke
+    truth     kind of ceramic; default: drawn
+    drives    names of the drives to play; default: what fits the effects
+    careless  nobody cycles the drive before recording: the memory is unknown
+
+    Raises ``RecordingError`` for a name that is not known, with those there are.
+
+    >>> stage = simulate(7, effects={"creep": 0.8})
+    >>> [effect["effect"] for effect in stage.truth["effects"]]
+    ['creep']
+    >>> stage.recordings[0].axes
+    ('x',)
+    """
+    sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
+    drawn, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)
+    try:
+        campaign = drawn.draw_campaign(
+            seed,
+            effects=sizes,
+            truth=truth,
+            plans=None if drives is None else list(drives),
+            careless=careless,
+        )
+    except ValueError as error:
+        raise RecordingError(
+            str(error),
+            needed="names and sizes that the virtual laboratory knows",
+            remedy="Choose among those it names.",
+        ) from error
+    files: dict[str, bytes] = written.campaign_files(campaign)
+    with TemporaryDirectory(prefix="piezoid-") as name:
+        places = []
+        for file, content in files.items():
+            place = Path(name) / Path(file).name
+            place.write_bytes(content)
+            places += [place] if place.suffix == ".csv" else []
+        lab = laboratory.read_lab(Path(name) / "lab.toml")
+        held = collect(places, lab)
+    return VirtualStage(
+        recordings=held, lab=lab, truth=loads(files["truth/truth.json"]), files=files
+    )
+
+
+_LABORATORY = ("campaign", "write")
+
+
+def load(path: Place) -> Sealed:
+    """Read a sealed file back, whichever it is by its schema; of a folder, its model.json.
+
+    returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
+              axis, of design.json a Design, of params.json a ParameterFile, of verification.json
+              a Verification
+
+    Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
+    ``OSError`` where it cannot be read.
+    """
+    place = _path(path)
+    place = place / "model.json" if place.is_dir() else place
+    content = place.read_bytes()
+    try:
+        record = loads(content)
+        schema = str(record.get("schema")) if isinstance(record, dict) else ""
+    except (JSONDecodeError, UnicodeDecodeError, RecursionError):
+        schema = ""
+    kind = schema.partition("/")[0]
+    if kind not in _READERS:
+        raise ParameterFileError(
+            f"{place.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
+            needed=f"one of {', '.join(_READERS)}",
+            remedy="Pass model.json, diagnosis.json, design.json, params.json or "
+            "verification.json of a stage's folder.",
+        )
+    return _READERS[kind](content, str(place))
+
+
+_READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
+    "piezoid.model": read_model,
+    "piezoid.diagnosis": read_diagnoses,
+    "piezoid.design": design_from_json,
+    "piezoid.params": parameter_file.from_json,
+    "piezoid.verification": verification_from_json,
+}
+
+
+def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
+    """Write a record into its sealed file; ``load`` reads it back, number for number.
+
+    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification
+    """
+    _path(path).write_bytes(sealed(record))
+
+
+def sealed(record: object) -> bytes:
+    """Return the bytes of a record's sealed file; the same record, the same bytes."""
+    if isinstance(record, ActuatorModel):
+        return write_model(record)
+    if isinstance(record, Diagnosis):
+        return write_diagnosis(record)
+    if isinstance(record, Design | Verification):
+        return record.to_json()
+    if isinstance(record, ParameterFile):
+        return parameter_file.to_json(record)
+    several = tuple(record) if isinstance(record, tuple | list) else ()
+    if several and all(isinstance(one, Diagnosis) for one in several):
+        return write_diagnosis(several[0], others=several[1:])
+    raise ParameterFileError(
+        f"{type(record).__name__} has no sealed file",
+        needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile or a Verification",
+        remedy="Save what a Shipping holds: its parameters and its verification.",
+    )
+
+
+def digest_of(record: object) -> str:
+    """Return the digest in a record's sealed file."""
+    return str(loads(sealed(record))["digest"])
+
+
+def _known(model: ActuatorModel, axis: str | None, held: Sequence[Recording]) -> AxisModel:
+    """Return an axis, without the memory of recordings other than these."""
+    known = model[axis or ""]
+    own = all(model.sources.get(recording.name) == recording.digest for recording in held)
+    return known if own else replace(known, starts=())
+
+
+def _recordings(given: object) -> Collection:
+    """Return recordings as a collection, or refuse what is none."""
+    if isinstance(given, Collection):
+        return given
+    several = (
+        (given,) if isinstance(given, Recording) or not isinstance(given, Iterable) else given
+    )
+    held = tuple(several)
+    for one in held:
+        if not isinstance(one, Recording):
+            raise RecordingError(
+                f"{type(one).__name__} given as a recording",
+                needed="a Recording, what piezoid.read returned, or several of them",
+                remedy="Read files with piezoid.read, arrays with Recording.from_arrays, a data "
+                "frame with Recording.from_frame.",
+            )
+    return Collection(recordings=held)
+
+
+def _collected(given: object, lab: Lab | None) -> Collection:
+    if isinstance(given, str | Path):
+        return collect([_path(given)], lab)
+    if isinstance(given, list | tuple) and given and isinstance(given[0], str | Path):
+        return collect([_path(one) for one in given], lab)
+    return _recordings(given)
+
+
+def _path(given: object) -> Path:
+    if isinstance(given, str | Path):
+        return Path(given)
+    raise RecordingError(
+        f"{type(given).__name__} given for a file",
+        needed="the path of a file",
+        remedy="Pass a string or a pathlib.Path.",
+    )
+
+
+def _lab(given: object) -> Lab | None:
+    return given if given is None or isinstance(given, Lab) else read_lab(_path(given))
+
+
+def _text(place: Path) -> str:
+    return place.read_text(encoding="utf-8-sig")
+
+
+def _told(progress: Progress) -> Callable[[str], None]:
+    return progress or (lambda _: None)
+
+
+def _reports(module: str) -> Any:
+    """Return a module of the reports, which stand on this library and not under it."""
+    return import_module(f"piezoid_reports.{module}")

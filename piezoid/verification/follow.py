@@ -1,0 +1,88 @@
+"""One axis of a stage under its compiled controller, along a reference of one's own."""
+
+from dataclasses import replace
+from json import loads
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.design.design import Design
+from piezoid.errors import ParameterFileError
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.export.stage import export_stage
+from piezoid.identification.model import ActuatorModel
+from piezoid.records.lab import Lab
+from piezoid.verification.closed_loop import LoopRecord, run_axis
+from piezoid.verification.shipping import Shipping
+from piezoid.verification.stage import plant_of
+
+Controller = Design | Shipping | ParameterFile
+
+
+def parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None) -> ParameterFile:
+    """Return what the runtime consumes; of a design, whether it may ship or not.
+
+    Raises ``ParameterFileError`` where nothing of what was exported ships, and for anything else.
+    """
+    if isinstance(controller, ParameterFile):
+        return controller
+    if isinstance(controller, Shipping):
+        if controller.parameters is None:
+            reasons = "; ".join(f"axis {a}: {why}" for a, why in controller.reasons.items())
+            raise ParameterFileError(
+                f"nothing ships: {reasons}",
+                needed="a controller that passed its verification",
+                remedy="Read the reasons, or take .refused for study.",
+            )
+        return controller.parameters
+    if not isinstance(controller, Design):
+        raise ParameterFileError(
+            f"a controller of type {type(controller).__name__}",
+            needed="a Design, what export returned, or a ParameterFile",
+            remedy="Pass the result of piezoid.design(model).",
+        )
+    digest = str(loads(controller.to_json())["digest"])
+    return export_stage(model, controller, design_digest=digest, lab=lab)
+
+
+def follow(
+    model: ActuatorModel,
+    controller: Controller,
+    reference_m: ArrayLike,
+    *,
+    axis: str | None = None,
+    lab: Lab | None = None,
+    seed: int = 0,
+) -> LoopRecord:
+    """Run the compiled controller of one axis against the identified plant, from rest.
+
+    controller   whose C is stepped, with the numbers that ship
+    reference_m  (samples,)  m, as the sensor shows it; a tunnelling axis follows a current, A.
+                 At the controller's rate
+    axis         default: the only one there is
+    lab          of the design
+    seed         of the sensor's noise
+
+    Raises ``ParameterFileError`` for an axis without a controller. What goes wrong: a reference
+    outside the range the controller keeps is limited there, which ``status`` says.
+    """
+    file = parameters_of(controller, model, lab)
+    if axis is None and len(file.axes) > 1:
+        raise ParameterFileError(
+            f"no axis named, there are controllers of {', '.join(a.axis for a in file.axes)}",
+            needed="one axis",
+            remedy="Name it, as in axis='x'.",
+        )
+    own = file.axes[0] if axis is None else file.axis(axis)
+    reference = np.asarray(reference_m, dtype=np.float64)
+    if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
+        raise ParameterFileError(
+            f"axis {own.axis}: a reference of shape {reference.shape}, "
+            f"{int(np.sum(~np.isfinite(reference)))} of its numbers not finite",
+            needed="one finite number for each sample, shape (samples,)",
+            remedy="Pass the reference of one axis, in metres.",
+        )
+    plant = plant_of(own, model, lab or Lab())
+    return run_axis(
+        plant, replace(own, alternatives=()), reference, rng=np.random.default_rng(seed)
+    )
