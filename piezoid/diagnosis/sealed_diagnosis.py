@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from msgspec import Struct, ValidationError, convert, to_builtins
+from msgspec import UNSET, Struct, UnsetType, ValidationError, convert, to_builtins
 
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
@@ -65,7 +65,7 @@ class _Finding(Struct, frozen=True, kw_only=True, omit_defaults=True):
     next_experiment: str
     coordinate: str = ""
     law: str = ""
-    seen: _Seen | None = None
+    seen: _Seen | UnsetType = UNSET
 
 
 class _Absent(Struct, frozen=True, kw_only=True):
@@ -87,7 +87,7 @@ class _Axis(Struct, frozen=True, kw_only=True):
     not_detected: tuple[_Absent, ...]
     final: _HeldOut
     explained_fraction: float
-    unexplained: _Unexplained | None = None
+    unexplained: _Unexplained | UnsetType = UNSET
 
 
 def write_diagnosis(
@@ -173,9 +173,9 @@ def _finding_entry(finding: Finding) -> _Finding:
     )
 
 
-def _seen_entry(seen: Seen | None) -> _Seen | None:
+def _seen_entry(seen: Seen | None) -> _Seen | UnsetType:
     if seen is None:
-        return None
+        return UNSET
     return _Seen(
         unit=seen.unit,
         place=seen.place,
@@ -187,9 +187,9 @@ def _seen_entry(seen: Seen | None) -> _Seen | None:
     )
 
 
-def _unexplained_entry(unexplained: Unexplained | None) -> _Unexplained | None:
+def _unexplained_entry(unexplained: Unexplained | None) -> _Unexplained | UnsetType:
     if unexplained is None:
-        return None
+        return UNSET
     return _Unexplained(
         rms_m=unexplained.rms_m,
         share=unexplained.share,
@@ -225,8 +225,8 @@ def _diagnosis(axis: _Axis) -> Diagnosis:
     )
 
 
-def _unexplained(entry: _Unexplained | None) -> Unexplained | None:
-    if entry is None:
+def _unexplained(entry: _Unexplained | UnsetType) -> Unexplained | None:
+    if isinstance(entry, UnsetType):
         return None
     return Unexplained(
         rms_m=entry.rms_m,
@@ -237,8 +237,8 @@ def _unexplained(entry: _Unexplained | None) -> Unexplained | None:
     )
 
 
-def _seen(entry: _Seen | None) -> Seen | None:
-    if entry is None:
+def _seen(entry: _Seen | UnsetType) -> Seen | None:
+    if isinstance(entry, UnsetType):
         return None
     return Seen(
         unit=entry.unit,
