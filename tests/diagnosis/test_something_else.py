@@ -77,7 +77,7 @@ def test_a_healthy_stage_of_any_law_has_nothing_else(truth):
     assert 0.0 < found.unexplained.p_value <= 1.0
 
 
-@pytest.mark.parametrize("effect", ["mains_interference", "amplifier_saturation"])
+@pytest.mark.parametrize("effect", ["mains_interference"])
 def test_an_effect_of_the_catalogue_raises_nothing_else(effect):
     assert NAME not in diagnosed(20, effect=effect).names
 
