@@ -133,7 +133,7 @@ def _diagnosis(
                 before=_held_out(numbers.without[SOMETHING_ELSE], stroke_m),
                 after=_held_out(numbers.final, stroke_m),
                 scale_m=scales.displacement_m,
-                middle_m=_middle_m(found.raw, recordings, axis, scales),
+                middle_m=_middle_m(found.discovered.view, recordings, axis, scales),
             )
         )
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)

@@ -73,10 +73,11 @@ def _on_side(clean: View, others: Sequence[Accepted], side: int) -> Ended | None
             continue
         there = side * track.response > plateau
         level = float(np.median(track.response[there]))
-        levels.append(level - _zero(view, k))
-        curve.append(np.where(there, side * np.minimum(side * (level - where), 0.0), 0.0))
-    farthest = max(float(np.abs(one).max()) for one in curve)
-    if farthest < FAR * noise:
+        own = np.where(there, side * np.minimum(side * (level - where), 0.0), 0.0)
+        far = float(np.abs(own).max()) > FAR * noise  # others turned there, and rested
+        curve.append(own if far else np.zeros(len(own)))
+        levels += [level - _zero(view, k)] if far else []
+    if not levels:
         return None
     return Ended(curve=tuple(curve), level=float(np.median(levels)), side=side)
 

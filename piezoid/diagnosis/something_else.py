@@ -130,6 +130,9 @@ def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
     plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
+    mended = _without_faults(plain, hands)
+    if mended.discovered is not None:
+        return mended
     for found in (_beyond_range(first), _named(remainder, lives, first) or _instead(first)):
         if found is None:
             continue
@@ -137,7 +140,7 @@ def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
         again = search(without_curve(view, found.curve), hands)
         if again.final.rms < BETTER * first.final.rms:
             return replace(plain, outcome=_own(again, first, found), discovered=found)
-    return _without_faults(plain, hands)
+    return plain
 
 
 def _without_faults(plain: Explained, hands: Hands) -> Explained:
