@@ -143,18 +143,25 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
+    from piezoid.diagnosis.something_else import NAME
     from piezoid.readable import told
-    from piezoid_reports.what_is_left import left_of
+    from piezoid_reports.what_is_left import largest_first, left_of, nothing_named
 
     console = Console()
-    console.print(_table(found))
-    console.print(
-        plain(
-            f"of the explainable error {100 * found.explained_fraction:.0f} % is explained; "
-            f"{told(found.final.rms_m, 'm')} are left on rows left out, "
-            f"the sensor's noise is {told(found.noise_floor_rms_m, 'm')}"
+    leading = largest_first(found)[:1]
+    if leading and leading[0].effect == NAME:
+        console.print(plain(leading[0].explanation))
+    if found.findings:
+        console.print(_table(found))
+        console.print(
+            plain(
+                f"on rows left out the error falls from {told(found.baseline.rms_m, 'm')} to "
+                f"{told(found.final.rms_m, 'm')}; the sensor's noise is "
+                f"{told(found.noise_floor_rms_m, 'm')}"
+            )
         )
-    )
+    else:
+        console.print(plain(f"axis {found.axis}: {nothing_named(found)}"))
     if found.findings:
         console.print(plain(f"next: {left_of(found).remedy}"))
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
@@ -164,17 +171,22 @@ def _table(found: "Diagnosis") -> "Table":
     from rich.table import Table
 
     from piezoid.readable import significant
+    from piezoid_reports.what_is_left import largest_first
 
     table = Table(title=plain(f"axis {found.axis}: {len(found.findings)} found"))
     for heading in ("effect", "gain", "size", "95 %", "not separable from"):
         table.add_column(heading)
-    for finding in found.findings:
+    for finding in largest_first(found):
         low, high = finding.size.ci95
         table.add_row(
-            plain(finding.effect),
+            plain(" ".join((finding.effect, *_in_brackets(finding.coordinate)))),
             f"{100 * finding.held_out_gain:.1f} %",
             plain(f"{significant(finding.size.value)} {finding.size.unit}"),
             f"{significant(low)} .. {significant(high)}",
             plain(", ".join(finding.not_separable_from)),
         )
     return table
+
+
+def _in_brackets(coordinate: str) -> tuple[str, ...]:
+    return (f"({coordinate})",) if coordinate else ()

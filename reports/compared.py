@@ -18,6 +18,7 @@ from piezoid.diagnosis.planning.playing import driven_recording
 from piezoid.diagnosis.planning.question import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
 from piezoid.diagnosis.planning.tangents import Tangent
+from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
@@ -54,13 +55,14 @@ def compared(
     used = traces[:RECORDINGS]
     if not used:
         return {}
-    missing = [f for f in diagnosis.findings if not is_carried(axis, f.effect)]
+    drawn = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]  # has its own picture
+    missing = [f for f in drawn if not is_carried(axis, f.effect)]
     fitted = _linearised(axis, used, missing, diagnosis.stroke_m)
     return {
         finding.effect: _turned(
             [_one(axis, finding, trace, fitted[k]) for k, trace in enumerate(used)]
         )
-        for finding in diagnosis.findings
+        for finding in drawn
     }
 
 

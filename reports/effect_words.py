@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 
 CONTROL: Mapping[str, str] = {
+    "something_else": "No model of a controller has it. What is in the reading alone the loop "
+    "will follow, so find out first whether the stage moves.",
     "creep": "A feedforward alone drifts off after every step; integral action removes it within "
     "its bandwidth, and a creep ladder in the feedforward takes it off from the start.",
     "thermal_drift": "No feedforward can know of it; only a sensor in the loop, or waiting, "

@@ -47,10 +47,11 @@ def tables(found: Diagnosis) -> tuple[Part, ...]:
 
 def last_sentences(found: Diagnosis) -> str:
     """Return what is explained, and how small anything else must be."""
-    explained = (
-        f"Of the explainable error, {percent(found.explained_fraction)} is explained; "
-        f"the sensor's noise floor is {told(found.noise_floor_rms_m, 'm')} rms"
-    )
+    floor = f"he sensor's noise floor is {told(found.noise_floor_rms_m, 'm')} rms"
+    explained = f"T{floor}"
+    if found.findings:
+        part = percent(found.explained_fraction)
+        explained = f"Of the explainable error, {part} is explained; t{floor}"
     causes = _causes(found)
     known = [one for one in causes if one.detection_limit_m is not None]
     if not known:

@@ -6,9 +6,13 @@ is the next experiment, and no other is proposed beside it.
 
 from dataclasses import dataclass
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
+from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.unnamed import words as place_words
+from piezoid.readable import told
 from piezoid_reports.effect_words import words
 
+CHANCE, LEAST = 0.05, 0.01  # p-value and part of the power: less is told as living nowhere
 SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # they move a zero
 
 SPEEDS = (
@@ -61,6 +65,37 @@ def left_of(found: Diagnosis | None) -> Left:
         why=f", with {named(found)}, as the diagnosis finds, already taken out{rest}.",
         remedy=leading.next_experiment,
     )
+
+
+def largest_first(found: Diagnosis) -> tuple[Finding, ...]:
+    """Return the findings, what has no name in front where it is larger than all that have one."""
+    unnamed = [one for one in found.findings if one.effect == NAME]
+    others = [one for one in found.findings if one.effect != NAME]
+    if all(one.share > other.share for one in unnamed for other in others):
+        return (*unnamed, *others)
+    return found.findings
+
+
+def nothing_named(found: Diagnosis) -> str:
+    """Say of a diagnosis without findings what was tested, what is left and where it lives."""
+    tested = sum(one.upper_bound_m is not None for one in found.not_detected)
+    if not tested:
+        return "No cause could be tested."
+    left_m, noise_m = found.envelope_rms_m, found.noise_floor_rms_m
+    times = f", {left_m / noise_m:.2g} times the sensor's noise," if noise_m > 0.0 else ""
+    where = ""
+    if found.unexplained is not None:
+        where = f" {_lives(found.unexplained)}"
+    return (
+        f"{tested} effects were tested, and none is seen: beside hysteresis of any shape "
+        f"{told(left_m, 'm')} rms are left{times}{where}."
+    )
+
+
+def _lives(rest: Unexplained) -> str:
+    if rest.p_value > CHANCE or rest.gain < LEAST:
+        return "and they live in no coordinate"
+    return f"and {100 * rest.gain:.2g} % of their power live in {place_words(rest.coordinate)}"
 
 
 def mover_of(found: Diagnosis | None) -> Mover | None:

@@ -8,12 +8,13 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.ablation import HiddenEffect, healthy, record_all, taken_out
 from piezoid_datasets.virtual_lab.effects import EFFECTS
-from piezoid_datasets.virtual_lab.effects.effect import Effect
+from piezoid_datasets.virtual_lab.effects.effect import Act, Effect, Fault
 from piezoid_datasets.virtual_lab.names import named
 from piezoid_datasets.virtual_lab.plans import PLANS, Plan, run_of
 from piezoid_datasets.virtual_lab.rig import Rig, draw_rig
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage
 from piezoid_datasets.virtual_lab.truths import TRUTHS
+from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED
 
 TIMES_VISIBLE = (1.0, 4.0)
 ALWAYS = ("sweep", "check")
@@ -53,6 +54,7 @@ def draw_campaign(
     truth: str | None = None,
     plans: Sequence[str | Plan] | None = None,
     careless: bool = False,
+    uncatalogued: Mapping[str, float] | None = None,
 ) -> Campaign:
     """Draw a stage and record it; the same arguments give the same bytes.
 
@@ -62,6 +64,7 @@ def draw_campaign(
     plans     recordings or names of known ones; drawn if None, such that every effect can be
               seen in one
     careless  leave the memory before each record to chance instead of cycling the drive
+    uncatalogued  names of things in no catalogue to hide besides, with sizes in percent
 
     Chance is drawn part by part, so the stage of a seed is the same whatever is hidden in it.
     Raises ``ValueError`` that lists the known names for an unknown one.
@@ -82,9 +85,14 @@ def draw_campaign(
         )
         for effect in hidden
     }
-    recordings = record_all(stage, runs, faults)
+    strange = {
+        name: Fault(acts=(_unnamed(name, percent, rig, seed),), numbers={})
+        for name, percent in (uncatalogued or {}).items()
+    }
+    recordings = record_all(stage, runs, {**faults, **strange})
     found = tuple(
-        taken_out(effect, asked[effect.name], stage, runs, faults, recordings) for effect in hidden
+        taken_out(effect, asked[effect.name], stage, runs, {**faults, **strange}, recordings)
+        for effect in hidden
     )
     answer = Answer(
         seed=seed, truth=kind.name, effects=found, noise_rms_m=rig.noise_rms_m, careless=careless
@@ -94,6 +102,11 @@ def draw_campaign(
 
 def _chance(seed: int, part: str) -> np.random.Generator:
     return np.random.default_rng([seed, crc32(part.encode())])
+
+
+def _unnamed(name: str, percent: float, rig: Rig, seed: int) -> Act:
+    kind = named(UNCATALOGUED, name)
+    return kind.act(percent / 100.0 * rig.stroke_m, rig, _chance(seed, name))
 
 
 def _size(effect: Effect, size_percent: float | None, seed: int) -> float:

@@ -15,7 +15,15 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import (
+    Diagnosis,
+    Finding,
+    HeldOut,
+    NotDetected,
+    Size,
+    Unexplained,
+)
+from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.tracks import Places
@@ -30,6 +38,7 @@ BLOCKS, FOLDS = 40, 5  # blocks of time, each fold every fifth of them
 SURE = 3.3  # standard errors of the gain of blocks: as every effect asks for
 WORTH = 0.01  # of the error: less is not worth a name
 SLOWS = 1.02  # times what a cubic leaves: a logarithm of time that leaves no more does as well
+LOWEST = 4  # periods in the recording: what is slower is no line
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
 
 Columns = Mapping[str, Array]
@@ -72,10 +81,31 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         envelope_rms_m=float(np.sqrt(np.mean(final**2))),
         noise_floor_rms_m=noise_m,
         explained_fraction=_explained(baseline, final, noise_m),
+        unexplained=_unexplained(final, noise_m),
         findings=tuple(findings),
         not_detected=tuple(
             _absent(effect, columns, final) for effect in EFFECTS if effect.name not in chosen
         ),
+    )
+
+
+def _unexplained(left_m: Array, noise_m: float) -> Unexplained:
+    """Return what is left beyond the noise, and how surely its highest line is none of that.
+
+    The p-value is of the highest line beside the power around it, for all lines.
+    """
+    power = np.abs(np.fft.rfft(left_m - left_m.mean())) ** 2
+    power[:LOWEST] = 0.0
+    lines = highest(power)
+    total_m2 = float(np.mean(left_m**2))
+    above_m2 = max(total_m2 - noise_m**2, 0.0)
+    line, p_value = (lines[0][0], max(lines[0][1], 1e-12)) if lines else (0.0, 1.0)
+    return Unexplained(
+        rms_m=sqrt(above_m2),
+        share=above_m2 / max(total_m2, 1e-300),
+        p_value=p_value,
+        coordinate="frequency",
+        gain=min(2.0 * line / max(total_m2 * len(left_m) ** 2, 1e-300), 1.0),
     )
 
 

@@ -7,21 +7,24 @@ import numpy as np
 
 from piezoid.diagnosis.absence import absent, unsought
 from piezoid.diagnosis.at_rest import diagnose_at_rest, is_at_rest
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
-from piezoid.diagnosis.search import Outcome, search, without_causes
+from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
+from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.something_else import Explained, explained, without_names
 from piezoid.diagnosis.tracks import tracks_of
+from piezoid.diagnosis.unnamed import of_discovered
 from piezoid.diagnosis.view import View, view_of
 from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
-from piezoid.identification.hysteresis.pieces import pieces_of, scales_of
+from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.hands import Hands
 from piezoid.records.lab import Lab
@@ -52,8 +55,9 @@ def diagnose(
     threads     so many work at once; what is found does not depend on it
 
     Raises ``ExcitationError`` where drive or displacement is missing or does not move. What goes
-    wrong: a cause that no effect stands for is not named, but it may be given to the one that
-    resembles it most; ``explained_fraction`` and the noise floor tell how much is left.
+    wrong: a cause that no effect stands for is ``something_else`` where it lives in one
+    coordinate; where it lives in several, it may be given to the effect that resembles it most.
+    ``unexplained`` tells how much is left.
     """
     axes = axes_of(recordings)
     wanted = next(iter(axes), "") if axis is None else axis
@@ -73,20 +77,26 @@ def diagnose(
         against = reason_in_loops(pieces_of(chosen, wanted, scales, rig_of(declared, wanted)))
     else:
         against = "" if model.verdict.applies else model.verdict.reason
-    found = without_causes(view, against, hands) if against else search(view, hands)
+    found = _nothing_in(view, against, hands) if against else explained(view, hands)
     progress("refitting the simulation")
     if model is None:
         numbers = simulated(found)
         if numbers.final > 2.0 * UNEXPLAINED and not against:
             against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
-            found = without_causes(view, against, hands)
+            found = _nothing_in(view, against, hands)
             numbers = simulated(found)
     else:
         numbers = worth_of(
             found, chosen, model=model, lab=declared, scales=scales, progress=progress
         )
-    diagnosis = _diagnosis(wanted, with_ingested(found, chosen, found.first.stroke_m), numbers)
+    found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
+    diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
     return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
+
+
+def _nothing_in(view: View, against: str, hands: Hands) -> Explained:
+    """Look for faults of the data alone, and name no cause."""
+    return without_names(view, without_causes(view, against, hands))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
@@ -100,8 +110,15 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
 
 
-def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
-    stroke_m = outcome.first.stroke_m
+def _diagnosis(
+    axis: str,
+    found: Explained,
+    numbers: Simulated,
+    recordings: Sequence[Recording],
+    scales: Scales,
+) -> Diagnosis:
+    outcome, rest = found.outcome, found.unexplained
+    stroke_m = found.raw.stroke_m
     noise = outcome.final.noise
     if numbers.model is not None:  # one figure wherever it is told
         noise = numbers.model.quality.noise_rms_m / stroke_m
@@ -109,6 +126,16 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
     ]
+    if found.discovered is not None:
+        findings.append(
+            of_discovered(
+                found.discovered,
+                before=_held_out(numbers.without[SOMETHING_ELSE], stroke_m),
+                after=_held_out(numbers.final, stroke_m),
+                scale_m=scales.displacement_m,
+                middle_m=_middle_m(found.discovered.view, recordings, axis, scales),
+            )
+        )
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     named = {finding.effect for finding in findings}
     unseen = [
@@ -126,8 +153,21 @@ def _diagnosis(axis: str, outcome: Outcome, numbers: Simulated) -> Diagnosis:
         explained_fraction=_explained(numbers.baseline, numbers.final, noise),
         findings=tuple(findings),
         not_detected=tuple(unseen),
+        unexplained=Unexplained(
+            rms_m=rest.rms * stroke_m,
+            share=rest.share,
+            p_value=rest.p_value,
+            coordinate=rest.coordinate,
+            gain=rest.gain,
+        ),
         model=numbers.model,
     )
+
+
+def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
+    """Return the displacement that 0 of the static response stands for."""
+    first = recordings[0].displacement_m(axis)[: len(view.tracks[0].drive)]
+    return float(np.median(first - scales.displacement_m * view.static[0][: len(first)]))
 
 
 def _held_out(rms: float, stroke_m: float) -> HeldOut:

@@ -23,6 +23,46 @@ class Size:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Seen:
+    """What is left along one coordinate, in classes of it, and the curve fitted to it.
+
+    unit               SI, of ``place``; empty: parts of a period
+    place              (classes,)
+    low_m, median_m, high_m  (classes,)  quartiles of the remainder
+    fitted_m           (classes,)  mean of what the curve explains
+    recording          whose time ``place`` is, where it is a time; else empty
+    """
+
+    unit: str
+    place: tuple[float, ...]
+    low_m: tuple[float, ...]
+    median_m: tuple[float, ...]
+    high_m: tuple[float, ...]
+    fitted_m: tuple[float, ...]
+    recording: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unexplained:
+    """What no effect of the catalogue stands for.
+
+    rms_m       beyond the noise, beside hysteresis of the widest class and every cause found;
+                before anything without a name is taken off
+    share       of the power that is left there, noise included
+    p_value     of the surest coordinate, were the remainder in another place; a count of shifts of
+                it for signals, the power around it for lines
+    coordinate  that explains most of it, in blocks left out
+    gain        part of its power, noise included, that this explains
+    """
+
+    rms_m: float
+    share: float
+    p_value: float
+    coordinate: str
+    gain: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Finding:
     """One cause that these recordings show.
 
@@ -33,6 +73,9 @@ class Finding:
     share                   rms of what it adds, of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit
+    coordinate              of something else: in which it lives
+    law                     of something else: the formula, where one predicts other recordings
+    seen                    of something else: its picture
     """
 
     effect: str
@@ -46,6 +89,9 @@ class Finding:
     explanation: str
     next_experiment: str
     parameters: Mapping[str, float]
+    coordinate: str = ""
+    law: str = ""
+    seen: Seen | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +127,7 @@ class Diagnosis:
     envelope_rms_m      what the widest class of hysteresis leaves with everything found
     noise_floor_rms_m   of the sensor
     explained_fraction  of the variance above the noise floor
+    unexplained         what no name stands for; None in files of versions that did not ask
     findings            by falling gain
     model               the axis with everything found in it, as it ships; None where no model was
                         at hand. It stands in model.json, not here
@@ -95,6 +142,7 @@ class Diagnosis:
     explained_fraction: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
+    unexplained: Unexplained | None = None
     model: AxisModel | None = field(default=None, compare=False, repr=False)
 
     @property

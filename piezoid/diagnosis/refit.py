@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.found import Found, setting_of
+from piezoid.diagnosis.something_else import NAME
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
@@ -64,6 +65,7 @@ def refitted(
     scales: Mapping[str, float],
     raw: Sequence[Recording] | None = None,
     faults: Sequence[str] = (),
+    whole: Sequence[Recording] | None = None,
     places: Sequence[Samples] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Refitted:
@@ -76,6 +78,7 @@ def refitted(
     scales      ``voltage_V``, ``voltage_offset_V``, ``stroke_m``: what 1 and 0 meant
     raw         the recordings as they came; None: the same
     faults      names of faults that were repaired: without them everything is fitted to ``raw``
+    whole       the same with something in them that no effect stands for; None: nothing is
     places      samples that may count, track by track; None: all, spread thinly
     progress    told what is being done
     """
@@ -101,13 +104,17 @@ def refitted(
     if faults:
         broken = _best(starts, raw or recordings, final.model.extensions, structure, None)
         without |= dict.fromkeys(faults, broken)
+    if whole is not None:
+        progress("refitting without what has no name")
+        without[NAME] = _best(starts, whole, final.model.extensions, structure, places)
+    changed = bool(found) or bool(faults) or whole is not None
     return Refitted(
         baseline=baseline,
         final=final,
         without=without,
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
-        model=_shipped(model, recordings, final, structure, places) if found or faults else model,
+        model=_shipped(model, recordings, final, structure, places) if changed else model,
     )
 
 

@@ -3,10 +3,19 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from msgspec import Struct, ValidationError, convert, to_builtins
+from msgspec import UNSET, Struct, UnsetType, ValidationError, convert, to_builtins
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import (
+    Diagnosis,
+    Finding,
+    HeldOut,
+    NotDetected,
+    Seen,
+    Size,
+    Unexplained,
+)
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.something_else import NAME
 from piezoid.errors import ParameterFileError
 from piezoid.provenance import seal, unseal
 
@@ -24,7 +33,25 @@ class _Size(Struct, frozen=True, kw_only=True):
     ci95: tuple[float, float]
 
 
-class _Finding(Struct, frozen=True, kw_only=True):
+class _Seen(Struct, frozen=True, kw_only=True):
+    unit: str
+    place: tuple[float, ...]
+    low_m: tuple[float, ...]
+    median_m: tuple[float, ...]
+    high_m: tuple[float, ...]
+    fitted_m: tuple[float, ...]
+    recording: str
+
+
+class _Unexplained(Struct, frozen=True, kw_only=True):
+    rms_m: float
+    share: float
+    p_value: float
+    coordinate: str
+    coordinate_gain: float
+
+
+class _Finding(Struct, frozen=True, kw_only=True, omit_defaults=True):
     effect: str
     held_out_gain: float
     held_out_rms_before_m: float
@@ -36,6 +63,9 @@ class _Finding(Struct, frozen=True, kw_only=True):
     not_separable_from: tuple[str, ...]
     explanation: str
     next_experiment: str
+    coordinate: str = ""
+    law: str = ""
+    seen: _Seen | UnsetType = UNSET
 
 
 class _Absent(Struct, frozen=True, kw_only=True):
@@ -57,6 +87,7 @@ class _Axis(Struct, frozen=True, kw_only=True):
     not_detected: tuple[_Absent, ...]
     final: _HeldOut
     explained_fraction: float
+    unexplained: _Unexplained | UnsetType = UNSET
 
 
 def write_diagnosis(
@@ -112,6 +143,7 @@ def _record_of(diagnosis: Diagnosis) -> dict[str, Any]:
         not_detected=tuple(_absent_entry(absent) for absent in diagnosis.not_detected),
         final=_held_out_entry(diagnosis.final),
         explained_fraction=diagnosis.explained_fraction,
+        unexplained=_unexplained_entry(diagnosis.unexplained),
     )
     record: dict[str, Any] = to_builtins(axis)
     return record
@@ -135,6 +167,35 @@ def _finding_entry(finding: Finding) -> _Finding:
         not_separable_from=finding.not_separable_from,
         explanation=finding.explanation,
         next_experiment=finding.next_experiment,
+        coordinate=finding.coordinate,
+        law=finding.law,
+        seen=_seen_entry(finding.seen),
+    )
+
+
+def _seen_entry(seen: Seen | None) -> _Seen | UnsetType:
+    if seen is None:
+        return UNSET
+    return _Seen(
+        unit=seen.unit,
+        place=seen.place,
+        low_m=seen.low_m,
+        median_m=seen.median_m,
+        high_m=seen.high_m,
+        fitted_m=seen.fitted_m,
+        recording=seen.recording,
+    )
+
+
+def _unexplained_entry(unexplained: Unexplained | None) -> _Unexplained | UnsetType:
+    if unexplained is None:
+        return UNSET
+    return _Unexplained(
+        rms_m=unexplained.rms_m,
+        share=unexplained.share,
+        p_value=unexplained.p_value,
+        coordinate=unexplained.coordinate,
+        coordinate_gain=unexplained.gain,
     )
 
 
@@ -158,8 +219,35 @@ def _diagnosis(axis: _Axis) -> Diagnosis:
         envelope_rms_m=axis.envelope_rms_m,
         noise_floor_rms_m=axis.noise_floor_rms_m,
         explained_fraction=axis.explained_fraction,
+        unexplained=_unexplained(axis.unexplained),
         findings=tuple(_finding(entry) for entry in axis.findings),
         not_detected=tuple(_absent(entry) for entry in axis.not_detected),
+    )
+
+
+def _unexplained(entry: _Unexplained | UnsetType) -> Unexplained | None:
+    if isinstance(entry, UnsetType):
+        return None
+    return Unexplained(
+        rms_m=entry.rms_m,
+        share=entry.share,
+        p_value=entry.p_value,
+        coordinate=entry.coordinate,
+        gain=entry.coordinate_gain,
+    )
+
+
+def _seen(entry: _Seen | UnsetType) -> Seen | None:
+    if isinstance(entry, UnsetType):
+        return None
+    return Seen(
+        unit=entry.unit,
+        place=entry.place,
+        low_m=entry.low_m,
+        median_m=entry.median_m,
+        high_m=entry.high_m,
+        fitted_m=entry.fitted_m,
+        recording=entry.recording,
     )
 
 
@@ -175,7 +263,7 @@ def _known(effect: str) -> str:
 
 def _finding(entry: _Finding) -> Finding:
     return Finding(
-        effect=_known(entry.effect),
+        effect=entry.effect if entry.effect == NAME else _known(entry.effect),
         held_out_gain=entry.held_out_gain,
         held_out_rms_before_m=entry.held_out_rms_before_m,
         held_out_rms_after_m=entry.held_out_rms_after_m,
@@ -186,6 +274,9 @@ def _finding(entry: _Finding) -> Finding:
         explanation=entry.explanation,
         next_experiment=entry.next_experiment,
         parameters=entry.parameters,
+        coordinate=entry.coordinate,
+        law=entry.law,
+        seen=_seen(entry.seen),
     )
 
 

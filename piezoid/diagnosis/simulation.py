@@ -19,8 +19,8 @@ import numpy as np
 
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.shape import PLAYS
+from piezoid.diagnosis.something_else import NAME, Explained, without_curve
 from piezoid.diagnosis.view import View
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -44,10 +44,11 @@ class Simulated:
     model: AxisModel | None = None
 
 
-def simulated(outcome: Outcome) -> Simulated:
+def simulated(found: Explained) -> Simulated:
     """Return the simulation's errors before, after, and without each thing that was found."""
+    outcome = found.outcome
     accepted = [cause.accepted for cause in outcome.causes if cause.accepted.acts]
-    baseline = error_of(outcome.first)
+    baseline = error_of(found.raw)
     final = error_of(outcome.final)
     structural = [cause for cause in outcome.causes if not cause.accepted.acts]
     without = {
@@ -59,6 +60,9 @@ def simulated(outcome: Outcome) -> Simulated:
     if outcome.faults:
         raw = error_of(extended(outcome.first, accepted))
         without |= dict.fromkeys(outcome.faults, raw)
+    if found.discovered is not None:
+        whole = without_curve(outcome.clean, found.discovered.curve, sign=1.0)
+        without[NAME] = error_of(extended(whole, accepted))
     return Simulated(baseline=baseline, final=final, without=without)
 
 

@@ -12,6 +12,7 @@ from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.refit import Refitted, refitted
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.simulation import Simulated
+from piezoid.diagnosis.something_else import Explained, without_curve
 from piezoid.diagnosis.tracks import Track
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.model import AxisModel
@@ -23,7 +24,7 @@ Tracks = Sequence[Track]
 
 
 def worth_of(
-    outcome: Outcome,
+    explained: Explained,
     recordings: Sequence[Recording],
     *,
     model: AxisModel,
@@ -37,6 +38,7 @@ def worth_of(
     model       the axis as fitted to them, or to earlier ones
     scales      of the search
     """
+    outcome = explained.outcome
     found = [
         Found(
             effect=cause.effect.name,
@@ -47,9 +49,12 @@ def worth_of(
         for cause in outcome.causes
     ]
     mended = mending(outcome)
-    clean = outcome.clean.tracks
+    clean, raw, whole = outcome.clean.tracks, explained.raw.tracks, None
+    if explained.discovered is not None:
+        with_it = without_curve(outcome.clean, explained.discovered.curve, sign=1.0).tracks
+        whole = repaired(recordings, model.axis, raw, with_it, scales)
     numbers = refitted(
-        repaired(recordings, model.axis, outcome.first.tracks, clean, scales),
+        repaired(recordings, model.axis, raw, clean, scales),
         found,
         model=model,
         lab=lab,
@@ -58,8 +63,9 @@ def worth_of(
             "voltage_offset_V": scales.voltage_offset_V,
             "stroke_m": abs(scales.displacement_m),
         },
-        raw=recordings if mended else None,
+        raw=recordings if mended or whole is not None else None,
         faults=mended,
+        whole=whole,
         places=[track.place for track in clean] if mended else None,
         progress=progress,
     )

@@ -1,12 +1,15 @@
 """What the simulation gets wrong: each cause seen, faked, sized, and what it means for control."""
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.something_else import NAME
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of
 from piezoid_reports.effect_words import CONTROL, words
 from piezoid_reports.not_found import last_sentences, tables
 from piezoid_reports.page import Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
+from piezoid_reports.unnamed_figure import unnamed_figure
+from piezoid_reports.what_is_left import largest_first, nothing_named
 
 NO_PICTURES = (
     "Pictures of the causes need a model fitted to these recordings: piezoid fit draws them."
@@ -38,19 +41,25 @@ def diagnosis_parts(found: Diagnosis, page: Page) -> tuple[Part, ...]:
     axis = page.model.axes.get(found.axis)
     traces = page.traces.get(found.axis, ())
     pictures = {} if axis is None else compared(axis, traces, found)
-    parts: list[Part] = [Heading(text=f"Axis {found.axis}"), _summary(found)]
+    parts: list[Part] = [Heading(text=f"Axis {found.axis}"), *_first(found), _summary(found)]
     if found.findings:
         parts.append(_gains(found))
     if found.findings and not pictures:
         parts.append(Prose(text=NO_PICTURES))
     if pictures and page.note:
         parts.append(Prose(text=page.note))
-    for finding in found.findings:
+    for finding in largest_first(found):
         parts += _chapter(found.axis, finding, pictures.get(finding.effect, ()))
     parts += _open_questions(found)
     parts += tables(found)
     parts.append(Prose(text=last_sentences(found), tone="good" if found.findings else "plain"))
     return tuple(parts)
+
+
+def _first(found: Diagnosis) -> list[Part]:
+    """Say first what has no name, where it is larger than every cause that has one."""
+    leading = largest_first(found)[:1]
+    return [Prose(text=one.explanation, tone="middling") for one in leading if one.effect == NAME]
 
 
 def _summary(found: Diagnosis) -> Prose:
@@ -60,7 +69,7 @@ def _summary(found: Diagnosis) -> Prose:
         f"({percent(before.rms_percent / 100.0)} of the stroke)"
     )
     if not found.findings:
-        return Prose(text=f"{change}. No cause that was looked for is visible in it.")
+        return Prose(text=f"{change}. {nothing_named(found)}")
     names = ", ".join(words(finding.effect) for finding in found.findings)
     return Prose(
         text=f"{change}; with {names} it is {told(after.rms_m, 'm')} "
@@ -114,7 +123,8 @@ def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> lis
         Heading(text=f"Axis {axis}: {words(finding.effect)}"),
         Prose(text=finding.explanation),
     ]
-    figure = figure_of(finding, pictures)
+    own = unnamed_figure(finding)
+    figure = figure_of(finding, pictures) if own is None else own
     if figure is not None:
         parts.append(figure)
     elif pictures:

@@ -1,6 +1,13 @@
 """A diagnosis known by heart: what is to be found in a page is put in here."""
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import (
+    Diagnosis,
+    Finding,
+    HeldOut,
+    NotDetected,
+    Size,
+    Unexplained,
+)
 from piezoid.diagnosis.effects import EFFECTS
 
 STROKE_m = 2.4e-5
@@ -38,6 +45,9 @@ def diagnosed(*findings: Finding) -> Diagnosis:
         envelope_rms_m=2e-8,
         noise_floor_rms_m=5e-9,
         explained_fraction=0.64,
+        unexplained=Unexplained(
+            rms_m=1.9e-8, share=0.94, p_value=0.04, coordinate="drive", gain=0.05
+        ),
         findings=findings,
         not_detected=tuple(
             NotDetected(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import ActuatorModel, Lag
 from piezoid.records.recording import Channel, Quantity, Recording
@@ -44,7 +45,7 @@ def _with(added_m: np.ndarray) -> Recording:
 def test_every_effect_has_a_coordinate_and_a_word_for_who_controls() -> None:
     held = [name for one in COORDINATES for name in one.effects]
     assert sorted(held) == sorted(NAMES)
-    assert sorted(CONTROL) == sorted(NAMES)
+    assert sorted(CONTROL) == sorted((*NAMES, SOMETHING_ELSE))
 
 
 @pytest.mark.parametrize("effect", NAMES)

@@ -1,0 +1,327 @@
+"""Something else: what no effect of the catalogue stands for, with the coordinate it lives in.
+
+The search for causes comes first. Where the remainder then lives in one coordinate, the curve
+along it is taken off the readings and the search is repeated: a name that stood for it finds
+nothing any more, and what it had hidden is seen. A cause in whose place a curve along one
+coordinate leaves clearly less goes the same way, for a wrong name is worse than none. The second
+search is believed where it ends with clearly less than the first one.
+"""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from piezoid.diagnosis.coordinates import Signals, along_displacement
+from piezoid.diagnosis.discovery import SHIFTS, Lives, Remainder, course, everywhere, of_grid
+from piezoid.diagnosis.extended import extended
+from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.range_end import Ended, ended
+from piezoid.diagnosis.screening import Screened, screen
+from piezoid.diagnosis.search import Outcome, search
+from piezoid.diagnosis.view import View, with_tracks
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.hands import Hands
+
+NAME = "something_else"
+MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
+ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
+# Measured on 9 healthy stages, 17 of one catalogue effect, and 10 of strangers' laws that leave
+# 1.1 to 46 times the noise: at most 0.08 along anything but time, 0.11 in time (a slip of the
+# clock); on 22 of 24 stages with something in no catalogue 0.18 to 0.99, in time 0.26 and more.
+LEAST = 0.12  # of the remainder's power
+IN_TIME = 0.2  # of it along time, which follows whatever is slow
+SHARE = 0.25  # of its power above the noise: the rest lives elsewhere
+SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
+CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
+BETTER = 0.97  # of the error: what the second search must leave
+NO_WORSE = 1.03  # of it: what a search may leave that mends less
+LEFT_OVER = 0.3  # of what the curve takes: what a shape not quite its own leaves to other names,
+IN_TIME_OVER = 1.0  # and a course in time, of which hysteresis has taken a part
+LEAST_P = 1e-12  # smaller is not known of any noise
+FAMILIES = 4  # of curves with a p-value of their own: signals, lines, cells, way
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rest:
+    """What no name of the catalogue stands for, in scaled units.
+
+    rms         beyond the noise, before anything without a name is taken off
+    share       of the power that the causes leave
+    p_value     of the surest coordinate, for all families of them [Sidak]; uniform where the
+                remainder lives nowhere, but for the steps of counted shifts
+    coordinate  that explains most of it
+    gain        part of its power that this explains, on blocks left out
+    """
+
+    rms: float
+    share: float
+    p_value: float
+    coordinate: str
+    gain: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Discovered:
+    """A remainder that lives in one coordinate.
+
+    lives   the curve and what it explains
+    curve   (samples,) of every track
+    share   of the remainder's power above the noise
+    left    (rows,)  the remainder
+    view    of which it is the remainder
+    end     of the sensor's range, where that is what was discovered
+    """
+
+    lives: Lives
+    curve: Signals
+    share: float
+    left: Array
+    view: View
+    end: Ended | None = None
+
+    @property
+    def rms(self) -> float:
+        """Return the rms of what it explains on blocks left out."""
+        return float(np.sqrt(self.lives.gain * np.mean(self.left**2)))
+
+    @property
+    def p_value(self) -> float:
+        """Return the p-value, times the families of coordinates [Bonferroni]."""
+        return min(1.0, FAMILIES * max(self.lives.p_value, LEAST_P))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explained:
+    """A search, with what it has no name for taken off before.
+
+    raw          the view of the recordings as they came
+    outcome      of the search, whose first view is without what was discovered
+    unexplained  what no name stands for
+    discovered   None where the remainder lives nowhere
+    """
+
+    raw: View
+    outcome: Outcome
+    unexplained: Rest
+    discovered: Discovered | None = None
+
+
+def explained(view: View, hands: Hands) -> Explained:
+    """Search for causes, and for what is none of them."""
+    first = search(view, hands)
+    return with_something_else(view, first, hands)
+
+
+def without_names(view: View, outcome: Outcome) -> Explained:
+    """Say where the rest lives where the class of model does not apply, and name nothing."""
+    lives = everywhere(Remainder.of(outcome.final, ()))
+    return Explained(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
+
+
+def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
+    """Ask a search for what it has no name for.
+
+    view   of the recordings as they came
+    first  the search on it
+    """
+    hands.say("asking where the rest lives")
+    remainder = Remainder.of(first.final, tangents_of(first, first.final))
+    lives = everywhere(remainder)
+    plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
+    mended = _without_faults(plain, hands)
+    if mended.discovered is not None:
+        return mended
+    for found in (_beyond_range(first), _named(remainder, lives, first) or _instead(first)):
+        if found is None:
+            continue
+        hands.say("searching again without it")
+        again = search(without_curve(view, found.curve), hands)
+        if again.final.rms < BETTER * first.final.rms:
+            return replace(plain, outcome=_own(again, first, found), discovered=found)
+    return plain
+
+
+def _without_faults(plain: Explained, hands: Hands) -> Explained:
+    """Ask whether faults that were mended repeat, and are then no faults of single samples."""
+    first = plain.outcome
+    if not first.faults:
+        return plain
+    remainder = Remainder.of(
+        extended(first.first, [one.accepted for one in first.causes if one.accepted.acts]), ()
+    )
+    repeating = [one for one in everywhere(remainder) if one.basis.per_unit > 0.0]
+    found = _named(remainder, repeating, first)
+    if found is None:
+        return plain
+    hands.say("searching again without what repeats")
+    again = search(without_curve(plain.raw, found.curve), hands)
+    if set(again.faults) < set(first.faults) and again.final.rms < NO_WORSE * first.final.rms:
+        return replace(plain, outcome=again, discovered=found)
+    return plain
+
+
+def _own(again: Outcome, first: Outcome, found: Discovered) -> Outcome:
+    """Return a search without names for what the curve leaves over, its shape being not quite so.
+
+    A wave leaves nothing over.
+    """
+    if found.lives.basis.harmonics == 1 or found.end is not None:
+        return again
+    known = {cause.effect.name for cause in first.causes}
+    least = (IN_TIME_OVER if found.lives.coordinate == "time" else LEFT_OVER) * found.rms
+    left_over = {
+        cause.effect.name
+        for cause in again.causes
+        if cause.effect.name not in known and _taken(cause) < least
+    }
+    causes = tuple(one for one in again.causes if one.effect.name not in left_over)
+    return replace(
+        again,
+        causes=causes,
+        faults={name: f for name, f in again.faults.items() if name in first.faults},
+        final=extended(again.clean, [cause.accepted for cause in causes]),
+        screened={**_seen(again, left_over), **again.screened},
+    )
+
+
+def _taken(cause: Judged) -> float:
+    return sqrt(max(cause.without.rms**2 - cause.held.rms**2, 0.0))
+
+
+def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, Screened]:
+    """Return the last word on causes that are taken back."""
+    taken = [cause for cause in outcome.causes if cause.effect.name in names]
+    found = ((cause.effect.name, screen(cause.effect, cause.without)) for cause in taken)
+    return {name: seen for name, seen in found if seen is not None}
+
+
+def without_curve(view: View, curve: Signals, sign: float = -1.0) -> View:
+    """Return the view of readings less a curve, or plus it."""
+    tracks = tuple(
+        replace(track, response=track.response + sign * one)
+        for track, one in zip(view.tracks, curve, strict=True)
+    )
+    return with_tracks(view, tracks)
+
+
+def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
+    """Return the tangents of effects that were not accepted, at the rows of a view."""
+    return [
+        seen.trial.columns
+        for name, seen in outcome.screened.items()
+        if name != but and len(seen.trial.columns) == len(view.response)
+    ]
+
+
+def _named(remainder: Remainder, lives: Sequence[Lives], outcome: Outcome) -> Discovered | None:
+    """Return the coordinate that surely explains a good part of what is left, if one does."""
+    hum = MAINS in {cause.effect.name for cause in outcome.causes}
+    for one in lives:
+        if one.gain < (IN_TIME if one.coordinate == "time" else LEAST):
+            continue
+        if hum and one.coordinate == "frequency" and of_grid(one.basis.per_unit):
+            continue  # a phase that wanders faster than was allowed for
+        share = _share(remainder, one.gain)
+        if share > SHARE and one.p_value <= SURE:
+            return _discovered(remainder, one, share)
+    return None
+
+
+def _share(remainder: Remainder, gain: float) -> float:
+    """Return the part of the power above the noise; what repeats is no noise."""
+    power, noise = remainder.null.rms**2, remainder.view.noise**2
+    above = power - min(noise, (1.0 - gain) * power)
+    return float(np.clip(gain * power / max(above, 1e-300), 0.0, 1.0))
+
+
+def _discovered(remainder: Remainder, lives: Lives, share: float) -> Discovered:
+    """Return the curve once more, with what tangents would have taken of it."""
+    whole = Remainder.of(remainder.view, ())
+    if lives.coordinate == "time":
+        again = course(whole, lives)
+    else:
+        again = whole.lives(lives.basis, lives.p_value)
+    return Discovered(
+        lives=again,
+        curve=tuple(again.basis.made(k, again.coefficient) for k in range(len(again.basis.place))),
+        share=share,
+        left=whole.left,
+        view=whole.view,
+    )
+
+
+def _beyond_range(outcome: Outcome) -> Discovered | None:
+    """Return an end of the sensor's range, where more is left than the noise."""
+    if outcome.final.rms < ABOVE * outcome.final.noise:
+        return None
+    others = [
+        cause.accepted
+        for cause in outcome.causes
+        if cause.effect.name != CLIPPED and cause.effect.against is None
+    ]
+    found = ended(outcome.clean, others)
+    if found is None:
+        return None
+    view = extended(outcome.clean, others)
+    curve = view.rows(found.curve)
+    left = replace(view.null, response=view.response - curve).residual + curve
+    gains = _gains(curve, left)
+    lives = Lives(
+        basis=along_displacement(view),
+        gain=float(gains[0]),
+        p_value=(1.0 + float(np.sum(gains[1:] >= gains[0]))) / len(gains),
+        coefficient=np.zeros(0),
+        followed=curve,
+    )
+    share = _share(Remainder(view=view, null=replace(view.null, response=left)), lives.gain)
+    if lives.gain < LEAST or share < SHARE or lives.p_value > SURE:
+        return None
+    return Discovered(
+        lives=replace(lives, basis=replace(lives.basis, coordinate="reading")),
+        curve=found.curve,
+        share=share,
+        left=left,
+        view=view,
+        end=found,
+    )
+
+
+def _gains(curve: Array, left: Array) -> Array:
+    """Return which part of the power a curve explains, and explains of shifts of what is left."""
+    shifts = np.linspace(0, len(left), SHIFTS + 1, endpoint=False).astype(int)
+    power = float(np.sum(left**2))
+    return np.array([float(np.sum((2.0 * np.roll(left, s) - curve) * curve)) for s in shifts]) / (
+        max(power, 1e-300)
+    )
+
+
+def _instead(outcome: Outcome) -> Discovered | None:
+    """Return a curve that leaves clearly less in the place of a cause than the cause does."""
+    best, least = None, 1.0
+    for cause in outcome.causes:
+        if cause.effect.against is not None or cause.accepted.struck:
+            continue
+        tangents = tangents_of(outcome, cause.without, cause.effect.name)
+        remainder = Remainder.of(cause.without, tangents)
+        found = _named(remainder, everywhere(remainder), outcome)
+        if found is None:
+            continue
+        left = remainder.null.rms * sqrt(max(1.0 - found.lives.gain, 0.0)) / cause.held.rms
+        if left < min(CLEARLY, least):
+            best, least = found, left
+    return best
+
+
+def rest_of(outcome: Outcome, lives: Sequence[Lives]) -> Rest:
+    """Return how much is left, how surely it lives anywhere, and where most of it does."""
+    final, sure = outcome.final, max(min(one.p_value for one in lives), LEAST_P)
+    above = max(final.rms**2 - final.noise**2, 0.0)
+    return Rest(
+        rms=sqrt(above),
+        share=above / max(final.rms**2, 1e-300),
+        p_value=float(1.0 - (1.0 - sure) ** FAMILIES),
+        coordinate=lives[0].coordinate,
+        gain=float(np.clip(lives[0].gain, 0.0, 1.0)),
+    )

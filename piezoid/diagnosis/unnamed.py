@@ -1,0 +1,192 @@
+"""What a person is told of something that has no name: how large it is and where it lives."""
+
+from collections.abc import Mapping
+from math import sqrt
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size
+from piezoid.diagnosis.something_else import NAME, Discovered
+from piezoid.numerics.arrays import Array
+from piezoid.readable import told
+
+CLASSES = 40  # of the picture
+LEAST_ROWS = 8  # of one of them
+FULL = 0.5  # of its largest height: where a curve is there
+
+WORDS: Mapping[str, str] = {
+    "drive": "the drive",
+    "displacement": "the displacement, whatever the drive does",
+    "reading": "the reading's own value",
+    "speed": "the speed and its sign",
+    "time": "time",
+    "time_since_turn": "the time since the drive last turned",
+    "frequency": "time, and repeats",
+    "line_phase": "the phase within a period of the grid",
+    "distance_travelled": "the distance travelled, and repeats with it",
+    "sample_index": "the index of the sample, and repeats with it",
+}
+NEXT: Mapping[str, str] = {
+    "drive": "Step the drive slowly through that range, up and down, and read the amplifier's "
+    "output with a second instrument.",
+    "displacement": "Move slowly through that place with a second sensor beside the first: what "
+    "both see is the stage's, what one sees is that sensor's.",
+    "reading": "Read a second sensor or converter beside the first while the stage moves slowly "
+    "through those readings.",
+    "speed": "Run triangles of one amplitude at five speeds a factor of three apart.",
+    "time": "Record again at another hour with the drive at rest, and write down what else runs.",
+    "time_since_turn": "Record turns at several levels, each followed by a ramp of one speed, and "
+    "the same ramps after a rest.",
+    "frequency": "Record a minute with the drive at rest, then switch off pumps, fans and "
+    "neighbouring instruments one after another until the line goes.",
+    "line_phase": "Record a minute at rest triggered by the grid, and switch off heaters and "
+    "dimmers one after another.",
+    "distance_travelled": "Run one slow ramp to and fro over half the range and over all of it.",
+    "sample_index": "Record a shorted input at the same rate: what repeats there is the "
+    "converter's.",
+}
+OTHER = "Move the other axis alone, slowly over its range, with this drive at rest."
+
+
+def words(coordinate: str) -> str:
+    """Return a coordinate as a sentence names it."""
+    return WORDS.get(coordinate, f"the {coordinate}")
+
+
+def of_discovered(
+    found: Discovered, *, before: HeldOut, after: HeldOut, scale_m: float, middle_m: float
+) -> Finding:
+    """Return the finding of something that has no name.
+
+    before, after  errors of the simulation on rows left out, without its curve and with it
+    scale_m        displacement that 1 of the search stands for beyond
+    middle_m       that of 0
+    """
+    lives, stroke_m = found.lives, found.view.stroke_m
+    low_m, value_m, high_m = (stroke_m * rms for rms in _rms_with_doubt(found))
+    seen = _seen(found, scale_m, middle_m)
+    part = f"{100 * found.share:.0f} % of what no cause explains beyond the noise"
+    gain = 1.0 - after.rms_m / before.rms_m if before.rms_m > 0.0 else 0.0
+    return Finding(
+        effect=NAME,
+        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
+        held_out_rms_before_m=before.rms_m,
+        held_out_rms_after_m=after.rms_m,
+        p_value=found.p_value,
+        share=value_m / (2.0 * stroke_m),
+        size=Size(value=1e9 * value_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m)),
+        not_separable_from=(),
+        explanation=f"No effect of the catalogue stands for it: {part} lives in "
+        f"{words(lives.coordinate)}{_where(found, seen)}. It is {told(value_m, 'm')} rms.",
+        next_experiment=NEXT.get(lives.coordinate, OTHER),
+        parameters=_parameters(found),
+        coordinate=lives.coordinate,
+        law=_law(found, scale_m, middle_m),
+        seen=seen,
+    )
+
+
+def _parameters(found: Discovered) -> dict[str, float]:
+    per_unit = found.lives.basis.per_unit
+    if not per_unit:
+        return {}
+    if found.lives.coordinate == "distance_travelled":
+        return {"period_m": found.view.stroke_m / per_unit}
+    if found.lives.coordinate == "sample_index":
+        return {"period_samples": 1.0 / per_unit}
+    return {"frequency_Hz": per_unit}
+
+
+def _rms_with_doubt(found: Discovered) -> tuple[float, float, float]:
+    """Return rms of what the curve explains with its 95 % interval, blocks being independent."""
+    null = found.view.null  # its blocks
+    followed = found.lives.followed
+    power = np.add.reduceat((2.0 * found.left - followed) * followed, null.edges)
+    rows, count = len(followed), len(power)
+    mean = max(float(power.sum()) / rows, 0.0)
+    spread = 1.96 * float(np.std(power, ddof=1)) * sqrt(count) / rows
+    return sqrt(max(mean - spread, 0.0)), sqrt(mean), sqrt(mean + spread)
+
+
+def _where(found: Discovered, seen: Seen) -> str:
+    """Return at which of the coordinate's values it is."""
+    parameters = _parameters(found)
+    if "frequency_Hz" in parameters:
+        return f", at {parameters['frequency_Hz']:.5g} Hz"
+    if "period_m" in parameters:
+        return f", every {told(parameters['period_m'], 'm')}"
+    if "period_samples" in parameters:
+        return f", every {parameters['period_samples']:.0f} samples"
+    height = np.abs(seen.fitted_m)
+    there = np.flatnonzero(height > FULL * float(height.max()))
+    low, high = seen.place[int(there[0])], seen.place[int(there[-1])]
+    recording = f" of {seen.recording}" if seen.recording else ""
+    return f", most of it from {told(low, seen.unit)} to {told(high, seen.unit)}{recording}"
+
+
+def _law(found: Discovered, scale_m: float, middle_m: float) -> str:
+    """Return the formula of a range that ends; it holds on readings that no fit has seen."""
+    if found.end is None:
+        return ""
+    way = "min" if found.end.side * scale_m > 0.0 else "max"
+    return f"reading = {way}(displacement, {told(middle_m + scale_m * found.end.level, 'm')})"
+
+
+def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
+    """Return the remainder in classes of the coordinate, with what the curve makes of it."""
+    view, lives = found.view, found.lives
+    shown, recording = range(len(view.tracks)), ""
+    if lives.coordinate == "time":
+        power = [float(np.sum(lives.followed[_rows(found, k)] ** 2)) for k in shown]
+        shown = range(int(np.argmax(power)), int(np.argmax(power)) + 1)
+        recording = view.tracks[shown[0]].name
+    place = np.concatenate([_place(found, k) for k in shown])
+    left = np.concatenate([found.left[_rows(found, k)] for k in shown])
+    followed = np.concatenate([lives.followed[_rows(found, k)] for k in shown])
+    if lives.coordinate in ("displacement", "reading"):
+        place = place * np.sign(scale_m) + middle_m
+    classes = _classes(place, np.sign(scale_m) * left, np.sign(scale_m) * followed)
+    low, median, high, fitted = (view.stroke_m * one for one in classes[1:])
+    return Seen(
+        unit="" if lives.basis.per_unit else lives.basis.unit,
+        place=tuple(classes[0].tolist()),
+        low_m=tuple(low.tolist()),
+        median_m=tuple(median.tolist()),
+        high_m=tuple(high.tolist()),
+        fitted_m=tuple(fitted.tolist()),
+        recording=recording,
+    )
+
+
+def _rows(found: Discovered, k: int) -> slice:
+    edges = found.view.envelope.edges
+    return slice(int(edges[k]), int(edges[k + 1]))
+
+
+def _place(found: Discovered, k: int) -> Array:
+    """Return where the rows of a track stand; of what repeats, in which part of a period."""
+    basis = found.lives.basis
+    place = basis.place[k][found.view.tracks[k].place]
+    if not basis.per_unit:
+        return place
+    if not basis.harmonics:
+        return place * basis.per_unit
+    wide = 2 * basis.harmonics
+    own = found.lives.coefficient[k * wide : k * wide + 2]
+    return np.asarray((place * basis.per_unit - np.arctan2(own[1], own[0]) / (2.0 * np.pi)) % 1.0)
+
+
+def _classes(place: Array, left: Array, followed: Array) -> tuple[Array, ...]:
+    """Return middles, quartiles of the remainder and mean of the curve, class by class."""
+    there = np.isfinite(place)
+    place, left, followed = place[there], left[there], followed[there]
+    edges = np.linspace(place.min(), place.max() + 1e-12, CLASSES + 1)
+    kind = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, CLASSES - 1)
+    rows = []
+    for k in range(CLASSES):
+        inside = kind == k
+        if np.sum(inside) >= LEAST_ROWS:
+            quartiles = np.quantile(left[inside], [0.25, 0.5, 0.75]).tolist()
+            curve = float(np.mean(followed[inside]))
+            rows.append([float(np.mean(place[inside])), *quartiles, curve])
+    return tuple(np.array(rows).reshape(-1, 5).T)

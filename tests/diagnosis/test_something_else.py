@@ -1,0 +1,113 @@
+"""What no effect of the catalogue stands for is admitted, with the coordinate it lives in.
+
+Seeds are drawn anew each time and printed: PIEZOID_SEED=... repeats a run.
+"""
+
+import os
+import secrets
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
+from piezoid.diagnosis.something_else import NAME
+from piezoid.provenance import unseal
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from piezoid_datasets.virtual_lab.truths import TRUTHS
+
+from .bench import recorded
+
+SEED = int(os.environ.get("PIEZOID_SEED") or secrets.randbelow(10**6))
+PLANS = ("sweep", "check")
+HIDDEN = {
+    "tone": (1.0, "frequency"),
+    "dent": (1.2, "displacement"),
+    "every_nth": (1.0, "sample_index"),
+}
+
+
+@cache
+def diagnosed(
+    turn: int, hidden: str = "", percent: float = 0.0, effect: str = "", truth: str | None = None
+) -> Diagnosis:
+    seed = SEED + 1000 * turn
+    sys.stdout.write(f"PIEZOID_SEED={SEED}: stage {seed}, {hidden or effect or 'healthy'}\n")
+    campaign = draw_campaign(
+        seed,
+        truth=truth,
+        effects=(effect,) if effect else (),
+        plans=(*PLANS, "rates") if effect else PLANS,
+        uncatalogued={hidden: percent} if hidden else None,
+    )
+    recordings, lab = recorded(campaign)
+    return diagnose(recordings, lab=lab)
+
+
+@pytest.mark.parametrize("hidden", HIDDEN)
+def test_what_is_in_no_catalogue_is_said_to_be_something_else_with_its_coordinate(hidden):
+    percent, coordinate = HIDDEN[hidden]
+    found = diagnosed(list(HIDDEN).index(hidden), hidden, percent)
+    assert set(found.names) <= {NAME, "outliers"}  # single samples that are off, as well
+    told = next(finding for finding in found.findings if finding.effect == NAME)
+    assert told.coordinate == coordinate
+    assert told.p_value <= 0.05
+    assert NAME not in {absent.effect for absent in found.not_detected}
+    assert found.unexplained is not None
+    assert found.unexplained.rms_m > found.noise_floor_rms_m
+    assert found.final.rms_m < found.baseline.rms_m
+
+
+def test_the_size_of_a_tone_is_in_its_interval():
+    found = diagnosed(0, "tone", HIDDEN["tone"][0])
+    tone = found.findings[0]
+    seed = SEED
+    rms_nm = 1e9 * 0.01 * draw_campaign(seed, plans=PLANS).rig.stroke_m
+    assert tone.size.value == pytest.approx(rms_nm, rel=0.05)
+    assert "frequency_Hz" in tone.parameters
+
+
+@pytest.mark.parametrize("truth", [truth.name for truth in TRUTHS])
+def test_a_healthy_stage_of_any_law_has_nothing_else(truth):
+    found = diagnosed(10 + [t.name for t in TRUTHS].index(truth), truth=truth)
+    assert NAME not in found.names
+    assert found.unexplained is not None
+    assert 0.0 < found.unexplained.p_value <= 1.0
+
+
+@pytest.mark.parametrize("effect", ["mains_interference"])
+def test_an_effect_of_the_catalogue_raises_nothing_else(effect):
+    assert NAME not in diagnosed(20, effect=effect).names
+
+
+def test_a_reading_that_ends_is_told_with_its_level():
+    campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
+    recordings, lab = recorded(campaign)
+    found = diagnose(recordings, lab=lab)
+    assert found.names == (NAME,)
+    assert found.findings[0].coordinate == "reading"
+    level_um = 0.96e6 * campaign.rig.stroke_m
+    assert found.findings[0].law.startswith("reading = min(displacement, ")
+    said_um = float(found.findings[0].law.split(", ")[1].split()[0])
+    assert said_um == pytest.approx(level_um, rel=1e-2)
+
+
+def test_something_else_survives_its_file():
+    found = diagnosed(1, "dent", HIDDEN["dent"][0])
+    written = write_diagnosis(found)
+    assert read_diagnosis(written) == found
+    content = unseal(written, SCHEMA, "diagnosis.json")
+    assert set(content["unexplained"]) >= {"rms_m", "share", "p_value"}
+    entry = content["findings"][0]
+    assert (entry["effect"], entry["coordinate"]) == (NAME, "displacement")
+    assert len(entry["seen"]["place"]) == len(entry["seen"]["fitted_m"])
+
+
+def test_its_picture_shows_where_the_reading_is_wrong():
+    seen = diagnosed(1, "dent", HIDDEN["dent"][0]).findings[0].seen
+    assert seen is not None
+    at = int(np.argmax(np.abs(seen.fitted_m)))
+    assert abs(seen.median_m[at]) > 0.3 * abs(seen.fitted_m[at])
