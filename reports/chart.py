@@ -18,6 +18,7 @@ from piezoid_reports.ticks import decade_ticks, even_ticks
 WIDTH, HEIGHT = 640, 360
 FINE = 20
 INVISIBLE = 0.15 * FINE
+TIMES = 10_000  # parts of a record by which a point of a curve is told when it was
 BINS = 520
 ROOM = 0.04  # of the range, left free at both ends of an axis
 
@@ -59,12 +60,14 @@ class Layer:
     name   for the legend
     path   its points, in fine steps
     kind   ``line`` or ``area``
+    times  when each of its points was, in ten thousandths of the record; or empty
     """
 
     role: str
     name: str
     path: str
     kind: str
+    times: str = ""
 
 
 def axis_over(label: str, values: Sequence[Array], unit: str, *, even: bool = False) -> Axis:
@@ -103,21 +106,28 @@ class Canvas:
     height: int = HEIGHT
 
     def line(
-        self, role: str, name: str, x: Array, y: Array, *, points: int = 2400
+        self, role: str, name: str, x: Array, y: Array, *, points: int = 2400, timed: bool = False
     ) -> tuple[Layer, float]:
-        """Draw a curve; return it and how far, in SI units of y, it may be from its samples."""
+        """Draw a curve; return it and how far, in SI units of y, it may be from its samples.
+
+        timed  keep when each point was, for a curve whose samples are evenly spaced in time
+        """
         across, up = self.x.places(x, self.width), self.y.places(y, self.height)
         parts = whole_parts(across + up)
         total = max(sum(part.stop - part.start for part in parts), 1)
         path, furthest = "", 0.0
+        times: list[int] = []
         for part in parts:
             share = max(2, int(points * (part.stop - part.start) / total))
             a, b = across[part], up[part]
             kept, left = thinned(a, b, tolerance=INVISIBLE, points=share)
-            path += self._path(a[kept], b[kept])
+            path += self._path(a[kept], b[kept], is_whole=timed)
             furthest = max(furthest, left)
+            if timed:
+                times += (TIMES * (kept + part.start) // len(x)).tolist()
         per_step = self.y.scale.factor * (self.y.high - self.y.low) / (self.height * FINE)
-        return Layer(role=role, name=name, path=path, kind="line"), furthest * per_step
+        told = " ".join(map(str, times))
+        return Layer(role=role, name=name, path=path, kind="line", times=told), furthest * per_step
 
     def dots(self, role: str, name: str, x: Array, y: Array) -> Layer:
         """Draw a dot for every pair of finite values: a stroke of no length with a round end."""
@@ -149,12 +159,16 @@ class Canvas:
             path += self.band(role, name, *envelope(x[part], y[part], share)).path
         return Layer(role=role, name=name, path=path, kind="line" if few else "area")
 
-    def _path(self, across: Array, up: Array) -> str:
-        """Write points as one relative path; y runs downwards on a page."""
+    def _path(self, across: Array, up: Array, *, is_whole: bool = False) -> str:
+        """Write points as one relative path; y runs downwards on a page.
+
+        is_whole  with those that stand where the one before stood
+        """
         x = np.rint(across).astype(int)
         y = np.rint(self.height * FINE - up).astype(int)
         dx, dy = np.diff(x), np.diff(y)
-        steps = [f"{a},{b}" for a, b in zip(dx.tolist(), dy.tolist(), strict=True) if a or b]
+        steps = [f"{a},{b}" for a, b in zip(dx.tolist(), dy.tolist(), strict=True)]
+        steps = [step for step in steps if is_whole or step != "0,0"]
         # The separator before a minus is the minus itself.
         text = " ".join(steps).replace(" -", "-").replace(",-", "-")
         return f"M{x[0]},{y[0]}l{text or '0,0'}"

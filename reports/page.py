@@ -1,5 +1,8 @@
 """What a chapter is given, and what it may be made of."""
 
+import itertools
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -16,6 +19,8 @@ from piezoid_reports.chart import Axis, Canvas, Layer
 from piezoid_reports.traces import Trace
 
 FIGURES_IN_FULL = 6  # recordings of an axis that are drawn; the rest stand in a table
+NANO = 1e-9
+FIRST_SENTENCE = re.compile(r"(?<=[.;])\s")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,6 +126,8 @@ class Table:
     digests  numbers of the columns that hold digests, which may break anywhere
     wordy    numbers of the columns that hold sentences, which keep some width on a phone
     links    for each row the relative place its first entry leads to; empty for none
+
+    On the page it is folded behind the first sentence of its caption.
     """
 
     kind: ClassVar[str] = "table"
@@ -130,6 +137,11 @@ class Table:
     digests: tuple[int, ...] = ()
     wordy: tuple[int, ...] = ()
     links: tuple[str, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """What the folded table is called: the first sentence of its caption, without its stop."""
+        return FIRST_SENTENCE.split(self.caption, maxsplit=1)[0].rstrip(".;:")
 
     def __post_init__(self) -> None:
         if self.links and len(self.links) != len(self.rows):
@@ -147,6 +159,9 @@ class Figure:
     look     what good and bad look like
     layers   bottom first
     flicker  roles that may be shown in turn, or empty
+    is_small  drawn for the first screen: no buttons, the caption for listeners alone
+    link     figures of the same name show the same stretch of time, or empty
+    span     of the record that is linked, in the unit of x; 0 where x is no time
     """
 
     kind: ClassVar[str] = "figure"
@@ -159,14 +174,49 @@ class Figure:
     flicker: tuple[str, ...] = ()
     width: int = Canvas.width
     height: int = Canvas.height
+    is_small: bool = False
+    link: str = ""
+    span: float = 0.0
+
+    @property
+    def margins(self) -> tuple[int, int, int, int]:
+        """Room for ticks and names: left, top, right, bottom."""
+        return (52, 22, 8, 34) if self.is_small else (64, 34, 16, 50)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rung:
+    """One measure of an error: how large, what it means, and whether it may be quoted."""
+
+    name: str
+    value_m: float
+    meaning: str
+    is_quotable: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ladder:
+    """Measures of one axis' error on one logarithmic scale, the smallest first."""
+
+    kind: ClassVar[str] = "ladder"
+    title: str
+    axis: Axis
+    rungs: tuple[Rung, ...]
+
+    def share(self, rung: Rung) -> float:
+        """Return where a rung lies along the axis, 0 to 1."""
+        place = math.log10(rung.value_m / NANO)
+        return (place - self.axis.low) / (self.axis.high - self.axis.low)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
     """One axis at a glance.
 
-    score  0 to 100, or None where a score would be a lie
-    tone   ``good``, ``middling`` or ``bad``
+    score    0 to 100, or None where a score would be a lie
+    tone     ``good``, ``middling`` or ``bad``
+    figures  the loop and the residual in time, where they are drawn
+    facts    names and values of the row beside them
     """
 
     title: str
@@ -175,6 +225,26 @@ class Card:
     word: str
     why: str
     remedy: str
+    figures: tuple[Figure, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Said:
+    """The sentences on top, each with what it answers; ``tone`` as of ``Prose``."""
+
+    kind: ClassVar[str] = "said"
+    sentences: tuple[tuple[str, str], ...]
+    tone: str = "plain"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fold:
+    """Parts that a reader opens, such as the recordings that are fitted best."""
+
+    kind: ClassVar[str] = "fold"
+    summary: str
+    parts: tuple["Part", ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +255,8 @@ class Cards:
     cards: tuple[Card, ...]
 
 
-Part = Heading | Prose | Listing | Table | Figure | Cards
+Part = Heading | Prose | Listing | Table | Figure | Cards | Said | Fold | Ladder
+TONES = ("plain", "good", "middling", "bad")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,3 +272,30 @@ class Section:
     title: str
     lead: str
     parts: tuple[Part, ...] = field(default=())
+
+    @property
+    def tone(self) -> str:
+        """The worst tone of anything the chapter says, for its mark in the navigation."""
+        tones = [part.tone for part in self.parts if isinstance(part, Heading | Prose | Said)]
+        tones += [c.tone for part in self.parts if isinstance(part, Cards) for c in part.cards]
+        return max(tones, key=TONES.index, default="plain")
+
+    @property
+    def blocks(self) -> tuple[tuple[Part, ...], ...]:
+        """The parts under each heading, those before the first by themselves."""
+        starts = [k for k, part in enumerate(self.parts) if isinstance(part, Heading)]
+        cuts = sorted({0, *starts, len(self.parts)})
+        return tuple(self.parts[a:b] for a, b in itertools.pairwise(cuts))
+
+    @property
+    def is_narrow(self) -> bool:
+        """Tell whether blocks may stand beside each other: none holds more than one figure."""
+        return all(
+            sum(isinstance(part, Figure | Ladder | Cards) for part in block) <= 1
+            for block in self.blocks
+        )
+
+    @property
+    def is_folded(self) -> bool:
+        """Tell whether nothing but folded tables is in it: then paper leaves it out."""
+        return all(isinstance(part, Table | Heading | Fold) for part in self.parts)

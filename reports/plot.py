@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 from piezoid.identification.model import ActuatorModel
 from piezoid.records.recording import Recording
-from piezoid_reports.page import Figure, Page
+from piezoid_reports.folding import figures_in
+from piezoid_reports.page import Page
 from piezoid_reports.render import figure_html
 from piezoid_reports.sections import loops, residual_over_time
 from piezoid_reports.traces import all_traces
@@ -41,5 +42,4 @@ def plot(model: ActuatorModel, *recordings: Recording, kind: str = "loops") -> D
     section = KINDS[kind](page)
     if section is None:
         raise ValueError("none of these recordings is one the model was fitted on")
-    figures = [part for part in section.parts if isinstance(part, Figure)]
-    return Drawing(html=figure_html(figures))
+    return Drawing(html=figure_html(list(figures_in(section.parts))))

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from functools import partial
 from importlib.resources import files as files_of
 from types import MappingProxyType
 
@@ -22,6 +23,7 @@ from piezoid.records.table import RawTable
 from piezoid.verification.verification import Verification
 from piezoid_reports.page import Figure, Page, Section
 from piezoid_reports.plain_text import printable
+from piezoid_reports.quantities import told
 from piezoid_reports.sections import OF_DESIGN, OF_DIAGNOSIS, OF_STAGE, SECTIONS, Render
 from piezoid_reports.traces import all_traces
 
@@ -204,7 +206,7 @@ def _text(name: str) -> str:
 
 
 def _environment() -> Environment:
-    return Environment(
+    found = Environment(
         loader=FunctionLoader(_text),
         autoescape=True,
         undefined=StrictUndefined,
@@ -212,3 +214,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         finalize=printable,
     )
+    found.filters["length_m"] = partial(told, unit="m")
+    return found

@@ -6,11 +6,13 @@ from piezoid.numerics.arrays import Array
 from piezoid.verification.criteria import SHAPE, Limits
 from piezoid.verification.trace import SpiralTrace
 from piezoid.verification.verification import Verification
-from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Figure
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid_reports.page import NANO, Figure
 from piezoid_reports.quantities import told
+from piezoid_reports.traces import rms
 
 SQUARE = 440
+LEAST_m = 1e-12  # below, an error is drawn as this: no stage is a picometre from its path
 METHODS = {
     "none": "static gain, no feedback",
     "mpi": "inverse of the hysteresis, no feedback",
@@ -42,6 +44,42 @@ def spiral(trace: SpiralTrace, found: Verification) -> Figure:
         layers=tuple(_shaded(canvas, x_m, y_m, error_m, limit_m)),
         width=SQUARE,
         height=SQUARE,
+    )
+
+
+def errors_in_time(found: Verification) -> list[Figure]:
+    """Draw the shape error along each spiral: what ships, and in grey what has no control."""
+    rates = dict.fromkeys(trace.frequency_Hz for trace in found.traces)
+    return [_error_in_time(rate, found) for rate in rates]
+
+
+def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
+    traces = [trace for trace in found.traces if trace.frequency_Hz == frequency_Hz]
+    shipped = set(found.methods.values())
+    traces.sort(key=lambda trace: trace.method in shipped)  # what ships is drawn on top
+    along = [np.linspace(0.0, 100.0, len(trace.shape_error_m)) for trace in traces]
+    logs = [np.log10(np.maximum(trace.shape_error_m, LEAST_m) / NANO) for trace in traces]
+    limit_m = _shape_limit_m(found)
+    limit = np.full(2, np.log10(limit_m / NANO))
+    x = axis_over("share of the way", along, "%")
+    y = decades_over("shape error", [*logs, limit], "nm")
+    canvas = Canvas(x=x, y=y)
+    layers = [
+        canvas.line("model" if t.method in shipped else "grey", METHODS[t.method], a, v)[0]
+        for t, a, v in zip(traces, along, logs, strict=True)
+    ]
+    sizes = "; ".join(
+        f"{METHODS[t.method]}: {told(rms(np.array(t.shape_error_m)), 'm')} rms"
+        for t in reversed(traces)
+    )
+    return Figure(
+        title=f"Tracking along the spiral of {told(frequency_Hz, 'Hz')}",
+        numbers=f"{sizes}; allowed is {told(limit_m, 'm')} rms.",
+        look="Good: what ships runs below the dashed line from end to end, far below the grey. "
+        "Bad: it rises outwards (a gain, or a lag), or spikes once a turn (hysteresis left over).",
+        x=x,
+        y=y,
+        layers=(*layers, canvas.line("limit", "allowed, rms", np.array([0.0, 100.0]), limit)[0]),
     )
 
 

@@ -342,7 +342,7 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
     if rate_Hz is None:
         raise UnitError(
             f"{table.name}: no column is a time and the file states no sampling rate",
-            needed="a clock",
+            needed="one of the two is needed to know when each row was recorded",
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
             f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
         )

@@ -11,6 +11,8 @@ from piezoid_reports.sections import (
     limits,
     loading_curve,
     loops,
+    measures,
+    motion,
     orders,
     parameters,
     provenance,
@@ -27,6 +29,8 @@ Render = Callable[[Page], Section | None]
 
 SECTIONS: tuple[Render, ...] = (
     verdict.render,
+    measures.render,
+    motion.render,
     loops.render,
     residual_over_time.render,
     residual_over_drive.render,

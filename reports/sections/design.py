@@ -10,7 +10,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.loop_figures import nyquist, pole_map
-from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Figure, Fold, Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import MINUS, significant, told
 
 GRID = 240
@@ -64,9 +64,11 @@ def _axis(axis: AxisDesign) -> list[Part]:
     rate = told(loop.members[0].sampling_rate_Hz, "Hz", 4)
     return [
         Heading(text=f"Axis {axis.axis}: {METHODS[loop.method]}, at {rate}"),
-        *(_figure(axis, loop, function) for function in FUNCTIONS),
-        nyquist(axis, loop),
-        pole_map(axis, loop),
+        _figure(axis, loop, "Syp"),
+        Fold(
+            summary="Sensor noise, open loop in the complex plane, poles: 3 figures",
+            parts=(_figure(axis, loop, "Syb"), nyquist(axis, loop), pole_map(axis, loop)),
+        ),
         _margins(axis, loop),
         _rejections(axis, loop),
         _loops(axis),
@@ -83,7 +85,16 @@ def _assumed(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
     if axis.axis not in page.model.axes:
         return ()
     said = assumptions_of(page.model.axes[axis.axis])
-    return Prose(text="The plant family takes for granted that"), Listing(items=said)
+    return (
+        Fold(
+            summary=f"What the plant family takes for granted: {_counted(said)}",
+            parts=(Listing(items=said),),
+        ),
+    )
+
+
+def _counted(conditions: tuple[str, ...]) -> str:
+    return "1 condition" if len(conditions) == 1 else f"{len(conditions)} conditions"
 
 
 def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
@@ -221,9 +232,9 @@ def _proven_of(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
     model = page.model.axes.get(axis.axis)
     is_verified = _ships(page, axis)
     if model is None or proven is None or not (proven.is_guaranteed and is_verified):
-        return _proven(axis.recommended, is_verified=is_verified)
+        return _proven(axis, is_verified=is_verified)
     if proven.guaranteed_error_m <= model.quality.range_m:
-        return _proven(axis.recommended, is_verified=is_verified)
+        return _proven(axis, is_verified=is_verified)
     return (
         Prose(
             text=f"Small gain is {significant(proven.small_gain)}, below 1: hysteresis cannot "
@@ -234,7 +245,8 @@ def _proven_of(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
     )
 
 
-def _proven(loop: LoopDesign, *, is_verified: bool) -> tuple[Part, ...]:
+def _proven(axis: AxisDesign, *, is_verified: bool) -> tuple[Part, ...]:
+    loop = axis.recommended
     proven = loop.certificate
     if loop.method == "rst":
         return ()  # regulates a current, behind no hysteresis that a model knows
@@ -269,6 +281,34 @@ def _proven(loop: LoopDesign, *, is_verified: bool) -> tuple[Part, ...]:
         f"hysteresis, {told(proven.reference_error_m, 'm')} from the reference, "
         f"{told(proven.converter_error_m, 'm')} from the converter, "
         f"{told(proven.disturbance_error_m, 'm')} from what acts beside them. Sensor noise adds "
-        f"{told(proven.noise_error_m, 'm')} (three standard deviations). On these conditions:"
+        f"{told(proven.noise_error_m, 'm')} (three standard deviations).{_against_plain(axis)}"
     )
-    return Prose(text=text, tone="good"), Listing(items=proven.conditions)
+    on = f"On these conditions: {_counted(proven.conditions)}"
+    return Prose(text=text, tone="good"), Fold(
+        summary=on, parts=(Listing(items=proven.conditions),)
+    )
+
+
+def _against_plain(axis: AxisDesign) -> str:
+    """Say why the loop that ships may promise less than the plain observer, where it does."""
+    own = axis.recommended.certificate
+    plain = next((one.certificate for one in axis.loops if one.method == "dob"), None)
+    if own is None or plain is None or axis.recommended.method == "dob":
+        return ""
+    if not plain.is_guaranteed or plain.guaranteed_error_m >= own.guaranteed_error_m:
+        return ""
+    parts = (
+        ("hysteresis", "hysteresis_error_m"),
+        ("the reference", "reference_error_m"),
+        ("the converter", "converter_error_m"),
+        ("what acts beside them", "disturbance_error_m"),
+    )
+    excess_m = {name: getattr(own, key) - getattr(plain, key) for name, key in parts}
+    most = max(excess_m, key=lambda name: excess_m[name])
+    return (
+        f" The plain observer would promise less, {told(plain.guaranteed_error_m, 'm')}: most of "
+        f"the difference is {told(excess_m[most], 'm')} more from {most}. A guarantee adds up the "
+        "worst cases of every part, and the inverse adds parts of its own; which loop ships is "
+        "chosen by its error in the verification, not by its guarantee. Where the guarantee is "
+        "what counts, export the plain observer."
+    )

@@ -6,10 +6,12 @@ from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of
 from piezoid_reports.effect_words import CONTROL, words
 from piezoid_reports.not_found import last_sentences, tables
-from piezoid_reports.page import Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
 from piezoid_reports.unnamed_figure import unnamed_figure
 from piezoid_reports.what_is_left import largest_first, nothing_named
+
+LEAST_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
 
 NO_PICTURES = (
     "Pictures of the causes need a model fitted to these recordings: piezoid fit draws them."
@@ -90,24 +92,39 @@ def _in_it_already(found: Diagnosis) -> str:
 
 
 def _size(finding: Finding) -> str:
+    """Return the one size of a finding, with the interval that its acceptance allows.
+
+    A cause that was accepted is there: an interval of its size that reaches down to zero bounds it
+    from above alone, and is told so.
+    """
     size = finding.size
     low, high = size.ci95
+    if low <= 0.0 < high:
+        return f"{significant(size.value)} {size.unit} (95 %: at most {significant(high)})"
     return (
         f"{significant(size.value)} {size.unit} (95 %: {significant(low)} to {significant(high)})"
     )
+
+
+def _gain(finding: Finding) -> str:
+    """Return what a finding takes off the error, or why it is named where it takes off nothing."""
+    if finding.held_out_gain >= LEAST_GAIN:
+        return percent(finding.held_out_gain)
+    return f"under {percent(LEAST_GAIN)}: seen in the data, remedied by a new measurement alone"
 
 
 def _gains(found: Diagnosis) -> Table:
     return Table(
         caption="What was found, largest gain first. Gain: the part of the error on rows left out "
         "that goes with this effect alone in or out of the model, refitted both times. p: chance "
-        "of such evidence without the effect, times the number of effects tried.",
+        "of such evidence without the effect, times the number of effects tried: whether it is "
+        "there. The interval is of its size: how large it is.",
         columns=("effect", "gain", "without it", "with it", "size", "p"),
-        wordy=(4,),
+        wordy=(1, 4),
         rows=tuple(
             (
                 words(f.effect),
-                percent(f.held_out_gain),
+                _gain(f),
                 told(f.held_out_rms_before_m, "m"),
                 told(f.held_out_rms_after_m, "m"),
                 _size(f),
@@ -139,12 +156,17 @@ def _open_questions(found: Diagnosis) -> list[Part]:
         return []
     return [
         Heading(text=f"Axis {found.axis}: what these recordings cannot tell apart"),
-        Listing(
-            items=tuple(
-                f"{words(f.effect).capitalize()}, or "
-                f"{' or '.join(words(name) for name in f.not_separable_from)}. "
-                f"{f.next_experiment} (piezoid plan chooses a drive for it and writes it.)"
-                for f in doubtful
+        *(
+            Fold(
+                summary=f"{words(f.effect).capitalize()}, or "
+                f"{' or '.join(words(name) for name in f.not_separable_from)}",
+                parts=(
+                    Prose(
+                        text=f"{f.next_experiment} (piezoid plan chooses a drive for it and "
+                        "writes it.)"
+                    ),
+                ),
             )
+            for f in doubtful
         ),
     ]

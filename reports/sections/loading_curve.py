@@ -4,7 +4,7 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.page import Figure, Page, Section, axis_heading
+from piezoid_reports.page import Figure, Fold, Page, Section, axis_heading
 from piezoid_reports.quantities import told, told_between
 
 LOOK_CURVE = (
@@ -25,9 +25,13 @@ def render(page: Page) -> Section:
         lead="What the model answers to a drive that only rises from the de-poled state. It holds "
         "all weights and thresholds in one line, and is far better known than any of them.",
         parts=tuple(
-            figure
+            part
             for axis in page.axes
-            for figure in (axis_heading(axis), _curve(axis), _bend(axis))
+            for part in (
+                axis_heading(axis),
+                _bend(axis),
+                Fold(summary="The curve itself", parts=(_curve(axis),)),
+            )
         ),
     )
 

@@ -3,10 +3,12 @@
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
+from piezoid_reports.folding import first_open
 from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import Trace, rms
 
+SMALL_POINTS = 900  # of a curve on the first screen, a third as wide as others
 LOOK_LOOP = (
     "Good: the thin model line lies inside the broad measured one on every branch, the small "
     "loops included. Bad: the loop crosses itself, or the model leaves it where it is widest."
@@ -25,8 +27,8 @@ def render(page: Page) -> Section | None:
         if not page.traces[axis.axis]:
             continue
         parts.append(axis_heading(axis))
-        for trace in page.drawn(axis):
-            parts += [_loop(page, axis, trace), _opened(page, axis, trace)]
+        drawn = [(opened(page, axis, t), _loop(page, axis, t)) for t in page.drawn(axis)]
+        parts += first_open(drawn, shown=1)
         parts.append(_table(page, axis))
     if not parts:
         return None
@@ -63,7 +65,10 @@ def _left_out(trace: Trace) -> str:
     )
 
 
-def _opened(page: Page, axis: AxisModel, trace: Trace) -> Figure:
+def opened(
+    page: Page, axis: AxisModel, trace: Trace, *, canvas_size: tuple[int, int] | None = None
+) -> Figure:
+    """Draw the loop without its straight line; small for the first screen."""
     return _figure(
         page,
         trace,
@@ -73,6 +78,7 @@ def _opened(page: Page, axis: AxisModel, trace: Trace) -> Figure:
         f"The straight line leaves {told(rms(trace.line_residual_m), 'm')} rms, the model "
         f"{told(rms(trace.residual_m), 'm')} rms.",
         LOOK_OPENED,
+        size=canvas_size,
     )
 
 
@@ -84,12 +90,21 @@ def _figure(
     title: str,
     numbers: str,
     look: str,
+    size: tuple[int, int] | None = None,
 ) -> Figure:
-    canvas = Canvas(x=axis_over("drive", [trace.voltage_V], "V"), y=axis_over(label, curves, "m"))
-    measured, far = canvas.line(
-        "measured", "measured", trace.voltage_V, curves[0], points=page.points
+    width, height = size or (Canvas.width, Canvas.height)
+    canvas = Canvas(
+        x=axis_over("drive", [trace.voltage_V], "V"),
+        y=axis_over(label, curves, "m"),
+        width=width,
+        height=height,
     )
-    model, far_too = canvas.line("model", "model", trace.voltage_V, curves[1], points=page.points)
+    is_small = size is not None
+    points = min(page.points, SMALL_POINTS) if is_small else page.points
+    (measured, far), (model, far_too) = (
+        canvas.line(name, name, trace.voltage_V, values, points=points, timed=is_small)
+        for name, values in zip(("measured", "model"), curves, strict=True)
+    )
     return Figure(
         title=title,
         numbers=f"{numbers} Curves are drawn to within {told(max(far, far_too), 'm', 2)}.",
@@ -97,7 +112,10 @@ def _figure(
         x=canvas.x,
         y=canvas.y,
         layers=(measured, model),
-        flicker=("measured", "model"),
+        flicker=() if is_small else ("measured", "model"),
+        width=width,
+        height=height,
+        is_small=is_small,
     )
 
 

@@ -1,18 +1,31 @@
-"""The residual against time: before and after the model, then on its own scale."""
+"""The residual against time, its running size beside the noise, and how it is distributed."""
+
+import math
 
 import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.page import Figure, Page, Part, Section, axis_heading
+from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid_reports.folding import first_open
+from piezoid_reports.page import NANO, Figure, Page, Part, Section, axis_heading
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import Trace, rms
 
 SIGMAS = 2.0
-LOOK_BEFORE = (
-    "Good: with the model the residual shrinks to a thin line on the scale of what a straight "
-    "line leaves. Bad: both are of the same size, so that the model earns nothing."
+LEAST_m = 1e-13  # below, no sensor reads; keeps a logarithm finite
+WINDOWS = 60  # of a record, over which the rms is taken
+CLASSES = 48
+REACH = 4.5  # times the larger of residual and noise rms, of a histogram
+HEIGHT = 240
+LOOK_ENVELOPE = (
+    "Good: the model's line lies a decade or more below the straight line's and runs along the "
+    "noise. Bad: both are of the same size, so that the model earns nothing, or the model's line "
+    "rises towards one end: something changed while it was recorded."
+)
+LOOK_HISTOGRAM = (
+    "Good: the steps follow the bell of the noise. Bad: wider (the model lacks something), two "
+    "humps (the branches differ: hysteresis left over), a long tail (spikes, slips)."
 )
 LOOK_AFTER = (
     "Good: structureless, mostly between the lines of the sensor's noise from beginning to end. "
@@ -22,14 +35,18 @@ LOOK_AFTER = (
 
 
 def render(page: Page) -> Section | None:
-    """Return two figures for each recording."""
+    """Return three figures for each recording."""
     parts: list[Part] = []
     for axis in page.axes:
         if not page.traces[axis.axis]:
             continue
         parts.append(axis_heading(axis))
-        for trace in page.drawn(axis):
-            parts += [_before_and_after(trace, axis), _after(trace, axis)]
+        parts += first_open(
+            [
+                (after(trace, axis), _envelope(trace, axis), _histogram(trace, axis))
+                for trace in page.drawn(axis)
+            ]
+        )
     if not parts:
         return None
     return Section(
@@ -41,34 +58,84 @@ def render(page: Page) -> Section | None:
     )
 
 
-def _before_and_after(trace: Trace, axis: AxisModel) -> Figure:
-    before_m, after_m = trace.line_residual_m, trace.residual_m
+def _envelope(trace: Trace, axis: AxisModel) -> Figure:
+    """Draw the rms in windows of time: straight line, model, noise, in decades."""
+    noise_m = axis.quality.noise_rms_m
+    time_s, before_m = _running_rms(trace.time_s, trace.line_residual_m)
+    _, after_m = _running_rms(trace.time_s, trace.residual_m)
+    level = [np.log10(np.maximum(v, LEAST_m) / NANO) for v in (before_m, after_m)]
+    noise = np.full(2, np.log10(max(noise_m, LEAST_m) / NANO))
     x = axis_over("time", [trace.time_s], "s")
-    y = axis_over("residual", [before_m, after_m], "m", even=True)
-    canvas = Canvas(x=x, y=y, height=240)
+    y = decades_over("rms of the residual", [*level, noise], "nm")
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    window_s = float(trace.time_s[-1]) / WINDOWS
     return Figure(
-        title=f"{trace.recording.name}, axis {axis.axis}: straight line and model",
-        numbers=(
-            f"Before, with the best straight line: {told(rms(before_m), 'm')} rms. "
-            f"After, with the model: {told(rms(after_m), 'm')} rms."
-        ),
-        look=LOOK_BEFORE,
+        title=f"{trace.recording.name}, axis {axis.axis}: how large the residual is, in time",
+        numbers=f"Over all, the straight line leaves {told(rms(trace.line_residual_m), 'm')} rms, "
+        f"the model {told(rms(trace.residual_m), 'm')}, the sensor's noise is "
+        f"{told(noise_m, 'm')}; windows of {told(window_s, 's')}.",
+        look=LOOK_ENVELOPE,
         x=x,
         y=y,
-        height=canvas.height,
+        height=HEIGHT,
         layers=(
-            canvas.range_over_time("before", "before: straight line", trace.time_s, before_m),
-            canvas.range_over_time("model", "after: model", trace.time_s, after_m),
+            canvas.line("before", "straight line", time_s, level[0])[0],
+            canvas.line("model", "model", time_s, level[1])[0],
+            canvas.line("limit", "sensor noise", trace.time_s[[0, -1]], noise)[0],
         ),
-        flicker=("before", "model"),
     )
 
 
-def _after(trace: Trace, axis: AxisModel) -> Figure:
+def _running_rms(time_s: Array, values: Array) -> tuple[Array, Array]:
+    """Return the middle of every window and the rms in it, NaN where nothing was counted."""
+    pieces = np.array_split(np.arange(len(values)), min(WINDOWS, len(values)))
+    middle = np.array([time_s[piece].mean() for piece in pieces])
+    held = [values[piece][np.isfinite(values[piece])] for piece in pieces]
+    return middle, np.array([rms(one) if len(one) else np.nan for one in held])
+
+
+def _histogram(trace: Trace, axis: AxisModel) -> Figure:
+    """Draw the residual's density beside that of the noise."""
+    noise_m, residual_m = axis.quality.noise_rms_m, trace.residual_m
+    there = residual_m[np.isfinite(residual_m)]
+    widest_m = REACH * max(rms(there), noise_m, LEAST_m)
+    edges = np.linspace(-widest_m, widest_m, CLASSES + 1)
+    share = 100.0 * np.histogram(there, edges)[0] / len(there)
+    noise = _expected(edges, max(noise_m, LEAST_m))
+    x = axis_over("residual", [edges], "m")
+    y = axis_over("share of the samples", [share, noise, np.zeros(1)], "%")
+    canvas = Canvas(x=x, y=y, height=HEIGHT)
+    corners = np.repeat(edges, 2)[1:-1]
+    middle = (edges[1:] + edges[:-1]) / 2.0
+    return Figure(
+        title=f"{trace.recording.name}, axis {axis.axis}: the residual beside the noise",
+        numbers=f"{told(rms(there), 'm')} rms against {told(noise_m, 'm')} of the sensor; half of "
+        f"the samples within {told(float(np.median(np.abs(there))), 'm')}, 95 % within "
+        f"{told(float(np.quantile(np.abs(there), 0.95)), 'm')}.",
+        look=LOOK_HISTOGRAM,
+        x=x,
+        y=y,
+        height=HEIGHT,
+        layers=(
+            canvas.band("count", "residual", corners, np.zeros(len(corners)), np.repeat(share, 2)),
+            canvas.line("model", "noise alone", middle, noise)[0],
+        ),
+    )
+
+
+def _expected(edges: Array, sigma: float) -> Array:
+    """Return the percentage of normal noise that falls into every class."""
+    below = np.array([math.erf(edge / (math.sqrt(2.0) * sigma)) for edge in edges])
+    return np.asarray(50.0 * np.diff(below))
+
+
+def after(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:
+    """Draw what the model leaves, and the band of the noise; small for the first screen."""
+    width, height = size or (Canvas.width, HEIGHT)
     noise_m, residual_m = axis.quality.noise_rms_m, trace.residual_m
     x = axis_over("time", [trace.time_s], "s")
     y = axis_over("residual", [residual_m, np.array([SIGMAS * noise_m])], "m", even=True)
-    canvas = Canvas(x=x, y=y, height=240)
+    canvas = Canvas(x=x, y=y, width=width, height=height)
     return Figure(
         title=f"{trace.recording.name}, axis {axis.axis}: what the model leaves",
         numbers=(
@@ -80,7 +147,9 @@ def _after(trace: Trace, axis: AxisModel) -> Figure:
         look=LOOK_AFTER,
         x=x,
         y=y,
-        height=canvas.height,
+        width=width,
+        height=height,
+        is_small=size is not None,
         layers=(
             canvas.range_over_time("model", "residual", trace.time_s, residual_m),
             _limits(canvas, trace, noise_m),

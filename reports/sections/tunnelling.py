@@ -5,12 +5,13 @@ from collections.abc import Callable
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
+from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.junction import curves_of
 from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.junction_words import confidence_of, judged, told_interval
-from piezoid_reports.page import Figure, Heading, Listing, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Figure, Fold, Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, told
 
 LOOK_CURVE = (
@@ -21,6 +22,11 @@ LOOK_RESIDUAL = (
     "Good: a band without shape about zero, widening where the current is strong. Bad: a bow, "
     "which is creep of the height or not one exponential; a step, which is a changed tip."
 )
+CONFIDENCE = {
+    Confidence.HIGH: ("good", "high confidence"),
+    Confidence.MEDIUM: ("middling", "medium confidence"),
+    Confidence.LOW: ("bad", "low confidence"),
+}
 POLARITY = {1.0: "positive", -1.0: "negative"}
 
 
@@ -32,10 +38,11 @@ def render(page: Page) -> Section | None:
     parts: list[Part] = []
     parts.append(judged(junction.gap_law))
     parts += [Listing(items=junction.gap_law.reasons)] if junction.gap_law.reasons else []
+    drawn = False
     for law, direction in _laws(junction, page):
         curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
-        parts.append(Heading(text=f"{direction.value.capitalize()} sweeps"))
-        parts += [_curve(law, curves), _residual(law, curves)] if curves else []
+        parts += _drawn(law, curves, direction, is_first=not drawn)
+        drawn = drawn or bool(curves)
     return Section(
         anchor="tunnelling",
         title="Tunnelling junction",
@@ -43,6 +50,31 @@ def render(page: Page) -> Section | None:
         "apparent barrier, and the gain of the height loop goes with the barrier's root.",
         parts=(_table(junction, page), *_shift(junction), *parts),
     )
+
+
+def _drawn(
+    law: GapLaw, curves: list[ApproachCurve], direction: Direction, *, is_first: bool
+) -> list[Part]:
+    """Return the figures of one direction; a second one is folded."""
+    if not curves:
+        return []
+    figures = (_curve(law, curves), _residual(law, curves))
+    name = f"{direction.value.capitalize()} sweeps"
+    if is_first:
+        return [Heading(text=name), *figures]
+    return [Fold(summary=f"{name}: 2 figures", parts=figures)]
+
+
+def small_figures(
+    page: Page, curve: tuple[int, int], residual: tuple[int, int]
+) -> tuple[Figure, ...]:
+    """Draw the first law over its sweeps, and what it leaves, for the first screen."""
+    junction = page.model.tunnelling
+    for law, direction in () if junction is None else _laws(junction, page):
+        curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
+        if curves:
+            return _curve(law, curves, curve), _residual(law, curves, residual)
+    return ()
 
 
 def _laws(junction: TunnellingModel, page: Page) -> tuple[tuple[GapLaw, Direction], ...]:
@@ -124,7 +156,9 @@ def _measured(law: GapLaw, curve: ApproachCurve) -> tuple[Array, Array]:
     return curve.height_m[order], law.polarity * (curve.current_A[order] - law.offset_A)
 
 
-def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
+def _curve(
+    law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
+) -> Figure:
     """Decades of the current over one picoampere; what is not positive has no logarithm."""
     rows = [_measured(law, curve) for curve in curves]
     heights = np.unique(np.concatenate([height for height, _ in rows]))
@@ -133,7 +167,8 @@ def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
     line = np.log10(_modelled(law, heights) / 1e-12)
     x = axis_over("height", [heights], "m")
     y = decades_over("current", [*logs, np.array([floor])], "pA")
-    canvas = Canvas(x=x, y=y)
+    width, height_px = size or (Canvas.width, Canvas.height)
+    canvas = Canvas(x=x, y=y, width=width, height=height_px)
     seen = line > floor - 1.0  # far below the noise the law has nothing to be compared with
     layers: list[Layer] = [
         canvas.line("measured", f"sweep {k + 1}", height, log, points=400)[0]
@@ -152,15 +187,21 @@ def _curve(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
         x=x,
         y=y,
         layers=tuple(layers),
+        width=width,
+        height=height_px,
+        is_small=size is not None,
     )
 
 
-def _residual(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
+def _residual(
+    law: GapLaw, curves: list[ApproachCurve], size: tuple[int, int] | None = None
+) -> Figure:
     rows = [_measured(law, curve) for curve in curves]
     left = [(height, current_A - _modelled(law, height)) for height, current_A in rows]
     x = axis_over("height", [height for height, _ in left], "m")
     y = axis_over("measured minus gap law", [residual for _, residual in left], "A", even=True)
-    canvas = Canvas(x=x, y=y, height=260)
+    width, height_px = size or (Canvas.width, 260)
+    canvas = Canvas(x=x, y=y, width=width, height=height_px)
     rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in left]) ** 2)))
     zero, _ = canvas.line(
         "zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2)
@@ -174,7 +215,9 @@ def _residual(law: GapLaw, curves: list[ApproachCurve]) -> Figure:
         look=LOOK_RESIDUAL,
         x=x,
         y=y,
-        height=canvas.height,
+        width=width,
+        height=height_px,
+        is_small=size is not None,
         layers=(
             zero,
             *(

@@ -1,9 +1,10 @@
-"""The verdict in three sentences, and a card for each axis."""
+"""The first screen: what is good, what limits, what to do next, and a row for each axis."""
 
 from piezoid.identification.model import AxisModel
 from piezoid.verification.verification import Verification
+from piezoid_reports.first_screen import facts, figures, left_out, tip_cards
 from piezoid_reports.junction_words import judged, loop_judged
-from piezoid_reports.page import Card, Cards, Page, Prose, Section
+from piezoid_reports.page import Card, Cards, Page, Prose, Said, Section
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.score import judgement_of, line_rms_m, score_of
 from piezoid_reports.traces import Trace
@@ -25,8 +26,8 @@ def render(page: Page) -> Section:
         title="Verdict",
         lead="",
         parts=(
-            Prose(text=" ".join(sentences(page)), tone=worst),
-            Cards(cards=tuple(_card(page, axis) for axis in page.axes)),
+            Said(sentences=sentences(page), tone=worst),
+            Cards(cards=(*(_card(page, axis) for axis in page.axes), *tip_cards(page))),
         ),
     )
 
@@ -46,17 +47,23 @@ def _of_junction(page: Page) -> Section:
                 text="No axis with drive and displacement was recorded: nothing is said of "
                 "hysteresis, and no lateral controller can be designed from this."
             ),
+            Cards(cards=tip_cards(page)),
         ),
     )
 
 
-def sentences(page: Page) -> tuple[str, str, str]:
-    """Return three sentences: does the class apply, how well, what next."""
+def sentences(page: Page) -> tuple[tuple[str, str], ...]:
+    """Return what each sentence answers, and the sentence: what holds, what limits, what next."""
     good = [axis for axis in page.axes if axis.verdict.applies]
     wrong = [axis for axis in page.axes if not axis.verdict.applies]
     applies = _applies(good, wrong).removesuffix(".") + _ships(page)
     worst_first = sorted(good, key=_held_out_percent, reverse=True)
-    return applies, _how_well(good, wrong), _what_next(page, [*wrong, *worst_first])
+    limits, then = _what_next(page, [*wrong, *worst_first])
+    return (
+        ("Bad" if wrong else "Good", applies),
+        ("Limits", f"{_how_well(page, good, wrong)} {limits}"),
+        ("Next", then),
+    )
 
 
 def _ships(page: Page) -> str:
@@ -98,7 +105,7 @@ def _as_far_as(good: list[AxisModel]) -> str:
     return f" as far as can be told{whose}, for {limit.reason} (a score of at most {limit.most})"
 
 
-def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
+def _how_well(page: Page, good: list[AxisModel], wrong: list[AxisModel]) -> str:
     if not good:
         share = max(axis.quality.held_out_rms_percent for axis in wrong)
         return (
@@ -115,21 +122,32 @@ def _how_well(good: list[AxisModel], wrong: list[AxisModel]) -> str:
         f"displacement by {told(quality.held_out_rms_m, 'm')} rms, "
         f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
-        f"{told(quality.noise_rms_m, 'm')} rms."
+        f"{told(quality.noise_rms_m, 'm')} rms{_not_counted(page, good)}."
     )
 
 
-def _what_next(page: Page, axes: list[AxisModel]) -> str:
+def _not_counted(page: Page, axes: list[AxisModel]) -> str:
+    """Say what the fit left out of the axis of which it left out most."""
+    counted = [(*left_out(page.traces.get(axis.axis, ())), axis) for axis in axes]
+    missing, total, axis = max(counted, key=lambda one: one[0] / max(one[1], 1))
+    if not missing:
+        return ""
+    whose = f" of axis {axis.axis}" if len(axes) > 1 else ""
+    return f"; the fit left out {missing} of {total} samples{whose} ({percent(missing / total)})"
+
+
+def _what_next(page: Page, axes: list[AxisModel]) -> tuple[str, str]:
+    """Return the gravest weakness and what to do about it, a sentence each."""
     for axis in axes:
         found = weaknesses_of(axis, page.diagnosis_of(axis))
         if found:
             whose = f"axis {axis.axis}" if len(axes) > 1 else "it"
             first, _, _ = found[0].remedy.partition(". ")
             return (
-                f"What weakens {whose} most is {found[0].what}; next, "
-                f"{_lowered(first.rstrip('.'))}."
+                f"What weakens {whose} most is {found[0].what}.",
+                f"{first.rstrip('.')}.",
             )
-    return "Nothing in this data speaks against using it within its range."
+    return "Nothing in this data speaks against it.", "Use it within its range."
 
 
 def _card(page: Page, axis: AxisModel) -> Card:
@@ -147,6 +165,8 @@ def _card(page: Page, axis: AxisModel) -> Card:
         word=word,
         why=f"{_against_line(axis, traces)}{first.why}{_also_found(page, axis, first)}",
         remedy=first.remedy,
+        figures=figures(page, axis),
+        facts=facts(page, axis),
     )
 
 
@@ -184,7 +204,3 @@ def _axes(axes: list[AxisModel]) -> str:
     if len(names) == 1:
         return f"axis {names[0]}"
     return f"axes {', '.join(names[:-1])} and {names[-1]}"
-
-
-def _lowered(sentence: str) -> str:
-    return sentence[:1].lower() + sentence[1:]

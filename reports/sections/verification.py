@@ -6,9 +6,9 @@ from piezoid.verification.criteria import Verdict
 from piezoid.verification.proof import Proof
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, decades_over
-from piezoid_reports.page import Figure, Heading, Page, Part, Prose, Section, Table
+from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.spirals import METHODS, spiral
+from piezoid_reports.spirals import METHODS, errors_in_time, spiral
 
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 _EVERY = "all"
@@ -31,8 +31,7 @@ def render(page: Page) -> Section | None:
 def _parts(found: Verification) -> list[Part]:
     return [
         _summary(found),
-        *_compared(found),
-        *(spiral(trace, found) for trace in found.traces),
+        *_figures(found),
         *_currents(found),
         Heading(text="Verdicts"),
         _verdicts(found),
@@ -55,10 +54,24 @@ def _summary(found: Verification) -> Prose:
     return Prose(text=text, tone="good" if found.passed else "bad")
 
 
-def _compared(found: Verification) -> list[Part]:
-    if not found.comparison:
-        return []
-    return [Heading(text="Methods by frequency"), _shape_figure(found), _table(found)]
+def _figures(found: Verification) -> list[Part]:
+    """Return all pictures beside each other, the table of the comparison after them."""
+    compared = [_shape_figure(found)] if found.comparison else []
+    drawn = tuple(spiral(trace, found) for trace in found.traces)
+    return [
+        *compared,
+        *errors_in_time(found),
+        *(
+            [Fold(summary=f"Spirals as they were run: {_number(drawn)}", parts=drawn)]
+            if drawn
+            else []
+        ),
+        *([_table(found)] if found.comparison else []),
+    ]
+
+
+def _number(drawn: tuple[Figure, ...]) -> str:
+    return "1 figure" if len(drawn) == 1 else f"{len(drawn)} figures"
 
 
 def _shape_figure(found: Verification) -> Figure:
@@ -114,8 +127,8 @@ def _table(found: Verification) -> Table:
         )
     return Table(
         caption=f"Spirals of radius {told(found.radius_m, 'm')}, by turns a second and method: "
-        "distance from the path, rms, in percent of the diameter, and largest, the start from "
-        "rest included; shape: what the best common delay leaves between start and end, and that "
+        "distance from the path, rms, in percent of the diameter, and largest after the start "
+        "from rest; shape: what the best common delay leaves between start and end, and that "
         "delay (negative: early); error of the radius; scatter of "
         f"the distance between turns. {_methods(found)}.",
         columns=(

@@ -65,6 +65,35 @@
     });
   }
 
+  const links = []; // figures of one record: what the one shows of its time is lit in the other
+
+  function save(name, kind, content) {
+    const made = document.createElement("a");
+    made.href = URL.createObjectURL(new Blob([content], { type: kind }));
+    made.download = name;
+    made.click();
+    setTimeout(() => URL.revokeObjectURL(made.href), 10000);
+  }
+
+  // The drawing alone: every rule that the page's style gives it is written into it.
+  const DRAWN = ["fill", "fill-opacity", "stroke", "stroke-width", "stroke-dasharray", "stroke-linecap",
+    "stroke-linejoin", "font-size", "font-family", "display", "vector-effect"];
+  function standing(frame) {
+    const copy = frame.cloneNode(true);
+    const from = frame.querySelectorAll("*"), to = copy.querySelectorAll("*");
+    from.forEach((one, k) => {
+      const style = getComputedStyle(one);
+      for (const name of DRAWN) {
+        const value = style.getPropertyValue(name);
+        if (value && value !== "none" || name === "fill" || name === "display") to[k].setAttribute(name, value);
+      }
+    });
+    copy.setAttribute("xmlns", SVG);
+    return new XMLSerializer().serializeToString(copy);
+  }
+
+  function quoted(text) { return `"${String(text).replaceAll('"', '""')}"`; }
+
   function activate(figure) {
     const view = figure.querySelector(".view");
     const frame = figure.querySelector(".frame");
@@ -78,6 +107,9 @@
       [data.left, data.top, data.width, data.height, data.fine].map(Number);
     const ends = { x: data.x.split(" ").map(Number), y: data.y.split(" ").map(Number) };
     const full = { x: 0, y: 0, w: width * fine, h: height * fine };
+    const lit = figure.querySelector(".lit");
+    const span = Number(figure.dataset.span || 0);
+    if (figure.dataset.link) links.push([figure.dataset.link, (...at) => light(...at), figure]);
     let seen = { ...full };
     let drawn = null;
 
@@ -121,6 +153,29 @@
             element("text", { class: "tick", x: left - 7, y: (at + 4).toFixed(1), "text-anchor": "end" }, label));
         });
       here.setAttribute("visibility", "hidden");
+      if (span) linked((other) => other(valueX(seen.x) / span, valueX(seen.x + seen.w) / span, seen.w < full.w));
+    }
+
+    // Of a curve that knows its times: light what lies in a stretch of the record, of 0 to 1.
+    function light(low, high, on) {
+      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
+      const timed = layers.findIndex((layer) => layer.dataset.times && layer.dataset.role === "model");
+      if (timed < 0 || !lit) return;
+      const times = layers[timed].dataset.times.split(" ").map(Number);
+      let path = "", k = 0;
+      for (const points of on ? drawn[timed] : []) {
+        let pen = "M";
+        for (let i = 0; i + 1 < points.length; i += 2, k++) {
+          const inside = times[k] >= low * 1e4 && times[k] <= high * 1e4;
+          if (inside) path += `${pen}${points[i]},${points[i + 1]}`;
+          pen = inside ? "L" : "M";
+        }
+      }
+      lit.setAttribute("d", path);
+    }
+
+    function linked(tell) {
+      for (const [name, other, own] of links) if (name === figure.dataset.link && own !== figure) tell(other);
     }
 
     function zoom(factor, x, y) {
@@ -162,6 +217,11 @@
       const at = pointed(event);
       const best = nearest(at.x, at.y);
       here.setAttribute("visibility", best.name ? "visible" : "hidden");
+      figure.classList.toggle("read", Boolean(best.name));
+      if (span) {
+        const at = valueX(pointed(event).x) / span;
+        linked((other) => other(at - 0.01, at + 0.01, true));
+      }
       if (!best.name) { readout.textContent = ""; return; }
       here.setAttribute("cx", pageX(best.x).toFixed(1));
       here.setAttribute("cy", pageY(best.y).toFixed(1));
@@ -184,6 +244,8 @@
     view.addEventListener("pointerleave", () => {
       here.setAttribute("visibility", "hidden");
       readout.textContent = "";
+      figure.classList.remove("read");
+      if (span) linked((other) => other(valueX(seen.x) / span, valueX(seen.x + seen.w) / span, seen.w < full.w));
     });
     // The wheel belongs to the page until the figure was clicked.
     view.addEventListener("wheel", (event) => {
@@ -205,9 +267,30 @@
       } else return;
       event.preventDefault();
     });
-    figure.querySelector(".closer").addEventListener("click", () => middle(0.6));
-    figure.querySelector(".farther").addEventListener("click", () => middle(1 / 0.6));
-    figure.querySelector(".reset").addEventListener("click", () => show(full));
+    const presses = { ".closer": () => middle(0.6), ".farther": () => middle(1 / 0.6), ".reset": () => show(full) };
+    for (const name in presses) figure.querySelector(name)?.addEventListener("click", presses[name]);
+
+    // The numbers of every curve as they are drawn: to a twentieth of a pixel of the full view.
+    function numbers() {
+      drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
+      const head = (name, unit) => quoted(unit ? `${name} [${unit}]` : name);
+      const shown = (name, value) => (data.decades.includes(name) ? 10 ** value : value).toPrecision(6);
+      const rows = [`${quoted("curve")},${head(data.xName, data.xUnit)},${head(data.yName, data.yUnit)}`];
+      layers.forEach((layer, index) => {
+        for (const points of drawn[index]) {
+          for (let k = 0; k + 1 < points.length; k += 2) {
+            rows.push(`${quoted(layer.dataset.name)},${shown("x", valueX(points[k]))},${shown("y", valueY(points[k + 1]))}`);
+          }
+        }
+      });
+      return rows.join("\r\n") + "\r\n";
+    }
+    for (const button of figure.querySelectorAll(".save")) {
+      button.addEventListener("click", () => {
+        if (button.dataset.as === "svg") save(`${figure.id}.svg`, "image/svg+xml", standing(frame));
+        else save(`${figure.id}.csv`, "text/csv", numbers());
+      });
+    }
 
     function setShown(index, on) {
       layers[index].classList.toggle("off", !on);

@@ -8,15 +8,36 @@
   const send = (target, kind, extra) => target.dispatchEvent(
     new (extra && "clientX" in extra ? PointerEvent : KeyboardEvent)(kind, { bubbles: true, cancelable: true, ...extra }));
   addEventListener("load", () => {
+    // The first screen as it opens, before anything is unfolded.
+    const sheet = document.documentElement.scrollHeight;
+    const words = document.body.innerText.split(/\s+/).length;
+    const rows = [...document.querySelectorAll(".card")].map((card) => card.getBoundingClientRect().bottom);
+    const reached = [...document.querySelectorAll("summary, nav a, .view")].filter((one) => one.tabIndex === 0).length;
+    const keys = document.querySelectorAll("summary, nav a, .view").length;
+    const linked = document.querySelector("figure[data-span] .view"), lit = document.querySelector(".lit");
+    send(linked, "keydown", { key: "+" });
+    const litNear = lit.getAttribute("d");
+    send(linked, "keydown", { key: "0" });
+    const litAgain = lit.getAttribute("d");
+    const saved = [];
+    const press = HTMLAnchorElement.prototype.click;
+    const asked = URL.createObjectURL;
+    URL.createObjectURL = (blob) => { saved.push({ kind: blob.type, size: blob.size }); return "#"; };
+    HTMLAnchorElement.prototype.click = () => {};
+    document.querySelectorAll("figure.chart .save").forEach((button) => { button.click(); });
+    URL.createObjectURL = asked;
+    HTMLAnchorElement.prototype.click = press;
+    document.querySelectorAll("details").forEach((one) => { one.open = true; });
     const sizes = [...document.querySelectorAll("figure.chart")].map((figure) => {
       const frame = figure.querySelector(".frame").getBoundingClientRect();
-      const curves = [...figure.querySelectorAll(".layer")].map((layer) => {
+      const curves = [...figure.querySelectorAll(".layer:not(.left-out)")].map((layer) => {
         const box = layer.getBoundingClientRect();
         return [box.width, box.height];
       });
       return { width: frame.width, height: frame.height, curves };
     });
-    const figure = document.querySelector("figure.chart");
+    const figure = document.querySelector("figure.chart:has(.flicker)");
+    figure.scrollIntoView();
     const view = figure.querySelector(".view"), plot = figure.querySelector(".plot");
     const box = view.getBoundingClientRect();
     const ticksBefore = figure.querySelector(".ticks-x").textContent;
@@ -55,6 +76,7 @@
     });
     const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
     document.body.dataset.probe = JSON.stringify({
+      sheet, words, rows, reached, keys, litNear, litAgain, saved,
       errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
       astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide, rewritten,
     });

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,12 @@ from tests.reports.known_stage import axis_model, recording, stage_model
 BROWSER = (
     shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 )
+FOLD = r"<details(?:(?!<details).)*?</details>"  # an innermost one
 PROBE = (Path(__file__).parent / "probe.js").read_text()
 PHONE = "420,900"
+DESK = "1440,1043"  # a window whose page is 900 high
+SCREEN = 900
+MOST_SCREENS, MOST_WORDS, MOST_SHEETS = 8, 2600, 5  # of this stage of one axis
 
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium on this machine")
 
@@ -71,15 +76,47 @@ def found(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]
     return {**json.loads(body.attributes["data-probe"]), "console": console}
 
 
+@pytest.fixture(scope="module")
+def at_a_desk(page: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("desk")
+    document, _ = _browse(folder, _with_probe(page), "--dump-dom", f"--window-size={DESK}")
+    return dict(json.loads(Anatomy(document).all("body")[0].attributes["data-probe"]))
+
+
+def test_the_first_screen_holds_every_axis_and_the_page_is_short(
+    at_a_desk: dict[str, Any],
+) -> None:
+    assert max(at_a_desk["rows"]) < SCREEN
+    assert at_a_desk["sheet"] < MOST_SCREENS * SCREEN
+    assert at_a_desk["words"] < MOST_WORDS
+
+
+def test_folds_links_and_figures_are_reached_by_the_keyboard(at_a_desk: dict[str, Any]) -> None:
+    assert at_a_desk["reached"] == at_a_desk["keys"] > 20
+
+
+def test_the_time_seen_in_the_residual_is_lit_in_the_loop(at_a_desk: dict[str, Any]) -> None:
+    assert at_a_desk["litNear"].startswith("M")
+    assert at_a_desk["litAgain"] == ""
+
+
+def test_every_figure_saves_its_drawing_and_its_numbers(
+    at_a_desk: dict[str, Any], page: str
+) -> None:
+    kinds = [one["kind"] for one in at_a_desk["saved"]]
+    assert kinds == ["image/svg+xml", "text/csv"] * page.count('<figure class="chart')
+    assert min(one["size"] for one in at_a_desk["saved"]) > 100
+
+
 def test_neither_page_nor_console_hears_an_error(found: dict[str, Any]) -> None:
     assert found["errors"] == []
     assert "CONSOLE" not in found["console"]
 
 
 def test_every_figure_and_every_curve_has_a_size(found: dict[str, Any], page: str) -> None:
-    assert len(found["sizes"]) == page.count("<figure")
+    assert len(found["sizes"]) == page.count('<figure class="chart')
     for figure in found["sizes"]:
-        assert figure["width"] > 300
+        assert figure["width"] > 250
         assert figure["height"] > 100
         for width, height in figure["curves"]:
             assert width >= 0
@@ -92,9 +129,9 @@ def test_a_phone_need_not_scroll_sideways(found: dict[str, Any]) -> None:
 
 
 def test_the_pointer_reads_a_value_with_its_unit(found: dict[str, Any]) -> None:
-    assert re.fullmatch(r"(measured|model): drive \S+ V, displacement \S+ µm", found["readout"]), (
-        found["readout"]
-    )
+    assert re.fullmatch(
+        r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm", found["readout"]
+    ), found["readout"]
     # The ring stands on the curve under the pointer, to a pixel.
     assert found["astray"] < 1.0
 
@@ -112,7 +149,7 @@ def test_magnifying_moves_the_ticks_and_a_double_click_brings_them_back(
 def test_even_and_logarithmic_ticks_of_every_figure_are_those_python_wrote(
     found: dict[str, Any],
 ) -> None:
-    assert {figure["decades"] for figure in found["rewritten"]} == {"", "xy"}
+    assert {figure["decades"] for figure in found["rewritten"]} == {"", "y", "xy"}
     for figure in found["rewritten"]:
         assert figure["after"] == figure["before"]
 
@@ -146,11 +183,24 @@ def test_it_prints_to_paper_with_every_figure_on_one_page(page: str, tmp_path: P
         text=True,
         check=True,
     ).stdout
-    sheets = text.split("\f")
-    looks = Anatomy(page).all("p", "look")
-    for number in range(1, page.count("<figure") + 1):
+    sheets = text.rstrip("\f").split("\f")
+    assert len(sheets) <= MOST_SHEETS
+    shown = _unfolded(page)
+    assert len(shown) > 5
+    for number, numbers in shown:
         holding = [sheet for sheet in sheets if f"Figure {number}." in sheet]
-        assert len(holding) == 1
+        assert len(holding) == 1, number
         # The caption follows the figure it belongs to on the same sheet.
-        first_words = " ".join(looks[number - 1].text.split()[:3])
-        assert first_words in holding[0].partition(f"Figure {number}.")[2]
+        first_word = numbers.split()[0]
+        assert first_word in holding[0].partition(f"Figure {number}.")[2]
+
+
+def _unfolded(page: str) -> list[tuple[int, str]]:
+    """Return number and caption of each figure that stands open, the first screen's aside."""
+    bare = re.sub(r'<details class="(?:look|why|note)">.*?</details>', "", page, flags=re.DOTALL)
+    while (shorter := re.sub(FOLD, "", bare, flags=re.DOTALL)) != bare:
+        bare = shorter
+    captions = re.findall(
+        r"<b>Figure (\d+)\.</b>.*?<figcaption><p>(.*?)</p>", bare, flags=re.DOTALL
+    )
+    return [(int(number), unescape(text)) for number, text in captions]

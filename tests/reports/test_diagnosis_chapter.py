@@ -1,5 +1,6 @@
 """The chapter on causes: each is seen where it shows, beside a look-alike, with what it means."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -145,8 +146,8 @@ def test_every_axis_has_its_part_and_why_another_has_none_is_said() -> None:
 def test_what_cannot_be_told_apart_is_listed_with_the_experiment() -> None:
     found = diagnosed(finding("delay", rivals=("lag",)))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [recording()], found))
-    said = [e.text for e in page.all("li")]
-    assert any(t.startswith("Delay, or lag. Record another.") for t in said)
+    said = [e.text.strip() for e in page.all("details", "folded")]
+    assert any(re.match(r"Delay, or lag\s+Record another\.", t) for t in said)
 
 
 def test_without_recordings_the_chapter_still_says_what_was_found() -> None:

@@ -27,13 +27,13 @@ def test_no_name_in_a_shown_record_is_markup() -> None:
     assert "<b>" not in shown("<b>", [("<b>", "<b>")])
 
 
-@pytest.mark.parametrize("kind", ["loops", "residual"])
-def test_a_plot_holds_the_figures_and_runs_nothing(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "figures"), [("loops", 2), ("residual", 3)])
+def test_a_plot_holds_the_figures_and_runs_nothing(kind: str, figures: int) -> None:
     drawn = plot(stage_model(axis_model()), recording(), kind=kind)._repr_html_()
     (frame,) = Anatomy(drawn).all("iframe")
     assert frame.attributes["sandbox"] == ""
     inside = Anatomy(frame.attributes["srcdoc"])
-    assert len(inside.all("figure")) == 2
+    assert len(inside.all("figure")) == figures
     assert "Content-Security-Policy" not in unescape(drawn)
 
 

@@ -30,7 +30,11 @@ def test_every_chapter_of_the_folder_is_in_the_tuple_once() -> None:
 
 def test_a_model_without_its_recordings_still_makes_a_page() -> None:
     page = Anatomy(render(stage_model(axis_model()), []))
-    assert [e.attributes["id"] for e in page.all("section")][:2] == ["verdict", "loading-curve"]
+    assert [e.attributes["id"] for e in page.all("section")][:3] == [
+        "verdict",
+        "measures",
+        "loading-curve",
+    ]
     assert not [e for e in page.all("caption") if "residual of each" in e.text]
 
 

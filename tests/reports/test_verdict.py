@@ -1,4 +1,4 @@
-"""The verdict on top: three sentences, and no selling of a model that does not apply."""
+"""The verdict on top: what holds, limits and is next; no selling of what does not apply."""
 
 import re
 from dataclasses import replace
@@ -21,10 +21,11 @@ from tests.reports.known_stage import NOISE_m, axis_model, recording, stage_mode
 
 
 def _verdict(page: str) -> str:
-    return next(e.text for e in Anatomy(page).all("p", "prose"))
+    """Return the sentences on top, without the words that say what each answers."""
+    return " ".join(e.text for e in Anatomy(page).all("span", "sentence"))
 
 
-def test_three_sentences_say_class_error_and_next_experiment(page: str) -> None:
+def test_the_sentences_say_what_holds_what_limits_and_what_to_do_next(page: str) -> None:
     verdict = _verdict(page).replace("\u202f", " ")
     assert re.match(
         r"The hysteresis model applies to axes x and y\. On data of axis x it was not fitted to, "
@@ -34,8 +35,8 @@ def test_three_sentences_say_class_error_and_next_experiment(page: str) -> None:
     )
     assert "30.0 nm rms, 0.125 % of the 24.0 µm range" in verdict
     assert "own noise is 5.00 nm rms" in verdict
-    assert "What weakens axis x most is an error 6.0 times the sensor noise; next, " in verdict
-    assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+    assert "What weakens axis x most is an error 6.0 times the sensor noise." in verdict
+    assert len(re.findall(r"\.(?:\s|$)", verdict)) == 4
 
 
 def test_the_third_sentence_names_the_causes_and_the_experiment_for_what_is_in_doubt() -> None:
@@ -47,10 +48,10 @@ def test_the_third_sentence_names_the_causes_and_the_experiment_for_what_is_in_d
     verdict = _verdict(page).replace("\u202f", " ")
     said = (
         "an error 6.0 times the sensor noise, with initial state and creep already taken out "
-        "(creep could be thermal drift); next, record a staircase."
+        "(creep could be thermal drift). Record a staircase."
     )
     assert said in verdict
-    assert len(re.findall(r"\.(?:\s|$)", verdict)) == 3
+    assert len(re.findall(r"\.(?:\s|$)", verdict)) == 4
     # While a cause is in doubt nobody says that no other is to be seen.
     assert "no other cause is visible" not in page
 
@@ -69,7 +70,7 @@ def test_verdict_card_and_last_chapter_propose_one_and_the_same_experiment() -> 
     page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
     (card,) = Anatomy(page).all("article", "card")
     limits = page.partition('id="limits"')[2].partition("</section>")[0]
-    assert "next, do this at once." in _verdict(page)
+    assert ". Do this at once." in _verdict(page)
     assert "Do this at once. Then that." in card.text
     assert "Do this at once. Then that." in limits
     assert "three speeds" not in page
@@ -77,7 +78,7 @@ def test_verdict_card_and_last_chapter_propose_one_and_the_same_experiment() -> 
 
 def test_a_diagnosis_that_finds_nothing_is_not_answered_by_what_it_has_already_tested() -> None:
     page = render(stage_model(axis_model()), [recording()], diagnoses=(diagnosed(),))
-    assert "for which the diagnosis finds no cause; next, record reversals" in _verdict(page)
+    assert "for which the diagnosis finds no cause. Record reversals" in _verdict(page)
     assert "three speeds" not in page
 
 
@@ -89,7 +90,7 @@ def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain()
     (card,) = Anatomy(page).all("article", "card")
     assert "Only one recording was given" in card.text
     assert "The diagnosis finds delay, and took it out." in card.text
-    assert "next, record a second, different drive" in _verdict(page)
+    assert "Record a second, different drive" in _verdict(page)
 
 
 def test_a_zero_that_moves_is_no_riddle_beside_the_drift_that_was_found() -> None:
@@ -116,7 +117,7 @@ def test_an_axis_without_a_controller_is_named_on_top_beside_those_that_ship() -
         stage_model(axis_model()), [recording()], unshipped={"z": "ceiling_A is missing"}
     )
     assert "axis x; axis z has no controller." in _verdict(page)
-    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose bad"
+    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose said bad"
 
 
 def test_a_class_that_does_not_apply_is_said_on_top_in_words_and_colour(
@@ -124,7 +125,7 @@ def test_a_class_that_does_not_apply_is_said_on_top_in_words_and_colour(
 ) -> None:
     anatomy = Anatomy(page_of_wrong_class)
     assert len(anatomy.all("p", "alarm")) == 1
-    assert anatomy.all("p", "prose")[0].attributes["class"] == "prose bad"
+    assert anatomy.all("p", "prose")[0].attributes["class"] == "prose said bad"
     verdict = _verdict(page_of_wrong_class)
     assert verdict.startswith(f"The hysteresis model does not apply to axis x (axis x: {REASON})")
     assert "Do not build a controller on it" in verdict
@@ -134,7 +135,7 @@ def test_a_class_that_does_not_apply_gets_no_score_and_no_certificate(
     page_of_wrong_class: str,
 ) -> None:
     anatomy = Anatomy(page_of_wrong_class)
-    assert [e.text.strip() for e in anatomy.all("p", "score")] == ["does not apply"]
+    assert [e.text.strip() for e in anatomy.all("p", "score")] == ["✕ does not apply"]
     certificate = page_of_wrong_class.partition('id="certificate"')[2].partition("</section>")[0]
     assert "no certificate" in certificate
     assert "with 95 % confidence" not in certificate
@@ -209,7 +210,7 @@ def test_the_controller_that_ships_stands_in_the_first_sentence() -> None:
     assert "but the controller that ships failed 1 of 1 verdicts, tracking (spiral) first." in (
         _verdict(page)
     )
-    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose bad"
+    assert Anatomy(page).all("p", "prose")[0].attributes["class"] == "prose said bad"
 
 
 def verification(*, value: float) -> Verification:

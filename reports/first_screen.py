@@ -1,0 +1,151 @@
+"""What stands on the first screen of an axis: its loop, its residual in time, one row of facts."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign, LoopDesign
+from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import (
+    BLOCKS,
+    OTHER_RECORDINGS,
+    SECOND_HALF,
+    WIDEST_HALVED,
+)
+from piezoid_reports.junction_words import told_interval
+from piezoid_reports.page import Card, Figure, Page
+from piezoid_reports.quantities import percent, told
+from piezoid_reports.sections import loops, residual_over_time, tunnelling
+from piezoid_reports.traces import Trace
+
+LOOP, RESIDUAL = (300, 122), (440, 122)  # points on the page, beside each other
+LEFT_OUT = {
+    OTHER_RECORDINGS: "Error, whole recordings left out",
+    WIDEST_HALVED: "Error, recordings left out, half of the widest",
+    SECOND_HALF: "Error, second half left out",
+    BLOCKS: "Error, blocks of recordings left out",
+}
+IN_SAMPLE = "Error, in sample: nothing left out"
+WAYS = {
+    "mpi_dob": "observer on the inverse",
+    "dob": "plain observer",
+    "mpi": "inverse, no feedback",
+    "none": "static gain",
+    "rst": "R, S, T on ln i",
+}
+
+
+def figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
+    """Return the loop without its line and the residual of the recording fitted worst, linked."""
+    traces = page.traces.get(axis.axis, ())
+    if not traces:
+        return ()
+    worst = traces[0]
+    link = f"axis-{list(page.model.axes).index(axis.axis)}"
+    residual = residual_over_time.after(worst, axis, size=RESIDUAL)
+    span = float(worst.time_s[-1]) / residual.x.scale.factor
+    return (
+        replace(loops.opened(page, axis, worst, canvas_size=LOOP), link=link),
+        replace(residual, link=link, span=span),
+    )
+
+
+def facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
+    """Return names and values of the row beside the figures."""
+    quality = axis.quality
+    loop = _loop(page, axis.axis)
+    return (
+        (
+            LEFT_OUT.get(quality.held_out_kind, IN_SAMPLE),
+            f"{told(quality.held_out_rms_m, 'm')} rms, "
+            f"{percent(quality.held_out_rms_m / quality.range_m)}",
+        ),
+        ("Sensor noise", f"{told(quality.noise_rms_m, 'm')} rms"),
+        ("Bandwidth", "none" if loop is None else told(loop.bandwidth_Hz, "Hz")),
+        ("Guaranteed error", _guarantee(page, loop, quality.range_m)),
+        ("Ships", ships(page, axis.axis)),
+    )
+
+
+def left_out(traces: tuple[Trace, ...]) -> tuple[int, int]:
+    """Return how many samples the fit left out, and of how many."""
+    total = sum(len(trace.time_s) for trace in traces)
+    return total - sum(trace.counted for trace in traces), total
+
+
+def ships(page: Page, name: str) -> str:
+    """Say whether the axis ships, and how or why not, in a few words."""
+    if name in page.unshipped:
+        return f"no: {page.unshipped[name]}"
+    axis = page.model.axes.get(name)
+    if axis is not None and not axis.verdict.applies:
+        return "no: the model does not apply"
+    if page.design is None:
+        return f"no: {page.undesigned}" if page.undesigned else "no: not designed"
+    if _loop(page, name) is None:
+        return "no: no controller was designed"
+    found = page.verification
+    if found is None:
+        return f"no: {page.undesigned}" if page.undesigned else "no: not verified yet"
+    if name not in found.methods:
+        return "no: not among what was verified"
+    way = WAYS[found.methods[name]]
+    return f"yes: {way}" if found.passed else f"no: verification failed ({way})"
+
+
+def tip_cards(page: Page) -> tuple[Card, ...]:
+    """Return the card of the tunnelling tip, where a junction or its loop was recorded."""
+    junction = page.model.tunnelling
+    if junction is None or (junction.gap_law is None and junction.loop_plant is None):
+        return ()
+    known = junction.gap_law or junction.loop_plant
+    assert known is not None
+    loop = _tip_loop(page)
+    name = "z" if loop is None else loop[0].axis
+    tone, said = tunnelling.CONFIDENCE[known.confidence]
+    barrier = [
+        (f"Barrier, {way}", told_interval(m.barrier_eV, m.barrier_interval_eV, "eV"))
+        for way, m in (("sweeps", junction.gap_law), ("closed loop", junction.loop_plant))
+        if m is not None
+    ]
+    return (
+        Card(
+            title="Tip",
+            score=None,
+            tone=tone,
+            word=said,
+            why="Judged by the rules of the chapter on the junction.",
+            remedy="See the chapters on the junction and its loop.",
+            figures=tunnelling.small_figures(page, LOOP, RESIDUAL),
+            facts=(
+                *barrier,
+                ("Bandwidth", "none" if loop is None else told(loop[1].bandwidth_Hz, "Hz")),
+                ("Guaranteed error", "none: it regulates a current"),
+                ("Ships", ships(page, name)),
+            ),
+        ),
+    )
+
+
+def _loop(page: Page, name: str) -> LoopDesign | None:
+    designed = () if page.design is None else page.design.axes
+    return next((axis.recommended for axis in designed if axis.axis == name), None)
+
+
+def _tip_loop(page: Page) -> tuple[AxisDesign, LoopDesign] | None:
+    designed = () if page.design is None else page.design.axes
+    found = ((a, a.recommended) for a in designed if a.recommended.method == "rst")
+    return next(found, None)
+
+
+def _guarantee(page: Page, loop: LoopDesign | None, range_m: float) -> str:
+    if loop is None:
+        return "none: no controller"
+    if loop.certificate is None or not loop.certificate.is_guaranteed:
+        return "none: small gain not proven"
+    if page.verification is None or not page.verification.passed:
+        return "none: not verified"
+    guaranteed_m = loop.certificate.guaranteed_error_m
+    if range_m < guaranteed_m < np.inf:
+        return "none of use: wider than the stroke"
+    return told(guaranteed_m, "m") if np.isfinite(guaranteed_m) else "none: not bounded"
