@@ -6,4 +6,4 @@ Each arrow is one plain function from frozen records to one frozen record. The f
 first: errors, provenance | numerics | operators, runtime | records | identification.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
