@@ -10,7 +10,7 @@ WARNINGS := -std=c99 -Wall -Wextra -Wconversion -Wfloat-equal -Wdouble-promotion
 C_SOURCES := $(filter-out %/example_main.c,$(wildcard piezoid/*/*.c))
 C_FILES := $(wildcard piezoid/*/*.c piezoid/*/*.h)
 
-.PHONY: demo test check format benchmark clean
+.PHONY: demo test check docs format benchmark clean
 
 demo: $(READY)
 	$(BIN)/piezoid demo --out $(DEMO_OUT) --force
@@ -27,6 +27,11 @@ check: $(READY) build/names
 	$(BIN)/clang-format --dry-run --Werror $(C_FILES)
 	for source in $(C_SOURCES); do $(CC) $(WARNINGS) -fsyntax-only $$source || exit 1; done
 
+# Warnings are errors. The pages of the effects and the outputs of all commands are made here.
+docs: $(VENV)/docs-ready
+	$(BIN)/python -m sphinx -j 2 -q -W --keep-going -b html docs build/docs/html
+	@echo 'Open build/docs/html/index.html'
+
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -41,6 +46,10 @@ benchmark: $(READY)
 $(READY): pyproject.toml constraints.txt $(C_FILES)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[io,batch,dev]'
+	touch $@
+
+$(VENV)/docs-ready: $(READY)
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	touch $@
 
 # mypy reads folders, not import hooks: give it the installed names as links.

@@ -1,4 +1,4 @@
-"""Draw the README's first figure from the bundled recordings.
+"""Draw the figure of docs/measured/accuracy.md from the bundled recordings.
 
     python benchmarks/first_figure.py reports/gallery/first_figure.svg
 

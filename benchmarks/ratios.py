@@ -2,10 +2,11 @@
 
     python -m benchmarks.ratios [FOLDER] [--samples N] [--parts kernels programs chain campaigns]
 
-Prints the README's table and writes growth.svg and growth.png into FOLDER. Rivals: how many times
-as long they take; itself: in multiples of what bounds it; growth: the power of the size. Rivals of
-kernels and programs have to come to the same result, that of the fit of one shape to no better
-one. 16 plays and 12 dead zones; chain: the bundled axis; campaigns: recordings made of its stage.
+Prints the table of docs/measured/speed.md and writes growth.svg and growth.png into FOLDER.
+Rivals: how many times as long they take; itself: in multiples of what bounds it; growth: the power
+of the size. Rivals of kernels and programs have to come to the same result, that of the fit of one
+shape to no better one. 16 plays and 12 dead zones; chain: the bundled axis; campaigns: recordings
+made of its stage.
 numba comes with `pip install piezoid[benchmarks]`; without it its column is empty. Processor time
 includes that of child processes; on a machine that works for others as well, figures scatter by
 a third.

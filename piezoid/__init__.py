@@ -19,7 +19,7 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Name to the module that holds it.
 _PUBLIC = {
@@ -149,3 +149,4 @@ class _Package(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Package
+__version__ = "0.2.0"

@@ -1,4 +1,4 @@
-"""Every shell line of the README, as printed, in one shell and an empty folder.
+"""Every shell line of the README and of the command line's page, in one shell and an empty folder.
 
     python tests/journeys/readme_walk.py
 
@@ -13,15 +13,18 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
+WALKED = ("README.md", "docs/guide/command_line.md")  # in this order: the second goes on
 ROWS = 2500
-APART = ("make ",)  # the gate runs these itself
+# The gate makes the environment itself, and installs the wheel in a clean one.
+APART = ("make ", "python3 -m venv", ".venv/bin/pip")
 
 
 def lines_of(text: str) -> Iterator[str]:
-    """Yield the lines of all shell blocks, but those that make the environment."""
+    """Yield the lines of all shell blocks, except those that make the environment."""
     for block in re.findall(r"```sh\n(.*?)```", text, flags=re.DOTALL):
         yield from (line for line in block.splitlines() if not line.startswith(APART))
 
@@ -75,5 +78,5 @@ def _short(recording: Path) -> str:
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as made:
         checkout_in(Path(made))
-        text = (ROOT / "README.md").read_text(encoding="utf-8")
-        sys.exit(walk(Path(made), lines_of(text)))
+        pages = [(ROOT / name).read_text(encoding="utf-8") for name in WALKED]
+        sys.exit(walk(Path(made), chain.from_iterable(map(lines_of, pages))))

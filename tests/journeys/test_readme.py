@@ -1,18 +1,38 @@
-"""The README's examples are what they say, and its map names every floor."""
+"""The README's examples are what they say, and the pages it leads to hold what they promise."""
 
 import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
+import pytest
 import typer
+import yaml
 
+import piezoid
 from piezoid_cli.main import VERBS, app
-from tests.journeys.readme_walk import lines_of
+from tests.journeys.readme_walk import WALKED, lines_of
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+PAGES = sorted(
+    place
+    for place in (*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"))
+    if place.parent.name != "effects"  # written when the documentation is built
+)
+LONGEST = 150  # lines of the README
+
+
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+README = text_of("README.md")
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.splitlines()) <= LONGEST
 
 
 def test_the_python_example_runs_from_the_checkout() -> None:
@@ -30,7 +50,8 @@ def test_the_python_example_runs_from_the_checkout() -> None:
 
 def test_every_piezoid_line_is_one_it_accepts() -> None:
     """The gate runs them all, as printed: ``readme_walk.py``."""
-    shown = [line for line in lines_of(README) if line.startswith("piezoid ")]
+    walked = [line for name in WALKED for line in lines_of(text_of(name))]
+    shown = [line for line in walked if line.startswith("piezoid ")]
     assert {line.split()[1] for line in shown} == {verb.__name__ for verb in VERBS}
     command = typer.main.get_command(app)
     for line in shown:
@@ -38,10 +59,15 @@ def test_every_piezoid_line_is_one_it_accepts() -> None:
         command.commands[verb].make_context(verb, words)  # type: ignore[attr-defined]
 
 
+def test_every_shell_block_is_walked_or_run_when_the_page_is_built() -> None:
+    shells = {str(p.relative_to(ROOT)) for p in PAGES if "```sh\n" in p.read_text("utf-8")}
+    assert shells == set(WALKED)
+
+
 def test_the_calls_of_the_runtime_are_those_of_its_header() -> None:
-    (block,) = re.findall(r"```c\n(.*?)```", README, flags=re.DOTALL)
-    header = (ROOT / "piezoid/runtime/piezoid_runtime.h").read_text(encoding="utf-8")
-    example = (ROOT / "piezoid/runtime/example_main.c").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```c\n(.*?)```", text_of("docs/guide/runtime.md"), flags=re.DOTALL)
+    header = text_of("piezoid/runtime/piezoid_runtime.h")
+    example = text_of("piezoid/runtime/example_main.c")
     names = set(re.findall(r"\bpz_\w+", block))
     assert {"pz_state", "pz_start", "pz_step"} <= names
     for name in names:
@@ -50,17 +76,17 @@ def test_the_calls_of_the_runtime_are_those_of_its_header() -> None:
 
 
 def test_the_map_names_every_folder_of_the_library() -> None:
+    house = text_of("docs/map.md")
     folders = {path.parent.name for path in (ROOT / "piezoid").glob("*/__init__.py")}
     for folder in sorted(folders):
-        assert f"`piezoid/{folder}/`" in README, folder
+        assert f"`piezoid/{folder}/`" in house, folder
 
 
-def test_every_work_that_a_docstring_cites_stands_among_the_sources() -> None:
-    _, _, sources = README.partition("## Sources")
-    known = set(re.findall(r"([A-Z]\w+) (\d{4})", sources))
-    for place in sorted((ROOT / "piezoid").rglob("*.py")):
+def test_every_work_that_a_docstring_or_page_cites_stands_among_the_sources() -> None:
+    known = set(re.findall(r"([A-Z]\w+) (\d{4})", text_of("docs/reference/sources.md")))
+    for place in (*sorted((ROOT / "piezoid").rglob("*.py")), *PAGES):
         text = place.read_text(encoding="utf-8")
-        cited = re.findall(r"\[([A-Z][^]\[]*\b(?:18|19|20)\d\d)[^]]{0,30}\]", text)
+        cited = re.findall(r"\[([A-Z][^]\[]*\b(?:18|19|20)\d\d)[^]]{0,30}\](?!\()", text)
         if place.parent.name == "effects":
             cited += re.findall(r"([A-Z]\w+) \((\d{4})\)", text)
         for one in cited:
@@ -68,6 +94,34 @@ def test_every_work_that_a_docstring_cites_stands_among_the_sources() -> None:
             assert set(pairs) <= known, f"{place.name}: {one}"
 
 
-def test_files_the_readme_names_exist() -> None:
-    for name in re.findall(r"benchmarks/\w+\.py|reports/gallery/\w+\.svg", README):
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_files_a_page_names_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for name in re.findall(r"`((?:benchmarks|tests|reports|piezoid|docs)/[\w/]+\.\w+)`", text):
         assert (ROOT / name).is_file(), name
+    for link in re.findall(r"\]\(([^)#:\s]+)\)", text):
+        if "effects/" not in link:
+            assert (page.parent / link).exists(), link
+
+
+def test_the_version_is_stated_once_and_cited() -> None:
+    configuration = tomllib.loads(text_of("pyproject.toml"))
+    assert "version" in configuration["project"]["dynamic"]
+    assert yaml.safe_load(text_of("CITATION.cff"))["version"] == piezoid.__version__
+    assert f"## {piezoid.__version__}" in text_of("CHANGELOG.md")
+
+
+def test_every_schema_number_is_in_the_list_of_schemas() -> None:
+    listed = set(re.findall(r"`(piezoid\.\w+/\d+)`", text_of("SCHEMA_CHANGES.md")))
+    places = [p for part in ("piezoid", "cli", "datasets") for p in (ROOT / part).rglob("*.py")]
+    written = {
+        schema
+        for place in places
+        for schema in re.findall(r'"(piezoid\.\w+/\d+)"', place.read_text(encoding="utf-8"))
+    }
+    assert written <= listed
+
+
+@pytest.mark.parametrize("name", [".github/workflows/ci.yml", ".pre-commit-config.yaml"])
+def test_files_for_other_machines_are_well_formed(name: str) -> None:
+    assert yaml.safe_load(text_of(name))
