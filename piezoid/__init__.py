@@ -149,4 +149,3 @@ class _Package(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Package
-__version__ = "0.2.0"
