@@ -64,8 +64,9 @@ for verb in VERBS:
 def _tell_version(asked: bool) -> None:
     if asked:
         from piezoid import __version__
+        from piezoid_cli.terminal import say
 
-        typer.echo(f"piezoid {__version__}")
+        say(f"piezoid {__version__}")
         raise typer.Exit
 
 

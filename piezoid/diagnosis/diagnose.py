@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -85,13 +86,33 @@ def diagnose(
             against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
             found = _nothing_in(view, against, hands)
             numbers = simulated(found)
+        if _is_worth_nothing(found, numbers):
+            found = found.otherwise or found
+            numbers = simulated(found)
     else:
-        numbers = worth_of(
-            found, chosen, model=model, lab=declared, scales=scales, progress=progress
+        weighed = partial(
+            worth_of,
+            recordings=chosen,
+            model=model,
+            lab=declared,
+            scales=scales,
+            progress=progress,
         )
+        numbers = weighed(found)
+        if _is_worth_nothing(found, numbers):
+            found = found.otherwise or found
+            numbers = weighed(found)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
     return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
+
+
+def _is_worth_nothing(found: Explained, numbers: Simulated) -> bool:
+    """Tell whether the simulation is no better on data left out without what was discovered.
+
+    The class of the search then did not follow the hysteresis, and the simulation does.
+    """
+    return found.discovered is not None and numbers.final >= numbers.without[SOMETHING_ELSE]
 
 
 def _nothing_in(view: View, against: str, hands: Hands) -> Explained:

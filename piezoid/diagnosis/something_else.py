@@ -100,12 +100,14 @@ class Explained:
     outcome      of the search, whose first view is without what was discovered
     unexplained  what no name stands for
     discovered   None where the remainder lives nowhere
+    otherwise    the same without what was discovered
     """
 
     raw: View
     outcome: Outcome
     unexplained: Rest
     discovered: Discovered | None = None
+    otherwise: "Explained | None" = None
 
 
 def explained(view: View, hands: Hands) -> Explained:
@@ -139,7 +141,9 @@ def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
         hands.say("searching again without it")
         again = search(without_curve(view, found.curve), hands)
         if again.final.rms < BETTER * first.final.rms:
-            return replace(plain, outcome=_own(again, first, found), discovered=found)
+            return replace(
+                plain, outcome=_own(again, first, found), discovered=found, otherwise=plain
+            )
     return plain
 
 
@@ -158,7 +162,7 @@ def _without_faults(plain: Explained, hands: Hands) -> Explained:
     hands.say("searching again without what repeats")
     again = search(without_curve(plain.raw, found.curve), hands)
     if set(again.faults) < set(first.faults) and again.final.rms < NO_WORSE * first.final.rms:
-        return replace(plain, outcome=again, discovered=found)
+        return replace(plain, outcome=again, discovered=found, otherwise=plain)
     return plain
 
 

@@ -188,8 +188,11 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
         return None
     if not np.ptp(displacement_m) > NOISE_ONLY * noise_rms(displacement_m):
         return None
-    drive = np.fft.rfft(voltage_V - voltage_V.mean())[1:]
-    response = np.fft.rfft(displacement_m - displacement_m.mean())[1:]
+    # A recording is seldom whole periods: without a window the lines of a multisine leak into the
+    # lowest ones, and those near a mode with another sign than they have there.
+    window = np.hanning(len(voltage_V) + 2)[1:-1]
+    drive = np.fft.rfft(window * (voltage_V - voltage_V.mean()))[1:]
+    response = np.fft.rfft(window * (displacement_m - displacement_m.mean()))[1:]
     power = np.abs(drive) ** 2
     # Both neighbours of the last line are taken in: a sine is seldom whole in the recording.
     last = int(np.searchsorted(np.cumsum(power), _POWER * power.sum())) + 2

@@ -63,6 +63,6 @@ def test_cores_that_no_axis_takes_help_those_that_are_there(
     monkeypatch.setattr(f"{fit}.axes_of", lambda _: tuple(axes))
     monkeypatch.setattr(f"{fit}.unfitted", lambda *_: "stage")
     monkeypatch.setattr(f"{fit}.recorded_of", lambda *_: ())
-    held = SimpleNamespace(recordings=(), sweeps=())
+    held = SimpleNamespace(recordings=(), sweeps=(), responses=())
     _, jobs = stage_jobs.jobs_of(held, None, processes)
     assert [(job.axis, job.threads) for job in jobs] == [(axis, threads) for axis in axes]

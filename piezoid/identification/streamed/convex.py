@@ -164,7 +164,7 @@ def choose(
     parts: tuple[tuple[Array, int], tuple[Array, int]],
     orders: Sequence[tuple[int, int]] = ORDERS,
 ) -> tuple[Shape, tuple[Tried, ...]]:
-    """Return the smallest order within 2 % of the least error on the half that was not fitted."""
+    """Return the smallest order within 3 % of the least error on the half that was not fitted."""
     low, high = _limits(streams)
     zeros = sum(grid.knots)
     tried = []

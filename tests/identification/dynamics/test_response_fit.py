@@ -14,6 +14,7 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.operators.play import play_columns
+from piezoid.record_json import from_json, to_json
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.recording import Channel, Quantity, Recording
 from tests.records.responses import noisy, response
@@ -188,5 +189,5 @@ def test_records_come_back_as_they_were_written(rng: np.random.Generator) -> Non
     measured = record(noisy(rng, response(FREQUENCY_Hz), 0.003))
     found = fit_axis_dynamics(axis, [recording], response=measured).response
     assert found is not None
-    assert type(found).from_json(found.to_json()) == found
-    assert replace(found, slow=None).from_json(replace(found, slow=None).to_json()).slow is None
+    for one in (found, replace(found, slow=None)):
+        assert from_json(type(one), to_json(one)) == one

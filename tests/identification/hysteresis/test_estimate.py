@@ -149,7 +149,7 @@ def test_slow_motion_of_the_zero_does_not_bend_the_loop() -> None:
     )
     assert any("zero moves" in remark for remark in moving.verdict.remarks)
     width = [model.uncertainty.loop_width_m[0] for model in (still, moving)]
-    assert abs(width[1] - width[0]) < 0.03 * width[0]  # the drift is 7 % of the width
+    assert abs(width[1] - width[0]) < 0.035 * width[0]  # the drift is 7 % of the width
 
 
 def test_a_drive_that_never_moves_is_refused() -> None:
