@@ -128,7 +128,7 @@ def at_corner(axis: AxisModel, slower: float, sharper: float) -> AxisModel:
         rig=replace(axis.rig, amplifier_bandwidth_Hz=amplifier_Hz, sensor_bandwidth_Hz=sensor_Hz),
         lag=Lag(kind=kind, time_s=max(moved_s, least_s)),
         extensions=tuple(e.at_corner(slower, sharper) for e in axis.extensions),
-        dynamics=None if axis.dynamics is None else _moved(axis.dynamics, slower, sharper),
+        dynamics=None if axis.dynamics is None else _moved(axis, axis.dynamics, slower, sharper),
     )
 
 
@@ -200,7 +200,7 @@ def _of_dynamics(
         if known.name != "sensor" and known.frequency_Hz <= INSTANTANEOUS * rate_Hz
     )
     path = replace(dynamics.path(axis.axis, axis.axis), declared=declared)
-    middle = 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
+    middle = _middle_m_per_V(axis)
     apart = _is_drawn(path, middle)
     quick = replace(
         path,
@@ -219,6 +219,11 @@ def _of_dynamics(
         and (system := extension.loop_effect(rate_Hz).system) is not None
     ]
     return cascade(scaled, *further), known.delay_s, abs(at_once) / middle
+
+
+def _middle_m_per_V(axis: AxisModel) -> float:
+    """Return the middle of the slopes of the hysteresis."""
+    return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
 
 
 def _is_drawn(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:
@@ -254,12 +259,21 @@ def _mode_spreads(dynamics: LinearDynamics) -> list[tuple[float, float]]:
     ]
 
 
-def _moved(dynamics: LinearDynamics, slower: float, sharper: float) -> LinearDynamics:
+def _moved(
+    axis: AxisModel, dynamics: LinearDynamics, slower: float, sharper: float
+) -> LinearDynamics:
+    """Return dynamics at an end of their intervals.
+
+    A lag that is none of the sections stays where it is: the end of its wide interval may lie
+    among the modes, and it would be one.
+    """
     spreads = np.array(_mode_spreads(dynamics)).reshape(-1, 2)
     lag_Hz = dynamics.lag_frequency_Hz
     if len(lag_Hz):
         high = dynamics.lag_frequency_interval_Hz()[:, 1] / lag_Hz
-        lag_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
+        moved_Hz = lag_Hz / np.maximum(high, 1.0 + DECLARED_SPREAD) ** slower
+        path = dynamics.path(axis.axis, axis.axis)
+        lag_Hz = np.where(_is_drawn(path, _middle_m_per_V(axis)), lag_Hz, moved_Hz)
     early_s, late_s = dynamics.delay_interval_s()
     half_s = max(float(late_s - early_s) / 2.0, DECLARED_SPREAD * dynamics.delay_s)
     spread = 1.0 + slower * DECLARED_SPREAD

@@ -9,10 +9,12 @@ from piezoid.design.from_model import lateral_task
 from piezoid.design.plant import Plant
 from piezoid.design.specification import rest_delay_s
 from piezoid.identification.extensions import CreepLadder, LinearMode, RateDependence
-from piezoid.identification.loop_model import lag_half_s
+from piezoid.identification.loop_model import at_corner, lag_half_s, loop_model
 from piezoid.identification.model import AxisModel, Lag
 from tests.design.test_from_model import RIG, RATE_Hz, one_mode, rigged
+from tests.identification.dynamics.stage import truth
 from tests.reports.known_stage import axis_model
+from tests.verification.known_fit import fitted
 
 LAG_s = 1e-3
 STD_s = 1e-4
@@ -143,3 +145,26 @@ def test_what_creeps_and_what_is_late_widen_the_interval_of_the_gain() -> None:
     reversible = least / (0.5 * (least + greatest))
     assert min(c.gain for c in slowed.values()) == pytest.approx(reversible * lowest)
     assert plain.gain == pytest.approx(0.5 * (least + greatest))
+
+
+def test_a_lag_that_hysteresis_draws_stays_out_of_every_corner() -> None:
+    """Its wide interval ends among the modes, where it would cancel them."""
+    known, middle = truth(("x",)), 0.5 * sum(fitted()["x"].hysteresis.slope_sector_m_per_V)
+    share = known.mode_gain_m_per_V / known.mode_gain_m_per_V.sum()
+    known = replace(known, mode_gain_m_per_V=middle * share)
+    gain = known.mode_gain_m_per_V.sum(axis=0)[None]
+    covariance = np.zeros((6, 6))
+    covariance[4, 4] = 3.0**2  # of the logarithm of the lag's frequency
+    drawn = replace(
+        known,
+        lag_frequency_Hz=np.array([1.2]),
+        lag_gain_m_per_V=-0.99 * gain,
+        shape_covariance=covariance,
+    )
+    axes = [replace(fitted()["x"], dynamics=dynamics) for dynamics in (known, drawn)]
+    for slower in (-1.0, 1.0):
+        without, having = (
+            np.linalg.eigvals(loop_model(at_corner(axis, slower, 1.0), RATE_Hz).behind.A)
+            for axis in axes
+        )
+        assert np.sort_complex(having) == pytest.approx(np.sort_complex(without))
