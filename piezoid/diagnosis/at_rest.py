@@ -217,7 +217,7 @@ def _finding(
         held_out_rms_before_m=float(np.sqrt(np.mean(before**2))),
         held_out_rms_after_m=float(np.sqrt(np.mean(after**2))),
         p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(columns)),
-        share=value / max(float(np.ptp(y)), 1e-30),
+        rms_percent=100.0 * value / max(float(np.ptp(y)), 1e-30),
         size=Size(
             value=1e9 * value,
             unit="nm, rms",

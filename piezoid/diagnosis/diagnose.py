@@ -213,7 +213,7 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
         p_value=min(1.0, fault.p_value * len(EFFECTS)),
-        share=_gain(before, after) * before / 2.0,
+        rms_percent=50.0 * _gain(before, after) * before,
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
@@ -236,7 +236,7 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
         p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
-        share=cause.share,
+        rms_percent=100.0 * cause.share,
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*rivals, *(s.name for s in structure if s.name not in rivals)),
         explanation=_first_words(effect)

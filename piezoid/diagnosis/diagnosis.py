@@ -70,7 +70,7 @@ class Finding:
     held_out_rms_before_m   without it
     held_out_rms_after_m    with it
     p_value                 times the number of effects tried [Bonferroni]
-    share                   rms of what it adds, of the stroke
+    rms_percent             rms of what it adds, percent of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit
     coordinate              of something else: in which it lives
@@ -83,7 +83,7 @@ class Finding:
     held_out_rms_before_m: float
     held_out_rms_after_m: float
     p_value: float
-    share: float
+    rms_percent: float
     size: Size
     not_separable_from: tuple[str, ...]
     explanation: str
@@ -92,6 +92,11 @@ class Finding:
     coordinate: str = ""
     law: str = ""
     seen: Seen | None = None
+
+    @property
+    def share(self) -> float:
+        """Return the rms of what it adds, of the stroke."""
+        return self.rms_percent / 100.0
 
 
 @dataclass(frozen=True, kw_only=True)

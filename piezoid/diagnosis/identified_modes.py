@@ -69,7 +69,7 @@ def with_modes(
         held_out_rms_before_m=before_m,
         held_out_rms_after_m=after_m,
         p_value=min(1.0, _LEAST_P * effects),
-        share=before_m * gain / diagnosis.stroke_m,
+        rms_percent=100.0 * (before_m * gain / diagnosis.stroke_m),
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
         not_separable_from=(),
         explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} It is "

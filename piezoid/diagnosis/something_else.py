@@ -26,6 +26,7 @@ from piezoid.numerics.hands import Hands
 
 NAME = "something_else"
 MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
+OF_LINES = ("frequency", "line_phase")
 ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
 # Measured on 9 healthy stages, 17 of one catalogue effect, and 10 of strangers' laws that leave
 # 1.1 to 46 times the noise: at most 0.08 along anything but time, 0.11 in time (a slip of the
@@ -223,21 +224,31 @@ def _named(remainder: Remainder, lives: Sequence[Lives], outcome: Outcome) -> Di
     """Return the coordinate that surely explains a good part of what is left, if one does."""
     hum = MAINS in {cause.effect.name for cause in outcome.causes}
     for one in lives:
-        if one.gain < (IN_TIME if one.coordinate == "time" else LEAST):
+        if not _is_sure(one):
             continue
-        if hum and one.coordinate == "frequency" and of_grid(one.basis.per_unit):
-            continue  # a phase that wanders faster than was allowed for
+        if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
+            continue  # a phase that wanders, or harmonics that die out, faster than allowed for
         share = _share(remainder, one.gain)
-        if share > SHARE and one.p_value <= SURE:
+        if share > SHARE:
             return _discovered(remainder, one, share)
     return None
 
 
+def _is_sure(lives: Lives) -> bool:
+    least = IN_TIME if lives.coordinate == "time" else LEAST
+    return lives.gain >= least and lives.p_value <= SURE
+
+
 def _share(remainder: Remainder, gain: float) -> float:
-    """Return the part of the power above the noise; what repeats is no noise."""
-    power, noise = remainder.null.rms**2, remainder.view.noise**2
-    above = power - min(noise, (1.0 - gain) * power)
+    """Return the part of the power above the noise."""
+    power = remainder.null.rms**2
+    above = _above(power, remainder.view.noise**2, gain)
     return float(np.clip(gain * power / max(above, 1e-300), 0.0, 1.0))
+
+
+def _above(power: float, noise: float, gain: float) -> float:
+    """Return the power above the noise, as much of which a coordinate explains is none."""
+    return max(power - min(noise, (1.0 - gain) * power), 0.0)
 
 
 def _discovered(remainder: Remainder, lives: Lives, share: float) -> Discovered:
@@ -321,7 +332,8 @@ def _instead(outcome: Outcome) -> Discovered | None:
 def rest_of(outcome: Outcome, lives: Sequence[Lives]) -> Rest:
     """Return how much is left, how surely it lives anywhere, and where most of it does."""
     final, sure = outcome.final, max(min(one.p_value for one in lives), LEAST_P)
-    above = max(final.rms**2 - final.noise**2, 0.0)
+    known = max((one.gain for one in lives if _is_sure(one)), default=0.0)
+    above = _above(final.rms**2, final.noise**2, min(known, 1.0))
     return Rest(
         rms=sqrt(above),
         share=above / max(final.rms**2, 1e-300),

@@ -73,7 +73,7 @@ def of_discovered(
         held_out_rms_before_m=before.rms_m,
         held_out_rms_after_m=after.rms_m,
         p_value=found.p_value,
-        share=value_m / (2.0 * stroke_m),
+        rms_percent=50.0 * value_m / stroke_m,
         size=Size(value=1e9 * value_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m)),
         not_separable_from=(),
         explanation=f"No effect of the catalogue stands for it: {part} lives in "
@@ -98,14 +98,23 @@ def _parameters(found: Discovered) -> dict[str, float]:
 
 
 def _rms_with_doubt(found: Discovered) -> tuple[float, float, float]:
-    """Return rms of what the curve explains with its 95 % interval, blocks being independent."""
+    """Return rms of what the curve explains with its 95 % interval, blocks being independent.
+
+    What repeats is as large as its own curve; hysteresis of any shape follows a part of it. Along
+    another coordinate the two are not to be told apart, and the part that no hysteresis follows is
+    what is known.
+    """
     null = found.view.null  # its blocks
     followed = found.lives.followed
     power = np.add.reduceat((2.0 * found.left - followed) * followed, null.edges)
     rows, count = len(followed), len(power)
     mean = max(float(power.sum()) / rows, 0.0)
     spread = 1.96 * float(np.std(power, ddof=1)) * sqrt(count) / rows
-    return sqrt(max(mean - spread, 0.0)), sqrt(mean), sqrt(mean + spread)
+    whole = 1.0
+    if found.lives.basis.per_unit > 0.0:
+        curve = found.view.rows(found.curve)
+        whole = float(np.std(curve)) / max(sqrt(float(np.mean(followed**2))), 1e-300)
+    return whole * sqrt(max(mean - spread, 0.0)), whole * sqrt(mean), whole * sqrt(mean + spread)
 
 
 def _where(found: Discovered, seen: Seen) -> str:

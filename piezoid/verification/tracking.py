@@ -20,8 +20,7 @@ class Tracking:
 
     rms_m          sqrt(mean(e_x^2 + e_y^2))
     rms_percent    of the path's diameter
-    max_m          the largest after the start from rest, for which as much is left out as for the
-                   shape: the stage cannot be on a moving path at its first sample
+    max_m          the largest
     aligned_rms_m  what is left after the best common delay
     delay_s        that delay, positive where the stage is late
     radial_rms_m   of |position| - |reference|, about the middle of the path
@@ -58,17 +57,12 @@ def track(
     return Tracking(
         rms_m=rms,
         rms_percent=100.0 * rms / (2.0 * radius_m),
-        max_m=float(error[_started(longest_s, sampling_rate_Hz, len(error)) :].max()),
+        max_m=float(error.max()),
         aligned_rms_m=aligned,
         delay_s=delay_s,
         radial_rms_m=float(np.sqrt(np.mean(radial**2))),
         pitch_error=_pitch_error(moved, path, radius_m) if len(moved) == 2 else None,
     )
-
-
-def _started(longest_s: float, sampling_rate_Hz: float, samples: int) -> int:
-    """Return the first sample after the start, and leave two of a short record."""
-    return int(np.ceil(min(longest_s * sampling_rate_Hz, (samples - 2) // 2)))
 
 
 def align(

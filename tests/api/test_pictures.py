@@ -80,7 +80,7 @@ def test_a_diagnosis_draws_what_was_found_and_what_was_not() -> None:
                 held_out_rms_before_m=3e-8,
                 held_out_rms_after_m=1e-8,
                 p_value=1e-4,
-                share=2.5e-3,
+                rms_percent=100.0 * 2.5e-3,
                 size=Size(value=0.01, unit="1", ci95=(0.009, 0.011)),
                 not_separable_from=(),
                 explanation="",

@@ -168,7 +168,7 @@ def found(
         held_out_rms_before_m=1e-7,
         held_out_rms_after_m=7e-8,
         p_value=1e-6,
-        share=share_percent / 100.0,
+        rms_percent=share_percent,
         size=Size(
             value=share_percent,
             unit="percent",

@@ -15,9 +15,12 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
 from piezoid.diagnosis.something_else import NAME
+from piezoid.identification.fit import fit
 from piezoid.provenance import unseal
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.truths import TRUTHS
+from tests.identification.hysteresis.stages import decaying, recording
+from tests.identification.hysteresis.test_estimate import stage
 
 from .bench import recorded
 
@@ -111,3 +114,14 @@ def test_its_picture_shows_where_the_reading_is_wrong():
     assert seen is not None
     at = int(np.argmax(np.abs(seen.fitted_m)))
     assert abs(seen.median_m[at]) > 0.3 * abs(seen.fitted_m[at])
+
+
+def test_what_the_simulation_follows_is_not_taken_off_its_recordings():
+    """Of 700 samples the search's class leaves a remainder that the fitted model does not have."""
+    drive = decaying(7, per_unit=20)
+    made = recording(drive, stage(drive, np.random.default_rng(5)))
+    model = fit([made])["x"]
+    found = diagnose([made], model=model)
+    assert NAME not in found.names
+    assert found.model is not None
+    assert found.model.quality.rms_m < 1.1 * model.quality.rms_m

@@ -26,7 +26,7 @@ def finding(
         held_out_rms_before_m=5e-8,
         held_out_rms_after_m=3e-8,
         p_value=1e-5,
-        share=share,
+        rms_percent=100.0 * share,
         size=Size(value=0.5, unit="<b>percent</b>", ci95=(0.4, 0.6)),
         not_separable_from=rivals,
         explanation="What was <i>found</i>.",
