@@ -32,6 +32,7 @@ FAIR = {
     "thyristor_spike": {"mains_interference"},
 }
 ELSE = "something_else"
+OTHER_WORD = {"time_since_turn": "since_turn", "distance_travelled": "distance"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,10 +104,16 @@ def judge(task: tuple[int, str, float]) -> CauseResult:
     return CauseResult(
         **known,
         names=tuple(f["effect"] for f in found["findings"]),
-        coordinate=str(rest[0].get("coordinate", "")) if rest else "",
+        coordinate=_in_its_words(rest[0].get("coordinate", "")) if rest else "",
         left=found["final"]["held_out_rms_m"] / truth["noise_m"],
         seconds=seconds,
     )
+
+
+def _in_its_words(coordinate: str) -> str:
+    """Return the simulator's word for a coordinate of ours."""
+    word = OTHER_WORD.get(coordinate, coordinate)
+    return "other_axis" if word.startswith("drive of axis") else word
 
 
 def _times_noise(truth: dict) -> float:

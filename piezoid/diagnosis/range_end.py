@@ -22,6 +22,7 @@ from piezoid.diagnosis.view import View, with_tracks
 WIDTH = 5.0  # times the noise: how far readings of one plateau differ from its middle
 LEAST_ROWS = 20  # on it, of one recording
 FAR = 8.0  # times the noise: how far beyond it the stage must have gone
+MOVES = 20.0  # times the noise: how far the drive moves over it; at a turn it moves 2 * WIDTH
 MOST = 0.4  # of the rows on the plateau
 
 
@@ -83,11 +84,16 @@ def _on_side(clean: View, others: Sequence[Accepted], side: int) -> Ended | None
 
 
 def _plateau(track: Track, side: int, noise: float) -> float | None:
-    """Return from where on readings, times their side, are on a plateau, if there may be one."""
+    """Return from where on readings, times their side, are on a plateau, if there may be one.
+
+    The readings go no farther, and the drive does: where it rests, the stage does as well.
+    """
     readings = side * track.response
     top = float(np.quantile(readings, 1.0 - 20.0 / max(len(readings), 200)))
     near = readings > top - WIDTH * noise
     if int(np.sum(near[track.place])) < LEAST_ROWS:
+        return None
+    if np.ptp(readings[near]) > 2.0 * WIDTH * noise or np.ptp(track.drive[near]) < MOVES * noise:
         return None
     return float(np.median(readings[near])) - WIDTH * noise
 

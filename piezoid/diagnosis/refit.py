@@ -67,6 +67,7 @@ def refitted(
     faults: Sequence[str] = (),
     whole: Sequence[Recording] | None = None,
     places: Sequence[Samples] | None = None,
+    places_of_whole: Sequence[Samples] | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Refitted:
     """Put what was found into the model and measure what each finding is worth.
@@ -80,6 +81,7 @@ def refitted(
     faults      names of faults that were repaired: without them everything is fitted to ``raw``
     whole       the same with something in them that no effect stands for; None: nothing is
     places      samples that may count, track by track; None: all, spread thinly
+    places_of_whole  those of ``whole``
     progress    told what is being done
     """
     setting = setting_of(model, recordings, scales)
@@ -106,7 +108,7 @@ def refitted(
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without what has no name")
-        without[NAME] = _best(starts, whole, final.model.extensions, structure, places)
+        without[NAME] = _best(starts, whole, final.model.extensions, structure, places_of_whole)
     changed = bool(found) or bool(faults) or whole is not None
     return Refitted(
         baseline=baseline,

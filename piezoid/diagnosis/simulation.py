@@ -20,7 +20,7 @@ import numpy as np
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.shape import PLAYS
-from piezoid.diagnosis.something_else import NAME, Explained, without_curve
+from piezoid.diagnosis.something_else import NAME, Explained, with_it
 from piezoid.diagnosis.view import View
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -61,7 +61,7 @@ def simulated(found: Explained) -> Simulated:
         raw = error_of(extended(outcome.first, accepted))
         without |= dict.fromkeys(outcome.faults, raw)
     if found.discovered is not None:
-        whole = without_curve(outcome.clean, found.discovered.curve, sign=1.0)
+        whole = with_it(outcome.clean, found.discovered)
         without[NAME] = error_of(extended(whole, accepted))
     return Simulated(baseline=baseline, final=final, without=without)
 

@@ -7,11 +7,12 @@ coordinate leaves clearly less goes the same way, for a wrong name is worse than
 search is believed where it ends with clearly less than the first one.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.diagnosis.coordinates import Signals, along_displacement
 from piezoid.diagnosis.discovery import SHIFTS, Lives, Remainder, course, everywhere, of_grid
@@ -136,16 +137,24 @@ def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
     mended = _without_faults(plain, hands)
     if mended.discovered is not None:
         return mended
-    for found in (_beyond_range(first), _named(remainder, lives, first) or _instead(first)):
-        if found is None:
-            continue
+    for found in _sought(remainder, lives, first):
         hands.say("searching again without it")
-        again = search(without_curve(view, found.curve), hands)
+        again = search(without(view, found), hands)
         if again.final.rms < BETTER * first.final.rms:
             return replace(
                 plain, outcome=_own(again, first, found), discovered=found, otherwise=plain
             )
     return plain
+
+
+def _sought(remainder: Remainder, lives: Sequence[Lives], first: Outcome) -> Iterator[Discovered]:
+    """Yield what a remainder may be, what stands in the place of a wrong name before the rest."""
+    end = _beyond_range(first)
+    if end is not None:
+        yield end
+    curve = _instead(first) or _named(remainder, lives, first)
+    if curve is not None:
+        yield curve
 
 
 def _without_faults(plain: Explained, hands: Hands) -> Explained:
@@ -161,7 +170,7 @@ def _without_faults(plain: Explained, hands: Hands) -> Explained:
     if found is None:
         return plain
     hands.say("searching again without what repeats")
-    again = search(without_curve(plain.raw, found.curve), hands)
+    again = search(without(plain.raw, found), hands)
     if set(again.faults) < set(first.faults) and again.final.rms < NO_WORSE * first.final.rms:
         return replace(plain, outcome=again, discovered=found, otherwise=plain)
     return plain
@@ -202,13 +211,33 @@ def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, Screened]:
     return {name: seen for name, seen in found if seen is not None}
 
 
-def without_curve(view: View, curve: Signals, sign: float = -1.0) -> View:
-    """Return the view of readings less a curve, or plus it."""
-    tracks = tuple(
-        replace(track, response=track.response + sign * one)
-        for track, one in zip(view.tracks, curve, strict=True)
+def without(view: View, found: Discovered) -> View:
+    """Return the view of readings less a curve.
+
+    Beyond the end of the sensor's range nothing was measured, and those rows are left out.
+    """
+    tracks = (
+        replace(track, response=track.response - one, place=place, block=track.block[kept])
+        for track, one in zip(view.tracks, found.curve, strict=True)
+        for kept in [~_beyond(found, one)[track.place]]
+        for place in [track.place[kept]]
     )
-    return with_tracks(view, tracks)
+    return with_tracks(view, tuple(tracks))
+
+
+def with_it(view: View, found: Discovered) -> View:
+    """Return the view with a curve, and its rows, put back."""
+    tracks = []
+    for track, one, raw in zip(view.tracks, found.curve, found.view.tracks, strict=True):
+        again = raw.place[_beyond(found, one)[raw.place]]
+        place = np.union1d(track.place, again)
+        block = np.interp(place, raw.place, raw.block).astype(int)
+        tracks.append(replace(track, response=track.response + one, place=place, block=block))
+    return with_tracks(view, tuple(tracks))
+
+
+def _beyond(found: Discovered, curve: Array) -> NDArray[np.bool_]:
+    return (curve != 0.0) if found.end is not None else np.zeros(len(curve), dtype=bool)
 
 
 def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:

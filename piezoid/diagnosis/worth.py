@@ -12,7 +12,7 @@ from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.refit import Refitted, refitted
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.simulation import Simulated
-from piezoid.diagnosis.something_else import Explained, without_curve
+from piezoid.diagnosis.something_else import Explained, with_it
 from piezoid.diagnosis.tracks import Track
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, Scales
 from piezoid.identification.model import AxisModel
@@ -50,9 +50,11 @@ def worth_of(
     ]
     mended = mending(outcome)
     clean, raw, whole = outcome.clean.tracks, explained.raw.tracks, None
+    before = clean
     if explained.discovered is not None:
-        with_it = without_curve(outcome.clean, explained.discovered.curve, sign=1.0).tracks
-        whole = repaired(recordings, model.axis, raw, with_it, scales)
+        before = with_it(outcome.clean, explained.discovered).tracks
+        whole = repaired(recordings, model.axis, raw, before, scales)
+    left_out = any(len(a.place) > len(b.place) for a, b in zip(before, clean, strict=True))
     numbers = refitted(
         repaired(recordings, model.axis, raw, clean, scales),
         found,
@@ -66,7 +68,8 @@ def worth_of(
         raw=recordings if mended or whole is not None else None,
         faults=mended,
         whole=whole,
-        places=[track.place for track in clean] if mended else None,
+        places=[track.place for track in clean] if mended or left_out else None,
+        places_of_whole=[track.place for track in before] if mended or left_out else None,
         progress=progress,
     )
     return _scaled(numbers, abs(scales.displacement_m))

@@ -125,3 +125,14 @@ def test_what_the_simulation_follows_is_not_taken_off_its_recordings():
     assert NAME not in found.names
     assert found.model is not None
     assert found.model.quality.rms_m < 1.1 * model.quality.rms_m
+
+
+def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest():
+    """The readings beyond it are left out, so that no foretelling of them is asked for."""
+    campaign = draw_campaign(
+        407, truth="wall_pinning", plans=PLANS, uncatalogued={"range_end": 8.0}
+    )
+    recordings, lab = recorded(campaign)
+    found = diagnose(recordings, lab=lab)
+    assert found.names == (NAME,)
+    assert found.findings[0].coordinate == "reading"

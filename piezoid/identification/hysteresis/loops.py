@@ -8,6 +8,7 @@ from piezoid.numerics.arrays import Array, frozen
 from piezoid.records.sweep import reversals_of
 
 POINTS = 41
+GAP = 0.2  # of a branch, passed between two samples: a parabola's chord is off by its square, 4 %
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +34,8 @@ class Loop:
 def loops_of(drive: Array, response: Array, noise: float) -> tuple[Loop, ...]:
     """Return the loops made by successive rising and falling branches of nearly equal span.
 
+    A branch that the drive jumped over was never seen, and makes no loop.
+
     drive, response  (samples,)
     noise            excursions of the drive that make no reversal
     """
@@ -44,6 +47,8 @@ def loops_of(drive: Array, response: Array, noise: float) -> tuple[Loop, ...]:
             continue
         rising = slice(a, b + 1) if first > 0 else slice(b, c + 1)
         falling = slice(b, c + 1) if first > 0 else slice(a, b + 1)
+        if max(_widest_gap(drive[rising]), _widest_gap(drive[falling])) > GAP * abs(first):
+            continue
         found.append(_loop(drive, response, rising, falling))
     return tuple(found)
 
@@ -55,6 +60,10 @@ def _loop(drive: Array, response: Array, rising: slice, falling: slice) -> Loop:
     up = _on(grid, drive[rising], response[rising])
     down = _on(grid, drive[falling], response[falling])
     return Loop(drive=grid, opening=down - up, rise=up, span=float(high - low))
+
+
+def _widest_gap(drive: Array) -> float:
+    return float(np.diff(np.sort(drive)).max())
 
 
 def _on(grid: Array, drive: Array, response: Array) -> Array:

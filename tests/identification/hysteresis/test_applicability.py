@@ -1,5 +1,6 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
+import itertools
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,12 +8,14 @@ import pytest
 
 from piezoid.identification.fit import fit
 from piezoid.identification.hysteresis import applicability
+from piezoid.identification.hysteresis.loops import loops_of
 from tests.identification.hysteresis.stages import (
     RATE_Hz,
     decaying,
     first_order_lag,
     play_sum,
     recording,
+    through,
     wandering,
 )
 
@@ -50,6 +53,19 @@ def test_a_loop_that_opens_the_wrong_way_is_refused() -> None:
     model = fit([recording(drive, noisy(1e-6 * leading))])["x"]
     assert not model.verdict.applies
     assert "wrong way" in model.verdict.reason
+
+
+def test_levels_held_one_after_another_are_no_loop() -> None:
+    """Between two levels nothing was read: straight lines there cross where no branch does."""
+    levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
+    ways = [[b - 0.08 * (b - a)] + [b] * 200 for a, b in itertools.pairwise(levels)]
+    weight = np.array([1.0, 0.2, 0.2, 0.1])
+    for drive, count in ((np.concatenate(ways), 0), (through(levels.tolist()), 1)):
+        plays = play_sum(drive, np.arange(4.0), weight, np.zeros(4))
+        found = loops_of(drive, plays - 0.04 * plays**2, 0.1)
+        wide = [loop for loop in found if loop.span > 7.0]
+        assert len(wide) == count
+        assert all(loop.opening.min() > -1e-9 for loop in wide)
 
 
 def test_a_response_made_of_something_else_is_refused() -> None:
