@@ -77,8 +77,9 @@ class Case:
     kind         as on the command line: healthy, single, pair, triple
     size         of full size
     unexplained  p of what is left; None where the diagnosis does not say
-    past_percent rms, of the stroke, of what the past of the records changes against one that cycled
-                 until nothing moved, where it does most; told of healthy stages
+    past_percent rms, of the stroke, of what the past of the records changes against one that
+                 cycled until nothing moved, where it does most; told of healthy stages
+    noise_percent  rms of the sensor's noise, of the stroke
     times_noise  what the widest class of hysteresis leaves, of the noise
     failed       what was said instead of a diagnosis
     """
@@ -91,6 +92,7 @@ class Case:
     said: tuple[Said, ...] = ()
     unexplained: float | None = None
     past_percent: float | None = None
+    noise_percent: float = 0.0
     times_noise: float = 0.0
     samples: int = 0
     time_s: float = 0.0
@@ -105,6 +107,15 @@ class Case:
     def wrong(self) -> tuple[Said, ...]:
         """Names from the catalogue that are not hidden."""
         return tuple(s for s in self.said if s.name != ELSE and s.name not in self.hidden)
+
+    @property
+    def fair(self) -> bool:
+        """Whether a healthy stage is told nothing but that its past is unknown, and rightly.
+
+        Laws that forget by and by show what the drive did before a record.
+        """
+        shows = (self.past_percent or 0.0) > self.noise_percent
+        return shows and bool(self.said) and {s.name for s in self.said} == {"initial_state"}
 
     def row(self) -> dict[str, Any]:
         """Return what a line of the file of results holds."""
@@ -153,6 +164,7 @@ def judged(asked: Asked, drawn: Callable[..., Campaign]) -> Case:
     )
     if not asked.hidden:
         known["past_percent"] = _change_percent(campaign, drawn(asked, settled=True))
+    known["noise_percent"] = 100.0 * campaign.rig.noise_rms_m / campaign.rig.stroke_m
     known["samples"] = sum(len(rows.time_s) for rows in campaign.recordings)
     try:
         found, time_s = diagnosed(campaign)

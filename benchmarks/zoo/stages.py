@@ -33,7 +33,9 @@ PER_LAW = PER_KIND * len(KINDS)
 NAMES = tuple(truth.name for truth in ZOO)
 
 
-def asked_for(laws: Sequence[str], kinds: Sequence[str], cases: int, first: int) -> Iterator[Asked]:
+def asked_for(
+    laws: Sequence[str], kinds: Sequence[str], cases: int, first: int
+) -> Iterator[Asked]:
     """Yield stages, one of each law and kind in turn, so that a run cut short is a small one."""
     for number in range(cases):
         for kind in kinds:
@@ -54,12 +56,17 @@ def stage(law: str, kind: str, number: int, first: int) -> Asked:
     return Asked(law=law, kind=kind, seed=seed, size=size, hidden=hidden)
 
 
-def drawn(asked: Asked, *, settled: bool = False) -> Campaign:
-    """Record the stage in a laboratory of its own; settled: its drives always cycled for long."""
+def drawn(asked: Asked, *, settled: bool = False, plans: Sequence[str] | None = None) -> Campaign:
+    """Record the stage in a laboratory of its own.
+
+    settled  its drives always cycled until nothing moved
+    plans    its recordings; None: three to six, one of which shows what is hidden
+    """
     laboratory = draw_laboratory(np.random.default_rng([asked.seed, 9]))
     return draw_campaign(
         asked.seed,
         effects=asked.hidden,
         truth=asked.law,
+        plans=plans,
         laboratory=laboratory.settled if settled else laboratory,
     )

@@ -20,7 +20,9 @@ def told(case: Case) -> str:
     )
     if case.past_percent is not None:
         said = f"{said or 'nothing'}; its past moves {case.past_percent:.3f} %"
-    mark = "  <<<" if set(case.hidden) != set(case.names) or (not case.hidden and case.said) else ""
+    mark = (
+        "  <<<" if set(case.hidden) != set(case.names) or (not case.hidden and case.said) else ""
+    )
     return (
         f"{head} -> {said or 'nothing'} ({case.times_noise:.1f} of the noise, "
         f"{case.time_s:.0f} s){mark}"
@@ -50,8 +52,9 @@ def table(cases: Sequence[Case], kinds: Sequence[str]) -> str:
     laws = list(dict.fromkeys(case.law for case in cases))
     lines = [
         "| law | effects named | names right | something else beside | healthy accused | "
+        "of these, only of a past that is there | "
         "intervals that hold | noise left in healthy stages, worst |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
         *(_row(law, [case for case in judged if case.law == law]) for law in laws),
         _row("all", judged),
         "",
@@ -104,7 +107,7 @@ def _row(law: str, cases: Sequence[Case]) -> str:
     return (
         f"| {law} | {_named(sick)} | {_right(sick)} | {elses}/{len(sick)} | "
         f"{share(sum(bool(case.said) for case in healthy), len(healthy))} | "
-        f"{share(sum(held), len(held))} | {worst:.1f} |"
+        f"{sum(case.fair for case in healthy)} | {share(sum(held), len(held))} | {worst:.1f} |"
     )
 
 
