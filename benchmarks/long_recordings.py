@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from benchmarks.hidden_effects import read_back
+from benchmarks.zoo.score import read_back
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid_datasets.virtual_lab import drives
 from piezoid_datasets.virtual_lab.campaign import draw_campaign

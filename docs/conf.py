@@ -27,6 +27,7 @@ extensions = [
     "sphinx_copybutton",
     "docstrings",
     "gallery",
+    "zoo",
     "mathml",
     "shell",
 ]

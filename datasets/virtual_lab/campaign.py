@@ -9,11 +9,12 @@ import numpy as np
 from piezoid_datasets.virtual_lab.ablation import HiddenEffect, healthy, record_all, taken_out
 from piezoid_datasets.virtual_lab.effects import EFFECTS
 from piezoid_datasets.virtual_lab.effects.effect import Act, Effect, Fault
+from piezoid_datasets.virtual_lab.laboratory import Laboratory
 from piezoid_datasets.virtual_lab.names import named
-from piezoid_datasets.virtual_lab.plans import PLANS, Plan, run_of
+from piezoid_datasets.virtual_lab.plans import PLANS, Past, Plan, careless_history_V, run_of
 from piezoid_datasets.virtual_lab.rig import Rig, draw_rig
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage
-from piezoid_datasets.virtual_lab.truths import TRUTHS
+from piezoid_datasets.virtual_lab.truths import TRUTHS, ZOO
 from piezoid_datasets.virtual_lab.uncatalogued import UNCATALOGUED
 
 TIMES_VISIBLE = (1.0, 4.0)
@@ -55,16 +56,18 @@ def draw_campaign(
     plans: Sequence[str | Plan] | None = None,
     careless: bool = False,
     uncatalogued: Mapping[str, float] | None = None,
+    laboratory: Laboratory | None = None,
 ) -> Campaign:
     """Draw a stage and record it; the same arguments give the same bytes.
 
     effects   names of effects to hide; a mapping gives sizes in percent of the stroke, None or a
               bare name draws one between 1 and 4 times what is visible; size 0 leaves it out
-    truth     kind of ceramic; drawn if None
+    truth     kind of ceramic, any of the zoo; one of ``TRUTHS`` is drawn if None
     plans     recordings or names of known ones; drawn if None, such that every effect can be
               seen in one
     careless  leave the memory before each record to chance instead of cycling the drive
     uncatalogued  names of things in no catalogue to hide besides, with sizes in percent
+    laboratory    whose instruments and habits; None: those every rig is drawn with
 
     Chance is drawn part by part, so the stage of a seed is the same whatever is hidden in it.
     Raises ``ValueError`` that lists the known names for an unknown one.
@@ -72,12 +75,17 @@ def draw_campaign(
     sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
     asked = {name: _size(named(EFFECTS, name), size, seed) for name, size in sizes.items()}
     hidden = [effect for effect in EFFECTS if asked.get(effect.name, 0.0) > 0.0]
-    kind = named(TRUTHS, truth or str(_chance(seed, "truth").choice([t.name for t in TRUTHS])))
+    kind = named(ZOO, truth or str(_chance(seed, "truth").choice([t.name for t in TRUTHS])))
     rig = draw_rig(_chance(seed, "rig"), name=f"virtual stage {seed}")
+    past_V = careless_history_V if careless else None
+    circumstances: tuple[Act, ...] = ()
+    if laboratory is not None:
+        rig, circumstances = laboratory.furnished(rig), laboratory.acts
+        past_V = past_V or laboratory.past_V
     stage = Stage(rig=rig, ceramic=kind.draw(_chance(seed, "ceramic")), seed=seed)
     asked_for = plans or _plans_for(hidden, _chance(seed, "plans"))
     chosen = [named(PLANS, plan) if isinstance(plan, str) else plan for plan in asked_for]
-    runs = _runs(chosen, rig, seed, careless=careless)
+    runs = _runs(chosen, rig, seed, past_V)
     bench = healthy(stage, runs)
     faults = {
         effect.name: effect.install(
@@ -89,9 +97,10 @@ def draw_campaign(
         name: Fault(acts=(_unnamed(name, percent, rig, seed),), numbers={})
         for name, percent in (uncatalogued or {}).items()
     }
-    recordings = record_all(stage, runs, {**faults, **strange})
+    always = {**strange, "circumstances": Fault(acts=circumstances, numbers={})}
+    recordings = record_all(stage, runs, {**faults, **always})
     found = tuple(
-        taken_out(effect, asked[effect.name], stage, runs, {**faults, **strange}, recordings)
+        taken_out(effect, asked[effect.name], stage, runs, {**faults, **always}, recordings)
         for effect in hidden
     )
     answer = Answer(
@@ -130,7 +139,7 @@ def _plans_for(hidden: Sequence[Effect], rng: np.random.Generator) -> tuple[str,
     return tuple(plan.name for plan in PLANS if plan.name in wanted)
 
 
-def _runs(plans: Sequence[Plan], rig: Rig, seed: int, *, careless: bool) -> tuple[Run, ...]:
+def _runs(plans: Sequence[Plan], rig: Rig, seed: int, past_V: Past | None) -> tuple[Run, ...]:
     return tuple(
-        run_of(plan, rig, _chance(seed, f"plan {plan.name}"), careless=careless) for plan in plans
+        run_of(plan, rig, _chance(seed, f"plan {plan.name}"), past_V=past_V) for plan in plans
     )

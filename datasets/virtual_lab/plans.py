@@ -16,6 +16,7 @@ from piezoid_datasets.virtual_lab.stage import Run
 
 CYCLES_BEFORE = 2
 Shapes = tuple[float, Array, dict[str, Array]]
+Past = Callable[[Rig, np.random.Generator], Array]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,13 +31,13 @@ class Plan:
     shape: Callable[[Rig, np.random.Generator], Shapes]
 
 
-def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, careless: bool = False) -> Run:
+def run_of(plan: Plan, rig: Rig, rng: np.random.Generator, *, past_V: Past | None = None) -> Run:
     """Make a plan concrete on a rig.
 
-    careless  leave the memory before the record to chance instead of cycling the drive
+    past_V  (rig, rng) -> turns of the drive before the record; None: two cycles over its range
     """
     rate_Hz, shape, others = plan.shape(rig, rng)
-    history = careless_history_V(rig, rng) if careless else cycled_history_V(rig)
+    history = cycled_history_V(rig) if past_V is None else past_V(rig, rng)
     return Run(
         name=plan.name,
         sampling_rate_Hz=rate_Hz,

@@ -1,6 +1,37 @@
-"""The kinds of ceramic the laboratory owns; none of them is a sum of plays."""
+"""The kinds of ceramic the laboratory owns; none of them is a sum of plays.
 
-from piezoid_datasets.virtual_lab.truths import bouc_wen, preisach, wall_pinning
+``TRUTHS`` are those that a campaign draws from when none is named: every seeded campaign keeps
+its bytes. ``ZOO`` is all of them, for whoever names one.
+"""
+
+from piezoid_datasets.virtual_lab.truths import (
+    bouc_wen,
+    coleman_hodgdon,
+    dahl,
+    duhem,
+    generalised_bouc_wen,
+    jiles_atherton,
+    krasnoselskii_pokrovskii,
+    lugre,
+    maxwell_slip,
+    preisach,
+    preisach_lorentzian,
+    takacs,
+    wall_pinning,
+)
 from piezoid_datasets.virtual_lab.truths.truth import Truth
 
 TRUTHS: tuple[Truth, ...] = (preisach.TRUTH, bouc_wen.TRUTH, wall_pinning.TRUTH)
+ZOO: tuple[Truth, ...] = (
+    *TRUTHS,
+    preisach_lorentzian.TRUTH,
+    krasnoselskii_pokrovskii.TRUTH,
+    takacs.TRUTH,
+    maxwell_slip.TRUTH,
+    dahl.TRUTH,
+    lugre.TRUTH,
+    generalised_bouc_wen.TRUTH,
+    duhem.TRUTH,
+    coleman_hodgdon.TRUTH,
+    jiles_atherton.TRUTH,
+)

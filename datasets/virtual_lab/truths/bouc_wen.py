@@ -22,7 +22,12 @@ import numpy as np
 
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.branches import branches, settled
-from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth, ceramic_with_opening
+from piezoid_datasets.virtual_lab.truths.truth import (
+    Ceramic,
+    Truth,
+    ceramic_with_opening,
+    gentle_curve,
+)
 
 STEPS = 40_000  # of the master curve; interpolation then errs by less than 1e-9 of the loop
 NEARLY = 1.0 - 1e-6  # of saturation, where the curve ends
@@ -91,10 +96,10 @@ def draw_bouc_wen(rng: np.random.Generator) -> Ceramic:
         gamma=beta * float(rng.uniform(-0.1, 0.5)),
         bend=float(rng.uniform(-0.3, 0.3)),
     )
-    bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
+    reversible = gentle_curve(rng)
     return ceramic_with_opening(
         float(rng.uniform(0.08, 0.14)),
-        lambda field: field + bend * field**2 + flex * field**3,
+        reversible,
         lambda path: bouc_wen_memory(law, path),
     )
 

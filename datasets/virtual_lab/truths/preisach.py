@@ -11,13 +11,22 @@ play after one memoryless curve, equals it.
 Source: Mayergoyz, Mathematical Models of Hysteresis (1991), chapter 1.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.truths.branches import branches, settled
-from piezoid_datasets.virtual_lab.truths.truth import Ceramic, Truth, ceramic_with_opening
+from piezoid_datasets.virtual_lab.truths.truth import (
+    Ceramic,
+    Truth,
+    ceramic_with_opening,
+    gentle_curve,
+)
+
+# (high, low) fields of equal shape -> what the relays between them are worth
+EverettFunction = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +49,7 @@ class Everett:
         return total
 
 
-def preisach_memory(everett: Everett, path: Array) -> Array:
+def preisach_memory(everett: EverettFunction, path: Array) -> Array:
     """Return the Preisach output along a path that starts with every hysteron down.
 
     The memory is the stack of extrema not yet wiped out. Each sample needs only the extremum its
@@ -77,15 +86,17 @@ def draw_preisach(rng: np.random.Generator) -> Ceramic:
         centre=centre,
         width=rng.uniform(0.9, 2.2, (2, terms)),
     )
-    bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
+    reversible = gentle_curve(rng)
     return ceramic_with_opening(
         float(rng.uniform(0.09, 0.15)),
-        lambda field: field + bend * field**2 + flex * field**3,
+        reversible,
         lambda path: preisach_memory(everett, path),
     )
 
 
-def _value(everett: Everett, field: float, root: tuple[float, float], direction: float) -> float:
+def _value(
+    everett: EverettFunction, field: float, root: tuple[float, float], direction: float
+) -> float:
     high, low = max(field, root[0]), min(field, root[0])
     return root[1] + direction * float(everett(np.array([high]), np.array([low]))[0])
 

@@ -52,6 +52,12 @@ class Truth:
     draw: Callable[[np.random.Generator], Ceramic]
 
 
+def gentle_curve(rng: np.random.Generator) -> Curve:
+    """Draw a reversible part that bends by a few percent of the stroke."""
+    bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
+    return lambda field: field + bend * field**2 + flex * field**3
+
+
 def ceramic_with_opening(opening: float, reversible: Curve, memory: Memory) -> Ceramic:
     """Normalise both parts over the major loop and mix them for a wanted opening.
 

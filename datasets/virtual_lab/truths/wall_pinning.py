@@ -26,6 +26,7 @@ from piezoid_datasets.virtual_lab.truths.truth import (
     Curve,
     Truth,
     ceramic_with_opening,
+    gentle_curve,
 )
 
 GRID_PER_FIELD = 4000
@@ -56,7 +57,7 @@ def draw_wall_pinning(rng: np.random.Generator) -> Ceramic:
     pinning = float(rng.uniform(0.25, 0.6))
     centre, width = float(rng.uniform(-0.4, 0.4)), float(rng.uniform(1.0, 2.0))
     skew = float(rng.uniform(0.0, 0.3))
-    bend, flex = rng.uniform(-0.06, 0.06), rng.uniform(-0.05, 0.02)
+    reversible = gentle_curve(rng)
 
     def anhysteretic(field: Array) -> Array:
         shape = np.tanh((field - centre) / width)
@@ -64,7 +65,7 @@ def draw_wall_pinning(rng: np.random.Generator) -> Ceramic:
 
     return ceramic_with_opening(
         float(rng.uniform(0.08, 0.14)),
-        lambda field: field + bend * field**2 + flex * field**3,
+        reversible,
         lambda path: wall_pinning_memory(anhysteretic, pinning, path),
     )
 

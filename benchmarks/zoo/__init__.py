@@ -1,0 +1,1 @@
+"""Hidden effects on every law of the zoo: how often the diagnosis names what is there."""

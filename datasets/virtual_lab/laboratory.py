@@ -1,0 +1,84 @@
+"""A laboratory: the instruments on either side of the stage, and habits that are no fault.
+
+None of this is wrong with a stage, and a diagnosis has nothing to say of it: amplifiers and
+sensors of any bandwidth that are declared, some noise, drives that cycled over their range before
+a record began and then wandered, a zero that is set anew for every file. Axes that move without
+being felt and holds without creep are plans (``plans.PLANS``).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid_datasets.virtual_lab.effects.effect import Act, Place, Scene
+from piezoid_datasets.virtual_lab.rig import Rig
+from piezoid_datasets.virtual_lab.signals import Array
+
+ZERO_SHARE = 0.02  # of the stroke: how far apart zeros of two files lie
+SETTLED = 30  # cycles; what a law of the zoo then still moves from one to the next is rounding
+
+
+@dataclass(frozen=True, kw_only=True)
+class Laboratory:
+    """What one laboratory has and does.
+
+    amplifier_bandwidth_Hz, sensor_bandwidth_Hz  first-order, declared in lab.toml
+    noise_share   rms of the sensor's noise, of the stroke
+    cycles        full cycles before a record, drawn between these two
+    most_turns    turns of a wandering drive after them, drawn from none to this
+    moves_zero    whether the zero differs between files
+    """
+
+    amplifier_bandwidth_Hz: float
+    sensor_bandwidth_Hz: float
+    noise_share: float
+    cycles: tuple[int, int]
+    most_turns: int
+    moves_zero: bool
+
+    def furnished(self, rig: Rig) -> Rig:
+        """Return a rig with this laboratory's instruments."""
+        return replace(
+            rig,
+            amplifier_bandwidth_Hz=self.amplifier_bandwidth_Hz,
+            sensor_bandwidth_Hz=self.sensor_bandwidth_Hz,
+            noise_rms_m=self.noise_share * rig.stroke_m,
+        )
+
+    def past_V(self, rig: Rig, rng: np.random.Generator) -> Array:
+        """Return the turns before one record: full cycles, then some that shrink."""
+        cycles = int(rng.integers(self.cycles[0], self.cycles[1] + 1))
+        turns = int(rng.integers(0, self.most_turns + 1))
+        middle_V = 0.5 * (rig.drive_min_V + rig.drive_max_V)
+        reach_V = rig.drive_max_V - middle_V
+        shrinking = np.sort(rng.uniform(0.05, 1.0, turns))[::-1] * (-1.0) ** np.arange(turns)
+        full = np.array([rig.drive_max_V, rig.drive_min_V] * cycles)
+        return np.concatenate((full, middle_V + reach_V * shrinking))
+
+    @property
+    def settled(self) -> "Laboratory":
+        """The same laboratory, did it always cycle until nothing changes any more."""
+        return replace(self, cycles=(SETTLED, SETTLED), most_turns=0)
+
+    @property
+    def acts(self) -> tuple[Act, ...]:
+        """What it does to every reading."""
+        return (Act(name="zero of the file", place=Place.SENSOR, change=_moved_zero),) * int(
+            self.moves_zero
+        )
+
+
+def draw_laboratory(rng: np.random.Generator) -> Laboratory:
+    """Draw one: noise 0.02 to 0.1 % of the stroke, instruments from slow to quick."""
+    return Laboratory(
+        amplifier_bandwidth_Hz=float(np.round(np.exp(rng.uniform(*np.log((1.5e3, 8e3)))), -1)),
+        sensor_bandwidth_Hz=float(np.round(np.exp(rng.uniform(*np.log((4e3, 15e3)))), -1)),
+        noise_share=float(np.exp(rng.uniform(*np.log((2e-4, 1e-3))))),
+        cycles=(1, int(rng.integers(1, 5))),
+        most_turns=int(rng.integers(0, 7)),
+        moves_zero=bool(rng.random() < 0.5),
+    )
+
+
+def _moved_zero(reading_m: Array, scene: Scene, rng: np.random.Generator) -> Array:
+    return reading_m + ZERO_SHARE * scene.rig.stroke_m * float(rng.standard_normal())

@@ -1,0 +1,366 @@
+"""Every law of the zoo is what its paper says: opening, sense, memory, closure, its equation."""
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from piezoid_datasets.virtual_lab.laboratory import draw_laboratory
+from piezoid_datasets.virtual_lab.truths import TRUTHS, ZOO
+from piezoid_datasets.virtual_lab.truths.coleman_hodgdon import (
+    ColemanHodgdon,
+    coleman_hodgdon_memory,
+)
+from piezoid_datasets.virtual_lab.truths.dahl import Dahl, dahl_memory
+from piezoid_datasets.virtual_lab.truths.duhem import Duhem, duhem_memory
+from piezoid_datasets.virtual_lab.truths.generalised_bouc_wen import (
+    GeneralisedBoucWen,
+    generalised_bouc_wen_memory,
+)
+from piezoid_datasets.virtual_lab.truths.jiles_atherton import (
+    JilesAtherton,
+    jiles_atherton_memory,
+)
+from piezoid_datasets.virtual_lab.truths.krasnoselskii_pokrovskii import (
+    DOWN,
+    THRESHOLDS,
+    UP,
+    Kernels,
+    krasnoselskii_pokrovskii_memory,
+    ridge,
+)
+from piezoid_datasets.virtual_lab.truths.lugre import LuGre, lugre_memory
+from piezoid_datasets.virtual_lab.truths.maxwell_slip import MaxwellSlip, maxwell_slip_memory
+from piezoid_datasets.virtual_lab.truths.preisach_lorentzian import lorentzian_everett
+from piezoid_datasets.virtual_lab.truths.takacs import Takacs, takacs_memory
+from piezoid_datasets.virtual_lab.truths.truth import FLOOR, Ceramic, Truth
+
+Array = NDArray[np.float64]
+EXACT = 1e-11  # of the stroke: rounding of the field to 13 decimals, times slopes of order one
+CYCLED = np.array([1.0, -1.0])
+SEEDS = range(4)
+
+WIPES_OUT = {
+    "preisach",
+    "preisach_lorentzian",
+    "krasnoselskii_pokrovskii",
+    "takacs",
+    "maxwell_slip",
+}
+
+every_law = pytest.mark.parametrize("law", ZOO, ids=lambda law: law.name)
+
+
+def walk(*turns: float, points: int = 60) -> Array:
+    legs = [np.linspace(a, b, points) for a, b in itertools.pairwise(turns)]
+    return np.concatenate(legs)
+
+
+def strain(ceramic: Ceramic, field: Array, history: Array = CYCLED) -> Array:
+    reversible, irreversible = ceramic.respond(field, history)
+    return reversible + irreversible
+
+
+def drawn(law: Truth) -> list[Ceramic]:
+    return [law.draw(np.random.default_rng(seed)) for seed in SEEDS]
+
+
+def test_there_are_twelve_laws_at_least_and_the_first_are_those_that_are_drawn() -> None:
+    assert len({law.name for law in ZOO}) == len(ZOO) >= 12
+    assert ZOO[: len(TRUTHS)] == TRUTHS
+
+
+@every_law
+def test_the_major_loop_spans_the_stroke_and_opens_like_a_piezo(law: Truth) -> None:
+    for ceramic in drawn(law):
+        up, down = np.split(strain(ceramic, walk(-1.0, 1.0, -1.0, points=300)), 2)
+        assert abs(up[-1] - up[0] - 1.0) < 0.01  # laws that forget by and by still settle
+        assert 0.07 < np.max(down[::-1] - up) < 0.16
+
+
+@every_law
+def test_the_strain_lags_the_field_in_loops_of_every_size(law: Truth) -> None:
+    for ceramic in drawn(law):
+        for low, high in ((-1.0, 1.0), (-0.6, 0.6), (-0.9, -0.2), (0.2, 0.9), (-0.1, 0.3)):
+            rounds = strain(ceramic, walk(-1.0, *(low, high) * 30, low))
+            up, down = rounds[-120:-60], rounds[-60:]  # settled: the loop closes
+            assert np.max(np.abs(up[0] - down[-1])) < 1e-3
+            assert np.sum(down[::-1] - up) > 0.0
+
+
+@every_law
+def test_more_field_is_never_less_strain(law: Truth) -> None:
+    for ceramic in drawn(law):
+        field = walk(-1.0, 0.9, -0.7, 0.2, -0.3, 1.0, -0.95, 0.1)
+        assert np.all(np.diff(strain(ceramic, field)) * np.sign(np.diff(field)) >= -1e-12)
+
+
+@every_law
+def test_a_law_does_not_know_how_finely_its_path_is_sampled(law: Truth) -> None:
+    turns = (-1.0, 0.8, -0.4, 0.5, -0.9, 1.0)
+    for ceramic in drawn(law):
+        slow = strain(ceramic, walk(*turns, points=500))
+        fast = strain(ceramic, walk(*turns, points=2))
+        at_turns = slow[[0, *range(499, 2500, 500)]] - fast[[0, *range(1, 10, 2)]]
+        assert np.max(np.abs(at_turns)) < 1e-7
+
+
+@every_law
+def test_returning_to_a_turning_point_wipes_out_what_was_since_where_the_law_says_so(
+    law: Truth,
+) -> None:
+    plain, detour = walk(-1.0, 0.7, -0.5, 0.2), walk(-1.0, 0.7, -0.5, 0.2, -0.3, 0.1, -0.1, 0.2)
+    missed = [
+        float(abs(strain(ceramic, plain)[-1] - strain(ceramic, detour)[-1]))
+        for ceramic in drawn(law)
+    ]
+    if law.name in WIPES_OUT:
+        assert max(missed) < EXACT
+    else:
+        assert max(missed) > 1e-3
+
+
+@every_law
+def test_a_minor_loop_closes_at_once_where_the_law_says_so(law: Truth) -> None:
+    gaps = []
+    for ceramic in drawn(law):
+        output = strain(ceramic, walk(-1.0, 0.2, -0.2, 0.2))
+        gaps.append(float(abs(output[-1] - output[59])))
+    assert max(gaps) < EXACT if law.name in WIPES_OUT else max(gaps) > 1e-3
+
+
+@every_law
+def test_equal_minor_loops_after_unlike_pasts_where_the_law_says_so(law: Truth) -> None:
+    unlike = []
+    for ceramic in drawn(law):
+        shapes = [
+            strain(ceramic, walk(*turns, 0.3, -0.2, 0.3, -0.2, points=40))[-80:]
+            for turns in ((-1.0, 0.9, -0.2), (1.0, -0.8, 0.9, -0.2), (-1.0, -0.2))
+        ]
+        unlike += [float(np.max(np.abs(np.ptp(s) - np.ptp(shapes[0])))) for s in shapes[1:]]
+    assert max(unlike) < EXACT if law.name in WIPES_OUT else max(unlike) > 1e-5
+
+
+@every_law
+def test_no_law_is_a_sum_of_plays(law: Truth) -> None:
+    """Settled loops of equal span would coincide at every bias."""
+    for ceramic in drawn(law):
+        low, high = (
+            strain(ceramic, walk(-1.0, *ends * 30, ends[0]))[-120:]
+            for ends in ((-0.8, -0.3), (0.3, 0.8))
+        )
+        assert np.max(np.abs((low - low[0]) - (high - high[0]))) > 0.004 * np.ptp(low)
+
+
+PATH = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, 0.7, points=8000)
+BOUC_WEN = GeneralisedBoucWen(
+    sharpness=1.4, shape=(2.0, 0.1, -0.12, 0.09, 0.14, -0.07), centre=0.1
+)
+DAHL = Dahl(stiffness=1.5, exponent=1.3, bend=0.2)
+LUGRE = LuGre(stiffness=1.9, tilt=0.2, hump=0.15, centre=0.1, width=0.8)
+COLEMAN = ColemanHodgdon(pull=1.3, share=0.55, centre=0.1, knee=0.9, beyond=0.7)
+JILES = JilesAtherton(
+    width=0.7, pinning=0.4, mean_field=0.3, reversible=0.2, bias=0.1, electrostriction=0.2
+)
+DUHEM = Duhem(rate=1.8, centre=0.1, coercive=(0.6, 0.7), width=(0.5, 0.55))
+
+
+def midpoint(slope: Callable[[float, float, float], float], start: float) -> Array:
+    """Return the state along PATH by the midpoint rule, sample by sample."""
+    state = np.empty_like(PATH)
+    state[0] = start
+    for k in range(1, len(PATH)):
+        step = float(PATH[k] - PATH[k - 1])
+        sign, now = float(np.sign(step)), float(state[k - 1])
+        half = now + 0.5 * step * slope(float(PATH[k - 1]), now, sign)
+        state[k] = now + step * slope(float(0.5 * (PATH[k] + PATH[k - 1])), half, sign)
+    return state
+
+
+def bouc_wen_slope(e: float, z: float, s: float) -> float:
+    b = BOUC_WEN.shape
+    x = e - BOUC_WEN.centre
+    psi = sum(
+        weight * float(np.sign(sign))
+        for weight, sign in zip(b, (s * z, s * x, x * z, s, z, x), strict=True)
+    )
+    return 1.0 - abs(z) ** BOUC_WEN.sharpness * psi
+
+
+def dahl_slope(e: float, z: float, s: float) -> float:
+    scale = 1.0 + DAHL.bend * e / float(np.sqrt(1.0 + e * e))
+    return scale * DAHL.stiffness * max(1.0 - s * z, 0.0) ** DAHL.exponent
+
+
+def lugre_slope(e: float, z: float, s: float) -> float:
+    place = (e - LUGRE.centre) / LUGRE.width
+    level = 1.0 + LUGRE.tilt * np.tanh(place) + LUGRE.hump * np.exp(-(place**2))
+    return float(LUGRE.stiffness * (1.0 - s * z / level))
+
+
+def coleman_slope(e: float, p: float, s: float) -> float:
+    x = e - COLEMAN.centre
+    inside = abs(x) < COLEMAN.knee
+    f = x if inside else np.sign(x) * (COLEMAN.knee + COLEMAN.beyond * (abs(x) - COLEMAN.knee))
+    return float(COLEMAN.pull * s * (f - p) + (COLEMAN.share if inside else COLEMAN.beyond))
+
+
+def duhem_slope(e: float, p: float, s: float) -> float:
+    place = DUHEM.centre + (DUHEM.coercive[0] if s > 0 else -DUHEM.coercive[1])
+    width = DUHEM.width[0 if s > 0 else 1]
+    return float(DUHEM.rate * np.exp(-(((e - place) / width) ** 2)) * (1.0 - s * p))
+
+
+def polarised(e: float, m: float) -> tuple[float, float]:
+    """Return A and P of Jiles and Atherton, by bisection of what must be zero."""
+    low, high = -1.0, 1.0
+    for _ in range(45):
+        p = 0.5 * (low + high)
+        x = (e + JILES.bias + JILES.mean_field * p) / JILES.width
+        towards = x / 3.0 if abs(x) < 1e-4 else float(1.0 / np.tanh(x) - 1.0 / x)
+        if JILES.reversible * towards + (1.0 - JILES.reversible) * m > p:
+            low = p
+        else:
+            high = p
+    return towards, p
+
+
+def jiles_slope(e: float, m: float, s: float) -> float:
+    gap = polarised(e, m)[0] - m
+    return gap / (s * JILES.pinning - JILES.mean_field * gap) if s * gap > 0 else 0.0
+
+
+@pytest.mark.parametrize(
+    ("memory", "slope", "steepest"),
+    [
+        (lambda p: generalised_bouc_wen_memory(BOUC_WEN, p), bouc_wen_slope, BOUC_WEN.steepest),
+        (lambda p: lugre_memory(LUGRE, p), lugre_slope, LUGRE.steepest),
+    ],
+    ids=["generalised_bouc_wen", "lugre"],
+)
+def test_a_friction_solves_its_equation(
+    memory: Callable[[Array], Array],
+    slope: Callable[[float, float, float], float],
+    steepest: float,
+) -> None:
+    friction = steepest * PATH - memory(PATH)
+    stepped = midpoint(slope, float(friction[0]))
+    assert np.max(np.abs(friction - stepped)) < 3e-4  # the rule's own error at the kinks
+    assert np.max(np.abs(np.diff(friction))) <= steepest * np.max(np.abs(np.diff(PATH)))
+
+
+def test_dahl_solves_its_equation() -> None:
+    friction = DAHL.steepest * DAHL.scale(PATH) - dahl_memory(DAHL, PATH)
+    assert np.max(np.abs(friction - midpoint(dahl_slope, -1.0))) < 1e-5
+
+
+def test_coleman_and_hodgdon_solve_their_equation() -> None:
+    output = coleman_hodgdon_memory(COLEMAN, PATH)
+    assert np.max(np.abs(output - midpoint(coleman_slope, float(output[0])))) < 3e-4
+
+
+def test_duhem_solves_its_equation() -> None:
+    assert np.max(np.abs(duhem_memory(DUHEM, PATH) - midpoint(duhem_slope, -1.0))) < 1e-5
+
+
+def test_jiles_and_atherton_solve_their_equation() -> None:
+    path = PATH[::20]
+    output = jiles_atherton_memory(JILES, path)
+    first = -1.0 + JILES.width / (-FLOOR - JILES.bias + JILES.mean_field)
+    state = np.empty_like(path)
+    state[0] = first
+    for k in range(1, len(path)):
+        step = float(path[k] - path[k - 1])
+        sign, now = float(np.sign(step)), float(state[k - 1])
+        half = now + 0.5 * step * jiles_slope(float(path[k - 1]), now, sign)
+        state[k] = now + step * jiles_slope(float(0.5 * (path[k] + path[k - 1])), half, sign)
+    polarisation = np.array(
+        [polarised(float(e), float(m))[1] for e, m in zip(path, state, strict=True)]
+    )
+    stepped = polarisation + JILES.electrostriction * polarisation**2
+    assert np.max(np.abs(output - stepped)) < 1e-4
+
+
+def test_a_takacs_branch_is_a_piece_of_its_tangent() -> None:
+    law = Takacs(steepness=1.1, shift=(0.3, 0.4), centre=0.1)
+    path = walk(FLOOR, 1.0, -0.5, 0.4)
+    output = takacs_memory(law, path)
+    for piece, shift in ((slice(0, 60), 0.3), (slice(60, 120), -0.4), (slice(120, 180), 0.3)):
+        shape = np.tanh(1.1 * (path[piece] - 0.1 - shift))
+        fit = np.polyfit(shape, output[piece], 1)
+        assert np.max(np.abs(np.polyval(fit, shape) - output[piece])) < 1e-9
+
+
+def test_kernels_move_as_krasnoselskii_and_pokrovskii_say() -> None:
+    rng = np.random.default_rng(1)
+    law = Kernels(weight=rng.uniform(0.5, 1.0, len(DOWN)))
+    path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, 0.5, points=40)
+    kernels = np.full(len(DOWN), -1.0)
+    summed = []
+    for before, now in itertools.pairwise(path):
+        if now > before:
+            kernels = np.maximum(kernels, ridge(now - THRESHOLDS[UP]))
+        elif now < before:
+            kernels = np.minimum(kernels, ridge(now - THRESHOLDS[DOWN]))
+        summed.append(law.weight @ kernels)
+    output = krasnoselskii_pokrovskii_memory(law, path)
+    assert np.allclose(output[1:], summed, atol=1e-9)
+
+
+def test_maxwell_elements_stick_and_slide() -> None:
+    law = MaxwellSlip(
+        breaks=np.array([0.1, 0.4, 0.9]),
+        stiffness=np.array([1.0, 0.7, 0.4]),
+        growth=-0.3,
+        bends=(0.1, -0.05),
+    )
+    path = walk(FLOOR, 0.9, -0.6, 0.3, -0.9, 0.5, points=2000)
+    place = law.scale(path)
+    force = -law.limit(place[0])
+    summed = [float(law.stiffness @ (place[0] - force))]
+    for before, now in itertools.pairwise(place):
+        edge = law.limit(now)
+        force = np.clip(force + now - before, -edge, edge)
+        summed.append(float(law.stiffness @ (now - force)))
+    assert np.allclose(maxwell_slip_memory(law, path), summed, atol=1e-9)
+
+
+def test_the_lorentzian_everett_function_has_the_density_of_its_name() -> None:
+    everett = lorentzian_everett((0.2, 0.3), (0.5, 0.7))
+    a, b, h = 0.6, -0.2, 0.01
+    corners = [
+        (a + h, b, 1.0),
+        (a - h, b, -1.0),
+        (a + h, b - 2 * h, -1.0),
+        (a - h, b - 2 * h, 1.0),
+    ]
+    mixed = sum(
+        sign * float(everett(np.array([high]), np.array([low]))[0]) for high, low, sign in corners
+    )
+    up, down = (a - 0.2) / 0.5, (b - h + 0.3) / 0.7
+    density = 1.0 / (1.0 + up**2) / (1.0 + down**2)
+    assert -mixed / (4 * h * h) == pytest.approx(density, rel=1e-3)
+    assert everett(np.array([0.3]), np.array([0.3]))[0] == 0.0
+
+
+def test_a_laboratory_has_its_own_instruments_pasts_and_zeros() -> None:
+    """They are declared or no fault: what moves between two laboratories is not the ceramic."""
+    rng = np.random.default_rng(1)
+    laboratories = [draw_laboratory(rng) for _ in range(20)]
+    moving = next(one for one in laboratories if one.moves_zero and one.most_turns)
+    first, again, plain = (
+        draw_campaign(9, truth="takacs", plans=("sweep", "check"), laboratory=one)
+        for one in (moving, moving, None)
+    )
+    assert first.rig.sensor_bandwidth_Hz == moving.sensor_bandwidth_Hz
+    assert first.rig.noise_rms_m == pytest.approx(moving.noise_share * plain.rig.stroke_m)
+    offsets = []
+    for one, same, other in zip(first.recordings, again.recordings, plain.recordings, strict=True):
+        assert np.array_equal(one.displacement_m, same.displacement_m)
+        assert np.array_equal(one.run.history_V[:2], other.run.history_V[:2])
+        assert one.run.history_V.max() <= first.rig.drive_max_V
+        offsets.append(float(one.noise_free_m[-1] - other.noise_free_m[-1]))
+    assert abs(offsets[0] - offsets[1]) > 1e-4 * plain.rig.stroke_m
