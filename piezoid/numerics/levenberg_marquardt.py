@@ -23,7 +23,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.bounded import bounded_minimum
 from piezoid.numerics.quadratic_program import bounded_step
 
-EASIER, HARDER = 5.0, 6.0  # by how much mu falls and grows: not each other's inverse, no cycles
 LEAST_DAMPING = 1e-9  # keeps normal equations definite where rounding would not
 CRAWL = 5  # accepted steps looked at together
 
@@ -39,8 +38,10 @@ class Rule:
     enough       absolute fall that is not worth another, where c is a log likelihood
     iterations   most linear models
     evaluations  most values of c
-    tries        most steps of one linear model: by then mu has grown by two thousand millions
+    tries        most steps of one linear model
     damping      the first mu
+    easier       by how much mu falls where a step lowers c, and
+    harder       grows where it does not: less than tenfold where c has many kinks
     """
 
     tolerance: float = 1e-5
@@ -50,6 +51,8 @@ class Rule:
     evaluations: int = 1000
     tries: int = 12
     damping: float = 1e-3
+    easier: float = 10.0
+    harder: float = 10.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,11 +209,11 @@ def minimise(
             trial = within(np.clip(x + model.step(*room, damping), lower, upper))
             there, evaluations = at(trial), evaluations + 1
             if there.cost < here.cost:
-                x, here, damping = trial, there, max(damping / EASIER, LEAST_DAMPING)
+                x, here, damping = trial, there, max(damping / rule.easier, LEAST_DAMPING)
                 costs.append(here.cost)
                 reason = _worth_another(costs, rule)
                 break
-            damping *= HARDER
+            damping *= rule.harder
     return Minimum(
         x=x,
         point=here,

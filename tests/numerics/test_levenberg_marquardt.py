@@ -1,8 +1,9 @@
 """Least squares with published minima, within bounds, and the rule by which a search ends.
 
 NIST problems: Statistical Reference Datasets of the National Institute of Standards and
-Technology, nonlinear regression; starts and certified values as given there. Exponential
-sums: problem 1 of Osborne (1972), solved by variable projection in Golub & Pereyra, SIAM J. Numer. Anal. 10 (1973).
+Technology, nonlinear regression; starts and certified values as given there. Exponential sums:
+problem 1 of Osborne (1972), solved by variable projection in Golub & Pereyra, SIAM J. Numer.
+Anal. 10 (1973).
 """
 
 from collections.abc import Callable, Iterator, Sequence

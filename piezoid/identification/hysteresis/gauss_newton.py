@@ -199,7 +199,7 @@ def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
         lambda x: _Point(task, x, upper > lower, rms_of(x, task)),
         theta,
         (lower, upper),
-        rule=Rule(crawl=CRAWLED, iterations=iterations),
+        rule=Rule(crawl=CRAWLED, iterations=iterations, easier=5.0, harder=6.0),
         within=within,
     )
     return Minimum(

@@ -54,7 +54,7 @@ def descend(theta: Array, task: Task, *, passes: int) -> Reached:
         lambda x: _Pass(task, blocks_of(x, task)),
         theta,
         (lower, upper),
-        rule=Rule(evaluations=passes),
+        rule=Rule(evaluations=passes, easier=5.0, harder=6.0),
         within=task.coordinates.within_reach,
     )
     return Reached(
