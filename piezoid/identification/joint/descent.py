@@ -131,12 +131,14 @@ def _on_fold(fold: int, end: _Point, bounds: tuple[Array, Array]) -> tuple[Array
     kept = [part.fold != fold for part in end.parts]
     columns = [rows[k] for rows, k in zip(end.tangents, kept, strict=True)]  # megabytes: once
     gram = sum((part.T @ part for part in columns), np.zeros((1, 1)))
-    found = minimise(
-        lambda vector: _OnFold(_Point(end.state.at(vector), end.parts), kept, columns, gram),
-        end.state.vector,
-        bounds,
-        rule=CHORDS,
-    )
+    start = end.state.vector
+
+    def at(vector: Array) -> _OnFold:
+        known = np.array_equal(vector, start)  # the end's residual is worth a simulation
+        point = end if known else _Point(end.state.at(vector), end.parts)
+        return _OnFold(point, kept, columns, gram)
+
+    found = minimise(at, start, bounds, rule=CHORDS)
     errors = found.point.point.errors
     return found.x, [error[~k] for error, k in zip(errors, kept, strict=True)]
 
