@@ -188,7 +188,7 @@ def minimise(
     at       x -> point; called once for every x that is tried
     start    (numbers,)  brought within the bounds first
     bounds   (numbers,) each; equal bounds hold a number
-    longest  (numbers,)  that a number may move in one step
+    longest  (numbers,)  that a number may move in one step; what is longer is cut off
     within   x -> x that is tried instead, where bounds alone do not say what is allowed
     """
     lower, upper = bounds
@@ -200,13 +200,13 @@ def minimise(
     while reason is None and iterations < rule.iterations:
         model, iterations = here.linearised(), iterations + 1
         gradient = model.gradient(lower - x, upper - x)
-        room = np.maximum(lower - x, -longest), np.minimum(upper - x, longest)
         reason = "stationary"
         for _ in range(rule.tries):
             if evaluations >= rule.evaluations:
                 reason = "evaluations"
                 break
-            trial = within(np.clip(x + model.step(*room, damping), lower, upper))
+            step = np.clip(model.step(lower - x, upper - x, damping), -longest, longest)
+            trial = within(np.clip(x + step, lower, upper))
             there, evaluations = at(trial), evaluations + 1
             if there.cost < here.cost:
                 x, here, damping = trial, there, max(damping / rule.easier, LEAST_DAMPING)

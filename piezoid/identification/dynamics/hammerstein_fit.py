@@ -10,6 +10,7 @@ here neither is fixed before the other is known.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.fft import irfft, rfft
@@ -23,9 +24,12 @@ from piezoid.identification.dynamics.hammerstein_model import (
 from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows
 from piezoid.identification.dynamics.score_products import over_neighbours, over_parts
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
+from piezoid.numerics.once import Once
 
 ROUNDS = 3  # of new weights
-STEPS = 4  # of Gauss-Newton between them
+# Between them a few steps; half of what is enough is the gain in log likelihood.
+STEPS = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
 SMOOTH_PER_DECADE = 10
 FEWEST_LINES = 12  # in one band of the noise's power
 LONGEST_MOVE = 0.3  # of a logarithm in one step
@@ -58,18 +62,20 @@ def fit_hammerstein(
     sandwiches over the whitened scores: with their neighbours, which sees noise that changes in
     time, and part by part, which sees what the operator does not follow.
     """
-    theta = start.copy()
-    damping = 1e-3
+    theta, logs = start, slice(shape.linear.start, shape.linear.stop - 1)
+    lower, longest = np.full(shape.size, -np.inf), np.full(shape.size, np.inf)
+    lower[: shape.plays] = lower[logs.stop] = 0.0  # weights of plays, and the delay
+    longest[logs] = LONGEST_MOVE
     weights = [np.zeros(1) for _ in rows]
     for _ in range(ROUNDS):
         weights = _heavier(weights, rows, shape, theta)
-        for _ in range(STEPS):
-            curvature, gradient, cost = _normal(rows, shape, theta, weights)
-            theta, damping, gained = _step(
-                rows, shape, theta, weights, (curvature, gradient, cost), damping
-            )
-            if gained < 0.1:
-                break
+        theta = minimise(
+            partial(_Point, rows, shape, weights),
+            theta,
+            (lower, np.full(shape.size, np.inf)),
+            rule=STEPS,
+            longest=longest,
+        ).x
     weights = _heavier(weights, rows, shape, theta)
     return HammersteinFit(
         shape=shape,
@@ -122,17 +128,32 @@ def _weights(left_m: Array, rows: HammersteinRows) -> Array:
     return np.asarray(weight)
 
 
-def _normal(
-    rows: Sequence[HammersteinRows], shape: HammersteinShape, theta: Array, weights: list[Array]
-) -> tuple[Array, Array, float]:
-    curvature, gradient, cost = np.zeros((shape.size, shape.size)), np.zeros(shape.size), 0.0
-    for held, weight in zip(rows, weights, strict=True):
-        J = _weighted(straightened(tangents(shape, theta, held)), weight)
-        e = _weighted(_left(shape, theta, held), weight)
-        curvature += J @ J.T
-        gradient += J @ e
-        cost += float(e @ e)
-    return curvature, gradient, cost
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Parameters, and what they leave of every recording's weighted lines."""
+
+    rows: Sequence[HammersteinRows]
+    shape: HammersteinShape
+    weights: Sequence[Array]
+    theta: Array
+
+    @Once
+    def errors(self) -> list[Array]:
+        pairs = zip(self.rows, self.weights, strict=True)
+        return [_weighted(_left(self.shape, self.theta, held), weight) for held, weight in pairs]
+
+    @property
+    def cost(self) -> float:
+        return sum(float(error @ error) for error in self.errors)
+
+    def linearised(self) -> NormalEquations:
+        size = self.shape.size
+        gram, slope = np.zeros((size, size)), np.zeros(size)
+        for held, weight, error in zip(self.rows, self.weights, self.errors, strict=True):
+            J = _weighted(straightened(tangents(self.shape, self.theta, held)), weight)
+            gram += J @ J.T
+            slope -= J @ error
+        return NormalEquations(gram=gram, slope=slope, cost=self.cost)
 
 
 def _weighted(signals: Array, weight: Array) -> Array:
@@ -142,46 +163,6 @@ def _weighted(signals: Array, weight: Array) -> Array:
     """
     spectrum: ComplexArray = rfft(signals) * (np.sqrt(2.0) * weight)
     return np.asarray(spectrum.view(np.float64))
-
-
-def _step(
-    rows: Sequence[HammersteinRows],
-    shape: HammersteinShape,
-    theta: Array,
-    weights: list[Array],
-    normal: tuple[Array, Array, float],
-    damping: float,
-) -> tuple[Array, float, float]:
-    """Damped steps until one lowers the cost; weights of plays stay at or above zero."""
-    curvature, gradient, cost = normal
-    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
-    free = ~((theta <= 0.0) & (gradient < 0.0) & (np.arange(shape.size) < shape.plays))
-    for _ in range(6):
-        matrix = (curvature / np.outer(scale, scale))[np.ix_(free, free)]
-        move = np.zeros(shape.size)
-        move[free] = (
-            np.linalg.solve(matrix + damping * np.eye(len(matrix)), (gradient / scale)[free])
-            / scale[free]
-        )
-        new = _bounded(shape, theta, move)
-        there = sum(
-            float(np.sum(_weighted(_left(shape, new, r), w) ** 2))
-            for r, w in zip(rows, weights, strict=True)
-        )
-        if there < cost:
-            return new, max(damping / 10.0, 1e-10), cost - there
-        damping *= 10.0
-    return theta, damping, 0.0
-
-
-def _bounded(shape: HammersteinShape, theta: Array, move: Array) -> Array:
-    logs = slice(shape.linear.start, shape.linear.stop - 1)
-    move = move.copy()
-    move[logs] = np.clip(move[logs], -LONGEST_MOVE, LONGEST_MOVE)
-    new = theta + move
-    new[: shape.plays] = np.maximum(new[: shape.plays], 0.0)
-    new[shape.linear.stop - 1] = max(new[shape.linear.stop - 1], 0.0)
-    return new
 
 
 def _covariance(
