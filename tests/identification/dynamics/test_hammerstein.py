@@ -15,13 +15,14 @@ from piezoid.identification.dynamics.hammerstein import (
     fit_jointly,
 )
 from piezoid.identification.dynamics.hammerstein_model import (
+    HammersteinRows,
     HammersteinShape,
+    rows_of,
     simulate_rows,
     start_of,
     tangents,
 )
 from piezoid.identification.dynamics.hammerstein_record import JointFit
-from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows, rows_of
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
