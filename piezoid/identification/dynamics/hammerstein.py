@@ -5,7 +5,9 @@
 E is the spectrum of measured minus modelled displacement, each recording about its own straight
 line, and sigma^2 the smoothed power of what is left: correlated noise, and what the operator does
 not follow, weigh as little as they deserve [Whittle 1953]. Hysteresis and lag imitate each other;
-here neither is fixed before the other is known.
+here neither is fixed before the other is known. Scores, whitened derivatives times the whitened
+residual at one sample, are not independent: the covariance is C^-1 M C^-1, M the sum of products
+of what counts as one draw [White 1982].
 """
 
 from collections.abc import Sequence
@@ -28,11 +30,11 @@ from piezoid.identification.dynamics.hammerstein_model import (
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.hammerstein_structure import judge_structure
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.score_products import over_neighbours, over_parts
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.once import Once
+from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.records.recording import Recording
 
 SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the exciting drive's reach
@@ -43,6 +45,9 @@ STEPS = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
 SMOOTH_PER_DECADE = 10
 FEWEST_LINES = 12  # in one band of the noise's power
 LONGEST_MOVE = 0.3  # of a logarithm in one step
+NEIGHBOURS = 30  # samples over which whitened noise may still be correlated
+PARTS = 12  # of a recording
+STUDENT = 2.2010  # quantile of eleven degrees of freedom, 95 %, where a normal one is taken
 HIGHEST = 0.4  # of a recording's rate: above, noise alone
 
 
@@ -278,3 +283,27 @@ def _whitened(signals: Array, weight: Array) -> Array:
     """Signals in time, each line over its standard deviation: unit variance and white."""
     samples = signals.shape[-1]
     return np.asarray(irfft(rfft(signals) * weight, samples) * np.sqrt(samples))
+
+
+def over_neighbours(scores: Array) -> Array:
+    """Return the sum of products with neighbours, falling with distance [Newey & West 1987].
+
+    It sees noise that changes in time. Weights 1 - lag / n are those of sums over n neighbours:
+    sum_t S_t S_t^T / n.
+    """
+    edges = np.zeros((len(scores), NEIGHBOURS))
+    running = np.cumsum(np.concatenate([edges, scores, edges], axis=1), axis=1)
+    sums = running[:, NEIGHBOURS:] - running[:, :-NEIGHBOURS]
+    return np.asarray(sums @ sums.T / NEIGHBOURS)
+
+
+def over_parts(scores: Array) -> Array:
+    """Return the sum of products of whole parts of the recording, each of them one draw.
+
+    What an operator does not follow repeats from cycle to cycle and only changes as the drive
+    sweeps on, so that cycles are no draws; parts are. So few know their own spread poorly, hence
+    Student's quantile.
+    """
+    edges = np.linspace(0, scores.shape[1], PARTS + 1).astype(np.int64)[:-1]
+    sums = np.add.reduceat(scores, edges, axis=1)
+    return np.asarray(sums @ sums.T * PARTS / (PARTS - 1) * (STUDENT / NORMAL_95) ** 2)
