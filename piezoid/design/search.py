@@ -3,11 +3,11 @@
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import least
 
 Judge = Callable[[Array], tuple[float, float]]
 """Parameters in; (cost to minimise, excess over the limits in dB) out."""
@@ -56,8 +56,6 @@ def search(
     reserve_dB  what the search's grid may overlook between its points
     until_met   stop at the first point that meets every limit: enough to know that one exists
     """
-    import nlopt
-
     seen: list[tuple[bool, float, float, Array]] = []
     span = upper - lower
 
@@ -72,18 +70,16 @@ def search(
 
     with contextlib.suppress(_LimitsMetError):
         for start in starts:
-            _descend(nlopt, ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
+            _descend(ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
         for step in _POLISHING_STEPS:
             best = min(seen, key=lambda item: item[:2])
-            _descend(nlopt, ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
+            _descend(ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
     best = min(seen, key=lambda item: item[:2])
     cost, _ = judge(best[3])
     return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))
 
 
-def _descend(
-    nlopt: Any, ask: Judge, start: Array, step: float, evaluations: int, reserve_dB: float
-) -> None:
+def _descend(ask: Judge, start: Array, step: float, evaluations: int, reserve_dB: float) -> None:
     last: dict[bytes, tuple[float, float]] = {}
 
     def remembered(unit: Array) -> tuple[float, float]:
@@ -93,14 +89,12 @@ def _descend(
             last[key] = ask(unit)
         return last[key]
 
-    optimiser = nlopt.opt(nlopt.LN_COBYLA, len(start))
-    optimiser.set_lower_bounds(np.zeros(len(start)))
-    optimiser.set_upper_bounds(np.ones(len(start)))
-    optimiser.set_initial_step(step)
-    optimiser.set_xtol_abs(_PATIENCE)
-    optimiser.set_maxeval(evaluations)
-    optimiser.set_min_objective(lambda unit, _: remembered(unit)[0])
-    optimiser.add_inequality_constraint(
-        lambda unit, _: max(remembered(unit)[1], -_FLOOR_dB) + reserve_dB, 0.0
+    least(
+        lambda unit: remembered(unit)[0],
+        np.clip(start, 0.0, 1.0),
+        (np.zeros(len(start)), np.ones(len(start))),
+        step=step,
+        evaluations=evaluations,
+        limit=lambda unit: max(remembered(unit)[1], -_FLOOR_dB) + reserve_dB,
+        within=_PATIENCE,
     )
-    optimiser.optimize(np.clip(start, 0.0, 1.0))

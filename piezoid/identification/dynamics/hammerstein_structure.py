@@ -11,14 +11,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.fft import irfft, rfft
 
-from piezoid.identification.dynamics.hammerstein_fit import straightened
 from piezoid.identification.dynamics.hammerstein_model import (
+    HammersteinRows,
     HammersteinShape,
     simulate_rows,
+    straightened,
     terms_at,
 )
 from piezoid.identification.dynamics.hammerstein_record import Order, StructureVerdict
-from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns

@@ -1,4 +1,4 @@
-"""The weighted output-error fit of the modal form: gains eliminated, shape by Gauss-Newton."""
+"""The weighted output-error fit of the modal form: gains eliminated, shape searched for."""
 
 from dataclasses import dataclass
 
@@ -17,8 +17,16 @@ from piezoid.identification.dynamics.modal_basis import (
 )
 from piezoid.identification.dynamics.vector_fitting import stacked
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import (
+    Eliminated,
+    NormalEquations,
+    Rule,
+    eliminated,
+    minimise,
+)
+from piezoid.numerics.once import Once
 
-ROUNDS = 40
+EVALUATIONS = 40
 ENOUGH = 1e-2  # half of it is the gain in log likelihood: a tenth of a standard deviation
 STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
 LONGEST_MOVE = 0.3  # of a log frequency or log damping in one round
@@ -31,42 +39,21 @@ def maximise_likelihood(
 ) -> ModalFit:
     """Minimise sum |weight (response - columns(shape) gains)|^2 over shape and gains.
 
-    For each shape the best gains are a linear problem; the shape moves by Gauss-Newton on what
-    is left, with damped steps (variable projection, Golub & Pereyra 2003, Kaufman's form).
+    For each shape the best gains are a linear problem and are eliminated (variable projection).
 
     response  (lines, outputs, inputs)  measured
     weight    (lines, outputs, inputs)  one over the standard deviation; zero leaves a value out
     shape     (shapes,)                 a start, for example from vector fitting
     """
-    bounds = _bounds(lines, structure)
-    here = _point(_fitted(response, weight, lines, structure, np.clip(shape, *bounds)))
-    damping = 1e-3
-    for _ in range(ROUNDS):
-        there = _fitted(response, weight, lines, structure, _move(here, damping, bounds))
-        gained = here.cost - there.cost
-        if gained > 0:  # only where it goes on is it worth knowing where to
-            here, damping = _point(there), max(damping / 10, 1e-12)
-        else:
-            damping *= 10
-        if (0 <= gained < ENOUGH) or damping > 1e8:
-            break
-    return with_covariance(here, weight, structure)
-
-
-def _move(point: Point, damping: float, bounds: tuple[Array, Array]) -> Array:
-    """The damped Gauss-Newton step of what is free to move, in scaled unknowns."""
-    low, high = bounds
-    pushed = ((point.shape <= low) & (point.gradient < 0)) | (
-        (point.shape >= high) & (point.gradient > 0)
+    low, high = _bounds(lines, structure)
+    found = minimise(
+        lambda shape: _fitted(response, weight, lines, structure, shape),
+        shape,
+        (low, high),
+        rule=Rule(tolerance=0.0, enough=ENOUGH, evaluations=EVALUATIONS),
+        longest=np.append(np.full(len(low) - 1, LONGEST_MOVE), high[-1] / 10),
     )
-    free = np.flatnonzero(~pushed)
-    curvature = point.curvature[np.ix_(free, free)]
-    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
-    matrix = curvature / np.outer(scale, scale) + damping * np.eye(len(free))
-    step = np.zeros(len(low))
-    step[free] = np.linalg.solve(matrix, point.gradient[free] / scale) / scale
-    longest = np.append(np.full(len(low) - 1, LONGEST_MOVE), high[-1] / 10)
-    return np.clip(point.shape + np.clip(step, -longest, longest), low, high)
+    return with_covariance(found.point.point, weight, structure)
 
 
 def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
@@ -84,105 +71,73 @@ def _bounds(lines: Lines, structure: Structure) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Path:
-    """The best gains of one path at one shape: a linear problem, solved.
-
-    Q, root   weighted columns = Q root^-1
-    target    weighted response, (values,)
-    residual  what the columns leave of it
-    """
-
-    weight: Array
-    Q: Array
-    root: Array
-    gains: Array
-    residual: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Fitted:
-    """A shape with its best gains, (outputs, inputs) of paths, and what they leave."""
+    """A shape with its best gains, path after path, outputs first, and what they leave."""
 
     lines: Lines
     structure: Structure
     shape: Array
-    paths: list[list[_Path]]
+    weight: Array
+    paths: list[Eliminated]
 
     @property
     def cost(self) -> float:
         """The sum of squares of all residuals."""
-        return float(
-            sum(float(path.residual @ path.residual) for row in self.paths for path in row)
+        return float(sum(float(path.residual @ path.residual) for path in self.paths))
+
+    @Once
+    def point(self) -> Point:
+        """Return where the shape leads to."""
+        shapes, (lines, outputs, inputs) = self.structure.shapes, self.weight.shape
+        slopes = _slopes(self.lines, self.structure, self.shape)
+        curvature, scores = np.zeros((shapes, shapes)), np.zeros((lines, shapes))
+        drags = []
+        weights = self.weight.reshape(lines, -1, 1)
+        for number, path in enumerate(self.paths):
+            tangent = stacked(_tangent(slopes, path.coefficients) * weights[:, number])
+            tangent, drag = path.across(tangent)
+            curvature += tangent.T @ tangent
+            weighted = tangent * path.residual[:, None]
+            scores += weighted.reshape(2, lines, -1).sum(axis=0)
+            drags.append(drag)
+        gains = np.array([path.coefficients for path in self.paths])
+        return Point(
+            shape=self.shape,
+            cost=self.cost,
+            gains=gains.reshape(outputs, inputs, -1),
+            gradient=scores.sum(axis=0),
+            curvature=curvature,
+            line_scores=scores,
+            gain_roots=[path.root for path in self.paths],
+            gain_slopes=drags,
         )
+
+    def linearised(self) -> NormalEquations:
+        """Return the linear model, the gains eliminated."""
+        point = self.point
+        return NormalEquations(gram=point.curvature, slope=-point.gradient, cost=self.cost)
 
 
 def _fitted(
     response: ComplexArray, weight: Array, lines: Lines, structure: Structure, shape: Array
 ) -> _Fitted:
     columns = basis(lines, structure, shape)
-    outputs, inputs = response.shape[1:]
-    return _Fitted(
-        lines=lines,
-        structure=structure,
-        shape=shape,
-        paths=[
-            [
-                _solved(columns, response[:, i, j, None], weight[:, i, j, None])
-                for j in range(inputs)
-            ]
-            for i in range(outputs)
-        ],
-    )
-
-
-def _solved(columns: ComplexArray, response: ComplexArray, weight: Array) -> _Path:
-    weighted = stacked(columns * weight)
-    size = np.linalg.norm(weighted, axis=0)
-    Q, R = np.linalg.qr(weighted / size)
-    target = stacked(response * weight)[:, 0]
-    root = _inverse_triangle(R) / size[:, None]
-    inside = Q.T @ target
-    return _Path(weight=weight, Q=Q, root=root, gains=root @ inside, residual=target - Q @ inside)
-
-
-def _point(fitted: _Fitted) -> Point:
-    """Return where a shape leads to."""
-    structure = fitted.structure
-    slopes = _slopes(fitted.lines, structure, fitted.shape)
-    curvature = np.zeros((structure.shapes, structure.shapes))
-    scores = np.zeros((len(fitted.lines.frequency_Hz), structure.shapes))
-    roots, drags = [], []
-    for path in (path for row in fitted.paths for path in row):
-        tangent = stacked(_tangent(slopes, path.gains) * path.weight)
-        inside = path.Q.T @ tangent
-        tangent -= path.Q @ inside
-        curvature += tangent.T @ tangent
-        weighted = tangent * path.residual[:, None]
-        scores += weighted.reshape(2, len(scores), -1).sum(axis=0)
-        roots.append(path.root)
-        drags.append(-path.root @ inside)
-    return Point(
-        shape=fitted.shape,
-        cost=fitted.cost,
-        gains=np.array([[path.gains for path in row] for row in fitted.paths]),
-        gradient=scores.sum(axis=0),
-        curvature=curvature,
-        line_scores=scores,
-        gain_roots=roots,
-        gain_slopes=drags,
-    )
-
-
-def _inverse_triangle(R: Array) -> Array:
-    diagonal = np.abs(np.diag(R))
-    if len(R) < R.shape[1] or not diagonal.min() > 1e-13 * diagonal.max():
+    paths = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
+    try:
+        solved = [
+            eliminated(
+                stacked(columns * weight[:, i, j, None]),
+                stacked(response[:, i, j, None] * weight[:, i, j, None])[:, 0],
+            )
+            for i, j in paths
+        ]
+    except np.linalg.LinAlgError as error:
         raise IdentificationError(
-            f"the modal form is singular: smallest pivot {diagonal.min():.1e} of "
-            f"{diagonal.max():.1e}",
+            f"the modal form is singular: {error}",
             needed="more measured values than gains, and no two terms alike",
             remedy="Take fewer modes, leave out the direct term, or measure more lines.",
-        )
-    return np.asarray(np.linalg.inv(R))
+        ) from error
+    return _Fitted(lines=lines, structure=structure, shape=shape, weight=weight, paths=solved)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,16 +1,15 @@
-"""Bounded Gauss-Newton on the forward output error, with steps judged by the true cost.
+"""The search for the least forward output error within the bounds, steps judged by the true cost.
 
     min  mean e^2 + ridge |kinks|^2,   within the bounds
 
 kinks are the changes of slope at every threshold (coordinates.py). Whatever the data do not see,
 such as a play that never moves or a slope beyond the readings, the ridge sets: no kink there.
 
-Each iteration gathers the triangular factor of [J | e] chunk by chunk, solves the bounded linear
-least-squares problem with a Marquardt term exactly, and accepts the step if the cost falls.
+Each linear model is the triangular factor of [J | e], gathered chunk by chunk.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -19,14 +18,14 @@ from numpy.typing import NDArray
 from piezoid.identification.hysteresis.coordinates import Coordinates
 from piezoid.identification.hysteresis.pieces import Piece, widest_swing
 from piezoid.identification.hysteresis.rows import column_places, rows_of, simulate
+from piezoid.numerics import levenberg_marquardt
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quadratic_program import bounded_step
+from piezoid.numerics.levenberg_marquardt import Rows, Rule
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.chain import Samples
 
-CONVERGED = 1e-5  # relative fall of the cost that is not worth another iteration
 # Thresholds that meet kinks go on in steps that do not end, each worth a ten-thousandth.
-CRAWL, CRAWLED = 5, 1e-3
+CRAWLED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,8 +80,7 @@ class Minimum:
     rms         of the residual, scaled units
     iterations  Jacobians computed
     gradient    largest scaled derivative that a bound does not hold: 0 at an exact minimum
-    converged   whether the last step changed the cost by less than one part in 1e5, or the last
-                five together by less than one in a thousand
+    converged   whether the search ended of itself
     """
 
     theta: Array
@@ -104,20 +102,8 @@ def rms_of(theta: Array, task: Task) -> float:
     return float(np.sqrt(total / count))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Factor:
-    """All that a step needs to know of the rows.
-
-    triangle  (places + 1, places + 1)  triangular factor of [J | e] over all pieces
-    place     (places,)                 which numbers of the vector the columns belong to
-    """
-
-    triangle: Array
-    place: Samples
-
-
-def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Factor:
-    """Return the factor of the columns of those numbers that may move.
+def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Rows:
+    """Return the triangle of the columns of those numbers that may move.
 
     What only one piece knows is eliminated there: each piece hands on no more than a triangle of
     what all share.
@@ -134,7 +120,9 @@ def factor_of(theta: Array, task: Task, moving: NDArray[np.bool_]) -> Factor:
     kinks, constant = task.prior
     prior = np.column_stack([kinks[:, shared], kinks @ theta + constant])
     common = gather(common, prior, spend=True)
-    return Factor(triangle=_assembled(locals_, common), place=np.concatenate([*places, shared]))
+    triangle = _assembled(locals_, common)
+    place = np.concatenate([*places, shared])
+    return Rows(factor=triangle[:, :-1], residual=triangle[:, -1], place=place)
 
 
 def _assembled(locals_: Sequence[Array], common: Array) -> Array:
@@ -180,77 +168,44 @@ def _piece_triangle(
     return early, places[wanted[:-1]]
 
 
+@dataclass(frozen=True, eq=False)
+class _Point:
+    task: Task
+    theta: Array
+    moving: NDArray[np.bool_]
+    rms: float
+
+    @property
+    def cost(self) -> float:
+        return self.task.rows * (self.rms**2 + self.task.roughness(self.theta))
+
+    def linearised(self) -> Rows:
+        return factor_of(self.theta, self.task, self.moving)
+
+
 def minimise(theta: Array, task: Task, *, iterations: int = 30) -> Minimum:
     """Search from ``theta`` for the least forward output error within the bounds."""
     lower, upper = task.coordinates.bounds(task.longest_lag_s)
     for name in task.held:
         fixed = task.coordinates.slices[name]
         lower[fixed] = upper[fixed] = theta[fixed]
-    theta = np.clip(theta, lower, upper)
-    state = Minimum(
-        theta=theta, rms=rms_of(theta, task), iterations=0, gradient=np.inf, converged=False
+
+    def within(theta: Array) -> Array:
+        if "gap" in task.held:
+            return theta
+        return task.coordinates.within_reach(theta, task.swing)
+
+    found = levenberg_marquardt.minimise(
+        lambda x: _Point(task, x, upper > lower, rms_of(x, task)),
+        theta,
+        (lower, upper),
+        rule=Rule(crawl=CRAWLED, iterations=iterations, easier=5.0, harder=6.0),
+        within=within,
     )
-    damping, passed = 1e-3, [_cost(state, task)]
-    while state.iterations < iterations and not state.converged:
-        factor = factor_of(state.theta, task, upper > lower)
-        state, damping = _iterate(state, factor, (lower, upper), task, damping)
-        passed.append(_cost(state, task))
-        state = replace(state, converged=state.converged or _crawls(passed))
-    return state
-
-
-def _crawls(passed: Sequence[float]) -> bool:
-    """Tell whether the last steps together lowered the cost by next to nothing."""
-    return len(passed) > CRAWL and 1.0 - passed[-1] / passed[-1 - CRAWL] < CRAWLED
-
-
-def _cost(state: Minimum, task: Task) -> float:
-    return state.rms**2 + task.roughness(state.theta)
-
-
-def _iterate(
-    state: Minimum, found: Factor, bounds: tuple[Array, Array], task: Task, damping: float
-) -> tuple[Minimum, float]:
-    """Try steps of growing damping until one lowers the cost, or none does."""
-    theta, (lower, upper), place = state.theta, bounds, found.place
-    factor, residual = found.triangle[:, :-1], found.triangle[:, -1]
-    room = lower[place] - theta[place], upper[place] - theta[place]
-    scale = np.linalg.norm(factor, axis=0)
-    scale[scale == 0.0] = 1.0
-    gradient = _free_gradient(factor.T @ residual / scale, *room)
-    size = gradient / max(float(np.linalg.norm(residual)), 1e-300)
-    before = _cost(state, task)
-    for _ in range(12):
-        step = np.zeros_like(theta)
-        step[place] = bounded_step(
-            np.vstack([factor, np.sqrt(damping) * np.diag(scale)]),
-            np.concatenate([-residual, np.zeros(len(scale))]),
-            *room,
-        )
-        trial = np.clip(theta + step, lower, upper)
-        if "gap" not in task.held:
-            trial = task.coordinates.within_reach(trial, task.swing)
-        reached = Minimum(
-            theta=trial,
-            rms=rms_of(trial, task),
-            iterations=state.iterations + 1,
-            gradient=size,
-            converged=False,
-        )
-        cost = _cost(reached, task)
-        if cost < before:
-            return (
-                replace(reached, converged=1.0 - cost / before < CONVERGED),
-                max(damping / 5, 1e-9),
-            )
-        damping *= 6
-    return (
-        replace(state, iterations=state.iterations + 1, gradient=size, converged=True),
-        damping,
+    return Minimum(
+        theta=found.x,
+        rms=found.point.rms,
+        iterations=found.iterations,
+        gradient=found.gradient,
+        converged=found.converged,
     )
-
-
-def _free_gradient(gradient: Array, down: Array, up: Array) -> float:
-    """Return the largest derivative along which there is still room to move downhill."""
-    held = ((down >= 0) & (gradient > 0)) | ((up <= 0) & (gradient < 0))
-    return float(np.abs(np.where(held, 0.0, gradient)).max(initial=0.0))

@@ -16,6 +16,7 @@ from piezoid.identification.hysteresis.filters import later
 from piezoid.identification.hysteresis.order import folds_of, is_untested
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import least
 from piezoid.operators.chain import Samples
 
 ROWS = 3000  # of all pieces together: three numbers need no more
@@ -113,26 +114,25 @@ def _numbers(x: Array, longest_lag_s: float) -> tuple[float, float, float]:
 
 
 def _searched(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Array:
-    import nlopt
-
-    def error(x: Array, _: Array) -> float:
+    def error(x: Array) -> float:
         whole = np.concatenate([x, np.zeros(3 - count)])
         columns = [_columns(piece, whole, longest_lag_s) for piece in pieces]
         return _left(pieces, columns)
 
-    best, least = np.zeros(3), np.inf
-    for share in (0.03, 0.3):
-        search = nlopt.opt(nlopt.LN_SBPLX, count)
-        search.set_min_objective(error)
-        search.set_lower_bounds([np.log(1e-3), np.log(0.05), 0.0][:count])
-        search.set_upper_bounds([np.log(2.0), np.log(5.0), 1.0][:count])
-        search.set_initial_step([0.7, 0.4, 0.1][:count])
-        search.set_maxeval(EVALUATIONS * (count - 1))
-        x = search.optimize(np.array([np.log(share), np.log(0.8), 0.02][:count]))
-        if search.last_optimum_value() < least:
-            least = search.last_optimum_value()
-            best = np.concatenate([x, np.zeros(3 - count)])
-    return best
+    lower = np.array([np.log(1e-3), np.log(0.05), 0.0][:count])
+    upper = np.array([np.log(2.0), np.log(5.0), 1.0][:count])
+    found = [
+        least(
+            error,
+            np.array([np.log(share), np.log(0.8), 0.02][:count]),
+            (lower, upper),
+            step=np.array([0.7, 0.4, 0.1][:count]),
+            evaluations=EVALUATIONS * (count - 1),
+        )
+        for share in (0.03, 0.3)
+    ]
+    best, _ = min(found, key=lambda pair: pair[1])
+    return np.concatenate([best, np.zeros(3 - count)])
 
 
 def _columns(piece: Piece, x: Array, longest_lag_s: float) -> Array:

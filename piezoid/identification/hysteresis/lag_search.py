@@ -9,6 +9,7 @@ from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.start import ROWS
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import least
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.play import play_blocks
 
@@ -24,25 +25,21 @@ def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
     """
     if kind == "none" or longest_s <= 0.0:
         return 0.0
-    import nlopt
-
     columns = [_quick_columns(piece) for piece in pieces]
 
-    def error(x: Array, _: Array) -> float:
+    def error(x: Array) -> float:
         return _quick_error(pieces, columns, kind, float(x[0]) * longest_s)
 
-    found = np.array([0.02])
-    for algorithm, evaluations in ((nlopt.GN_DIRECT_L, 25), (nlopt.LN_SBPLX, 25)):
-        search = nlopt.opt(algorithm, 1)
-        search.set_lower_bounds([0.0])
-        search.set_upper_bounds([1.0])
-        search.set_min_objective(error)
-        search.set_maxeval(evaluations)
-        if algorithm == nlopt.LN_SBPLX:
-            search.set_initial_step([0.02])
-            search.set_xtol_abs(1e-5)
-        found = search.optimize(found)
-    return float(found[0]) * longest_s
+    share, _ = least(
+        error,
+        np.array([0.02]),
+        (np.zeros(1), np.ones(1)),
+        step=0.02,
+        evaluations=25,
+        within=1e-5,
+        globally=25,
+    )
+    return float(share[0]) * longest_s
 
 
 def _quick_columns(piece: Piece) -> Array:

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.identification.streamed.descent import Reached, step_of
+from piezoid.identification.streamed.descent import Reached
 from piezoid.identification.streamed.passes import Block, Task, gathered, rows_of_stream
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import Rows
 
 KEPT = 200_000  # residuals, for their quantiles
 SURE = 1e-8  # damping: directions that the rest of the data hardly sees keep the fit's values
@@ -46,7 +47,12 @@ def _is_late(block: Block, blocks: Sequence[Block]) -> bool:
 
 def _refit(reached: Reached, task: Task, blocks: Sequence[Block]) -> Array:
     triangle = gathered(blocks, task.coordinates)
-    return step_of(triangle, reached.theta, task.bounds(), SURE)
+    return _step(triangle, reached.theta, task.bounds())
+
+
+def _step(triangle: Array, theta: Array, bounds: tuple[Array, Array]) -> Array:
+    rows = Rows(factor=triangle[:, :-1], residual=triangle[:, -1])
+    return rows.step(bounds[0] - theta, bounds[1] - theta, SURE)
 
 
 def _settled(reached: Reached, task: Task, step: Array, tested: set[int]) -> Array:
@@ -60,7 +66,7 @@ def _settled(reached: Reached, task: Task, step: Array, tested: set[int]) -> Arr
         own = gathered([b for b in reached.blocks if b.piece == piece], task.coordinates)
         error = own[:, -1] + own[:, :shared] @ step[:shared]
         triangle = np.column_stack([own[:, local], error])
-        theta[local] += step_of(triangle, theta[local], (lower[local], upper[local]), SURE)
+        theta[local] += _step(triangle, theta[local], (lower[local], upper[local]))
     return np.asarray(np.clip(theta, lower, upper))
 
 

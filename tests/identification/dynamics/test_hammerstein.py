@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.fft import rfftfreq
 from scipy.signal import lfilter
 
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
@@ -15,15 +14,15 @@ from piezoid.identification.dynamics.hammerstein import (
     _with_small,
     fit_jointly,
 )
-from piezoid.identification.dynamics.hammerstein_fit import _normal, _step
 from piezoid.identification.dynamics.hammerstein_model import (
+    HammersteinRows,
     HammersteinShape,
+    rows_of,
     simulate_rows,
     start_of,
     tangents,
 )
 from piezoid.identification.dynamics.hammerstein_record import JointFit
-from piezoid.identification.dynamics.hammerstein_rows import HammersteinRows, rows_of
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
@@ -158,21 +157,6 @@ def test_every_derivative_is_that_of_the_simulation(dynamics: LinearDynamics) ->
         ahead, back = (simulate_rows(shape, theta + s * step, rows) for s in (1, -1))
         numeric = (ahead - back) / (2.0 * step[place])
         assert np.linalg.norm(numeric - exact[place]) <= 0.02 * np.linalg.norm(numeric)
-
-
-def test_a_step_gains_what_it_says_and_is_taken_only_where_it_gains() -> None:
-    rows, shape, theta = rows_and_start(rough(axis()))
-    weights = [np.ones(len(rfftfreq(rows.samples)))]
-    for damping in (1e-9, 1e-3, 1.0):
-        normal = _normal([rows], shape, theta, weights)
-        new, _, gained = _step([rows], shape, theta, weights, normal, damping)
-        assert gained > 0.0
-        there = _normal([rows], shape, new, weights)[2]
-        assert normal[2] - there == pytest.approx(gained, rel=1e-6)
-    uphill = normal[0], -normal[1], normal[2]
-    held, _, nothing = _step([rows], shape, theta, weights, uphill, damping)
-    assert nothing == 0.0
-    np.testing.assert_array_equal(held, theta)
 
 
 def test_a_recording_without_a_known_memory_is_not_fitted_jointly() -> None:

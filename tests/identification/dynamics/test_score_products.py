@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.identification.dynamics.score_products import (
+from piezoid.identification.dynamics.hammerstein import (
     NEIGHBOURS,
     PARTS,
     STUDENT,

@@ -1,0 +1,280 @@
+"""Nonlinear least squares within bounds: one damped step, one rule of when to stop.
+
+    min_x  c(x) = |r(x)|^2,   l <= x <= u
+
+    d(mu) = argmin_d  |J d + r|^2 + mu |D d|^2,   l <= x + d <= u,   D_ii = |J_i|
+
+A step that lowers c is taken and mu falls; otherwise mu grows and the same J serves again. A prior
+is rows of r like any others. What is linear is eliminated first: ``eliminated``.
+
+Source: Marquardt, SIAM J. 11 (1963), for mu; More, Lecture Notes in Mathematics 630 (1978), for D.
+The bounds are part of the step's own problem, solved exactly. What goes wrong: at a kink of c no
+step of the linear model may lower it, which ends the search beside a better place.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.bounded import bounded_minimum
+from piezoid.numerics.quadratic_program import bounded_step
+
+LEAST_DAMPING = 1e-9  # keeps normal equations definite where rounding would not
+CRAWL = 5  # accepted steps looked at together
+
+Reason = Literal["converged", "crawling", "stationary", "iterations", "evaluations"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """When a search ends.
+
+    tolerance    relative fall of c in one step that is not worth another
+    crawl        relative fall in ``CRAWL`` steps together that is not worth another; 0: ignored
+    enough       absolute fall that is not worth another, where c is a log likelihood
+    iterations   most linear models
+    evaluations  most values of c
+    tries        most steps of one linear model
+    damping      the first mu
+    easier       by how much mu falls where a step lowers c, and
+    harder       grows where it does not: less than tenfold where c has many kinks
+    """
+
+    tolerance: float = 1e-5
+    crawl: float = 0.0
+    enough: float = 0.0
+    iterations: int = 30
+    evaluations: int = 1000
+    tries: int = 12
+    damping: float = 1e-3
+    easier: float = 10.0
+    harder: float = 10.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """The linear model |J d + r|^2 as rows, or as the triangle that was gathered of them.
+
+    factor    (rows, columns)  J, or its triangular factor
+    residual  (rows,)          r, reflected alike
+    place     (columns,)       which numbers the columns belong to; None: each to its own
+    """
+
+    factor: Array
+    residual: Array
+    place: NDArray[np.intp] | None = None
+
+    def step(self, lower: Array, upper: Array, damping: float) -> Array:
+        """Return the damped step, (numbers,), between bounds of the step."""
+        place = np.arange(len(lower)) if self.place is None else self.place
+        step = np.zeros_like(lower)
+        step[place] = bounded_step(
+            np.vstack([self.factor, np.sqrt(damping) * np.diag(_norms(self.factor))]),
+            np.concatenate([-self.residual, np.zeros(len(place))]),
+            lower[place],
+            upper[place],
+        )
+        return step
+
+    def gradient(self, lower: Array, upper: Array) -> float:
+        """Return the largest derivative a bound does not hold, columns and r scaled to norm 1."""
+        slope = self.factor.T @ self.residual / _norms(self.factor)
+        if self.place is not None:
+            lower, upper = lower[self.place], upper[self.place]
+        size = max(float(np.linalg.norm(self.residual)), 1e-300)
+        return _steepest(slope, lower, upper) / size
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NormalEquations:
+    """The linear model as J'J and J'r, where there are too many rows to reflect at every step.
+
+    They square the condition of J; the damping is what keeps that harmless.
+
+    gram   (numbers, numbers)
+    slope  (numbers,)
+    cost   |r|^2: what the gradient is scaled by
+    """
+
+    gram: Array
+    slope: Array
+    cost: float
+
+    def step(self, lower: Array, upper: Array, damping: float) -> Array:
+        """Return the damped step, (numbers,), between bounds of the step."""
+        scale = self._scale()
+        scaled = self.gram / np.outer(scale, scale) + damping * np.eye(len(scale))
+        step = bounded_minimum(scaled, -self.slope / scale, lower * scale, upper * scale)
+        return np.asarray(step / scale)
+
+    def gradient(self, lower: Array, upper: Array) -> float:
+        """Return the largest derivative a bound does not hold, columns and r scaled to norm 1."""
+        size = max(float(np.sqrt(self.cost)), 1e-300)
+        return _steepest(self.slope / self._scale(), lower, upper) / size
+
+    def _scale(self) -> Array:
+        scale = np.sqrt(np.maximum(np.diag(self.gram), 0.0))
+        scale[scale == 0.0] = 1.0
+        return np.asarray(scale)
+
+
+def _norms(factor: Array) -> Array:
+    scale = np.linalg.norm(factor, axis=0)
+    scale[scale == 0.0] = 1.0
+    return np.asarray(scale)
+
+
+def _steepest(slope: Array, lower: Array, upper: Array) -> float:
+    held = ((lower >= 0.0) & (slope > 0.0)) | ((upper <= 0.0) & (slope < 0.0))
+    return float(np.abs(np.where(held, 0.0, slope)).max(initial=0.0))
+
+
+class Point(Protocol):
+    """A place where the search was."""
+
+    @property
+    def cost(self) -> float:
+        """Return |r|^2, priors included; what is not finite is never gone to."""
+
+    def linearised(self) -> Rows | NormalEquations:
+        """Return the linear model about the point: asked for only where the search goes on."""
+
+
+AnyPoint = TypeVar("AnyPoint", bound=Point)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Minimum(Generic[AnyPoint]):
+    """Where a search ended.
+
+    x            (numbers,)
+    point        there
+    reason       converged: the last step lowered c by less than the rule asks; crawling: the last
+                 five together did; stationary: none of the tries lowered c; iterations or
+                 evaluations: as many as the rule allows
+    iterations   linear models made
+    evaluations  values of c asked for
+    gradient     of the last linear model: largest scaled derivative that no bound holds
+    """
+
+    x: Array
+    point: AnyPoint
+    reason: Reason
+    iterations: int
+    evaluations: int
+    gradient: float
+
+    @property
+    def converged(self) -> bool:
+        """Return whether the search ended of itself."""
+        return self.reason not in {"iterations", "evaluations"}
+
+
+def minimise(
+    at: Callable[[Array], AnyPoint],
+    start: Array,
+    bounds: tuple[Array, Array],
+    *,
+    rule: Rule = Rule(),
+    longest: Array | float = np.inf,
+    within: Callable[[Array], Array] = lambda x: x,
+) -> Minimum[AnyPoint]:
+    """Search from a start for the least squares within the bounds.
+
+    at       x -> point; called once for every x that is tried
+    start    (numbers,)  brought within the bounds first
+    bounds   (numbers,) each; equal bounds hold a number
+    longest  (numbers,)  that a number may move in one step; what is longer is cut off
+    within   x -> x that is tried instead, where bounds alone do not say what is allowed
+    """
+    lower, upper = bounds
+    x = np.clip(start, lower, upper)
+    here = at(x)
+    costs, damping, iterations, evaluations = [here.cost], rule.damping, 0, 1
+    gradient = np.inf
+    reason: Reason | None = None
+    while reason is None and iterations < rule.iterations:
+        model, iterations = here.linearised(), iterations + 1
+        gradient = model.gradient(lower - x, upper - x)
+        reason = "stationary"
+        for _ in range(rule.tries):
+            if evaluations >= rule.evaluations:
+                reason = "evaluations"
+                break
+            step = np.clip(model.step(lower - x, upper - x, damping), -longest, longest)
+            trial = within(np.clip(x + step, lower, upper))
+            there, evaluations = at(trial), evaluations + 1
+            if there.cost < here.cost:
+                x, here, damping = trial, there, max(damping / rule.easier, LEAST_DAMPING)
+                costs.append(here.cost)
+                reason = _worth_another(costs, rule)
+                break
+            damping *= rule.harder
+    return Minimum(
+        x=x,
+        point=here,
+        reason=reason or "iterations",
+        iterations=iterations,
+        evaluations=evaluations,
+        gradient=gradient,
+    )
+
+
+def _worth_another(costs: Sequence[float], rule: Rule) -> Reason | None:
+    """Return why no step should follow on those that led down these costs; None if one should."""
+    if costs[-2] - costs[-1] < max(rule.tolerance * costs[-2], rule.enough):
+        return "converged"
+    if len(costs) > CRAWL and 1.0 - costs[-1] / costs[-1 - CRAWL] < rule.crawl:
+        return "crawling"
+    return None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Eliminated:
+    """Coefficients that are linear, at their best for given columns: variable projection.
+
+        min_c |A c - y|,   r = P y,   dr = -P dA c,   P = 1 - Q Q',   A = Q K^-1
+
+    Source: Golub & Pereyra, Inverse Problems 19 (2003); dr in Kaufman's form, which leaves out a
+    part that vanishes with r.
+
+    Q             (rows, columns)  orthonormal
+    root          (columns, columns)  K: K K' is (A'A)^-1
+    coefficients  (columns,)  c
+    residual      (rows,)     y - A c
+    """
+
+    Q: Array
+    root: Array
+    coefficients: Array
+    residual: Array
+
+    def across(self, tangent: Array) -> tuple[Array, Array]:
+        """Return P t, and how c moves, for tangents t = dA c at fixed c.
+
+        tangent   (rows, numbers)
+        returned  (rows, numbers) and (columns, numbers)
+        """
+        inside = self.Q.T @ tangent
+        return tangent - self.Q @ inside, -self.root @ inside
+
+
+def eliminated(columns: Array, target: Array) -> Eliminated:
+    """Solve for the coefficients of columns, scaled to norm 1 first.
+
+    columns  (rows, columns)
+    target   (rows,)
+
+    Raises ``numpy.linalg.LinAlgError`` for columns that are dependent to rounding.
+    """
+    size = _norms(columns)
+    Q, R = np.linalg.qr(columns / size)
+    pivot = np.abs(np.diag(R))
+    if len(R) < R.shape[1] or not pivot.min(initial=np.inf) > 1e-13 * pivot.max(initial=0.0):
+        raise np.linalg.LinAlgError(f"smallest pivot {pivot.min():.1e} of {pivot.max():.1e}")
+    root, inside = np.linalg.inv(R) / size[:, None], Q.T @ target
+    return Eliminated(Q=Q, root=root, coefficients=root @ inside, residual=target - Q @ inside)

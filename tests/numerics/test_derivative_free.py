@@ -1,0 +1,55 @@
+"""A search without derivatives: kinks, several valleys, a limit, and no more values than asked."""
+
+import numpy as np
+import pytest
+
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.derivative_free import least
+
+BOX = np.full(2, -5.0), np.full(2, 5.0)
+
+
+def test_a_minimum_at_a_kink_is_found() -> None:
+    def kinked(x: Array) -> float:
+        return float(abs(x[0] - 1.0) + 3.0 * abs(x[1] + x[0]))
+
+    x, value = least(kinked, np.zeros(2), BOX, step=0.5, evaluations=500, within=1e-7)
+    np.testing.assert_allclose(x, [1.0, -1.0], atol=1e-4)
+    assert value == kinked(x)
+
+
+def test_a_search_of_the_whole_box_leads_out_of_a_shallow_valley() -> None:
+    def valleys(x: Array) -> float:
+        return float(min((x[0] - 4.0) ** 2 + 1.0, 4.0 * (x[0] + 3.0) ** 2))
+
+    start, box = np.array([4.0]), (BOX[0][:1], BOX[1][:1])
+    near, _ = least(valleys, start, box, step=0.1, evaluations=100)
+    far, _ = least(valleys, start, box, step=0.1, evaluations=100, globally=50)
+    assert near[0] == pytest.approx(4.0, abs=1e-3)
+    assert far[0] == pytest.approx(-3.0, abs=1e-3)
+
+
+def test_a_limit_is_met() -> None:
+    x, value = least(
+        lambda x: float(-x[0] - x[1]),
+        np.full(2, 0.1),
+        BOX,
+        step=0.5,
+        evaluations=500,
+        limit=lambda x: float(x @ x - 1.0),
+        within=1e-8,
+    )
+    np.testing.assert_allclose(x, np.sqrt(0.5), atol=1e-5)
+    assert value == pytest.approx(-np.sqrt(2.0), abs=1e-6)
+
+
+def test_no_more_values_are_asked_for_than_allowed() -> None:
+    asked = []
+
+    def bowl(x: Array) -> float:
+        asked.append(x.copy())
+        return float(x @ x)
+
+    least(bowl, np.full(2, 3.0), BOX, step=0.5, evaluations=17, globally=11)
+    assert len(asked) == 28
+    assert (np.abs(asked) <= 5.0).all()

@@ -1,0 +1,355 @@
+"""Least squares with published minima, within bounds, and the rule by which a search ends.
+
+NIST problems: Statistical Reference Datasets of the National Institute of Standards and
+Technology, nonlinear regression; starts and certified values as given there. Exponential sums:
+problem 1 of Osborne (1972), solved by variable projection in Golub & Pereyra, SIAM J. Numer.
+Anal. 10 (1973).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.levenberg_marquardt import (
+    CRAWL,
+    Minimum,
+    NormalEquations,
+    Rows,
+    Rule,
+    eliminated,
+    minimise,
+)
+from piezoid.numerics.triangle import empty_triangle, gather
+
+Residual = Callable[[Array], Array]
+EXACT = Rule(tolerance=1e-14, iterations=500, evaluations=5000)
+FREE = np.array(-np.inf), np.array(np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A residual and its derivative by central differences, in one of three forms."""
+
+    residual: Residual
+    x: Array
+    form: str = "rows"
+
+    @property
+    def cost(self) -> float:
+        return float(np.sum(self.residual(self.x) ** 2))
+
+    def linearised(self) -> Rows | NormalEquations:
+        J, r = slopes(self.residual, self.x), self.residual(self.x)
+        if self.form == "normal":
+            return NormalEquations(gram=J.T @ J, slope=J.T @ r, cost=self.cost)
+        if self.form == "rows":
+            return Rows(factor=J, residual=r)
+        triangle = empty_triangle(len(self.x) + 1)
+        for chunk in np.array_split(np.column_stack([J, r]), 3):
+            triangle = gather(triangle, chunk)
+        return Rows(factor=triangle[:, :-1], residual=triangle[:, -1])
+
+
+def slopes(function: Residual, x: Array) -> Array:
+    columns = []
+    for place in range(len(x)):
+        step = np.zeros(len(x))
+        step[place] = 1e-5 * max(abs(float(x[place])), 1e-6)
+        columns.append((function(x + step) - function(x - step)) / (2.0 * step[place]))
+    return np.stack(columns, axis=1)
+
+
+def searched(
+    residual: Residual,
+    start: Sequence[float],
+    *,
+    bounds: tuple[Array, Array] = FREE,
+    rule: Rule = EXACT,
+    form: str = "rows",
+) -> Minimum[Curve]:
+    first = np.array(start, dtype=float)
+    lower, upper = (np.broadcast_to(bound, first.shape).copy() for bound in bounds)
+    return minimise(lambda x: Curve(residual, x, form), first, (lower, upper), rule=rule)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Published:
+    """A problem of the reference data sets: model, data, both starts, certified numbers."""
+
+    name: str
+    model: Callable[[Array, Array], Array]
+    x: Sequence[float]
+    y: Sequence[float]
+    starts: Sequence[Sequence[float]]
+    certified: Sequence[float]
+    cost: float
+
+    def residual(self, b: Array) -> Array:
+        left: Array = self.model(b, np.array(self.x)) - np.array(self.y)
+        return left
+
+
+def _cubic_ratio(b: Array, x: Array) -> Array:
+    top = b[0] + x * (b[1] + x * (b[2] + x * b[3]))
+    return np.asarray(top / (1.0 + x * (b[4] + x * (b[5] + x * b[6]))))
+
+
+# fmt: off
+PUBLISHED = (
+    Published(
+        name="Misra1a", model=lambda b, x: b[0] * (1.0 - np.exp(-b[1] * x)),
+        x=(77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1,
+           689.1, 760.0),
+        y=(10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02, 44.82, 50.76, 55.05, 61.01, 66.40,
+           75.47, 81.78),
+        starts=((500.0, 1e-4), (250.0, 5e-4)),
+        certified=(2.3894212918e2, 5.5015643181e-4), cost=1.2455138894e-1,
+    ),
+    Published(
+        name="BoxBOD", model=lambda b, x: b[0] * (1.0 - np.exp(-b[1] * x)),
+        x=(1.0, 2.0, 3.0, 5.0, 7.0, 10.0), y=(109.0, 149.0, 149.0, 191.0, 213.0, 224.0),
+        starts=((100.0, 0.75),),  # from (1, 1), as steep a start, many methods run away
+        certified=(2.1380940889e2, 5.4723748542e-1), cost=1.1680088766e3,
+    ),
+    Published(
+        name="MGH09", model=lambda b, x: b[0] * (x**2 + x * b[1]) / (x**2 + x * b[2] + b[3]),
+        x=(4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625),
+        y=(0.1957, 0.1947, 0.1735, 0.16, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246),
+        starts=((25.0, 39.0, 41.5, 39.0), (0.25, 0.39, 0.415, 0.39)),
+        certified=(1.9280693458e-1, 1.9128232873e-1, 1.2305650693e-1, 1.3606233068e-1),
+        cost=3.0750560385e-4,
+    ),
+    Published(
+        name="Eckerle4", model=lambda b, x: b[0] / b[1] * np.exp(-0.5 * ((x - b[2]) / b[1]) ** 2),
+        x=(*np.arange(400.0, 435.1, 5.0), *np.arange(436.5, 463.6, 1.5),
+           *np.arange(465.0, 500.1, 5.0)),
+        y=(0.0001575, 0.0001699, 0.0002350, 0.0003102, 0.0004917, 0.0008710, 0.0017418, 0.0046400,
+           0.0065895, 0.0097302, 0.0149002, 0.0237310, 0.0401683, 0.0712559, 0.1264458, 0.2073413,
+           0.2902366, 0.3445623, 0.3698049, 0.3668534, 0.3106727, 0.2078154, 0.1164354, 0.0616764,
+           0.0337200, 0.0194023, 0.0117831, 0.0074357, 0.0022732, 0.0008800, 0.0004579, 0.0002345,
+           0.0001586, 0.0001143, 0.0000710),
+        starts=((1.5, 5.0, 450.0),),  # from a peak beyond the data, at 500, nothing is in sight
+        certified=(1.5543827178, 4.0888321754, 4.5154121844e2), cost=1.4635887487e-3,
+    ),
+    Published(
+        name="Thurber", model=_cubic_ratio,
+        x=(-3.067, -2.981, -2.921, -2.912, -2.840, -2.797, -2.702, -2.699, -2.633, -2.481, -2.363,
+           -2.322, -1.501, -1.460, -1.274, -1.212, -1.100, -1.046, -0.915, -0.714, -0.566, -0.545,
+           -0.400, -0.309, -0.109, -0.103, 0.010, 0.119, 0.377, 0.790, 0.963, 1.006, 1.115, 1.572,
+           1.841, 2.047, 2.200),
+        y=(80.574, 84.248, 87.264, 87.195, 89.076, 89.608, 89.868, 90.101, 92.405, 95.854, 100.696,
+           101.060, 401.672, 390.724, 567.534, 635.316, 733.054, 759.087, 894.206, 990.785,
+           1090.109, 1080.914, 1122.643, 1178.351, 1260.531, 1273.514, 1288.339, 1327.543,
+           1353.863, 1414.509, 1425.208, 1421.384, 1442.962, 1464.350, 1468.705, 1447.894,
+           1457.628),
+        starts=((1000.0, 1000.0, 400.0, 40.0, 0.7, 0.3, 0.03),
+                (1300.0, 1500.0, 500.0, 75.0, 1.0, 0.4, 0.05)),
+        certified=(1.2881396800e3, 1.4910792535e3, 5.8323836877e2, 7.5416644291e1, 9.6629502864e-1,
+                   3.9797285797e-1, 4.9727297349e-2),
+        cost=5.6427082397e3,
+    ),
+)
+OSBORNE = (
+    0.844, 0.908, 0.932, 0.936, 0.925, 0.908, 0.881, 0.850, 0.818, 0.784, 0.751, 0.718, 0.685,
+    0.658, 0.628, 0.603, 0.580, 0.558, 0.538, 0.522, 0.506, 0.490, 0.478, 0.467, 0.457, 0.448,
+    0.438, 0.431, 0.424, 0.420, 0.414, 0.411, 0.406,
+)
+# fmt: on
+HARD = [(problem, start) for problem in PUBLISHED for start in problem.starts]
+
+
+@pytest.mark.parametrize("form", ["rows", "triangle", "normal"])
+@pytest.mark.parametrize(("problem", "start"), HARD, ids=lambda case: getattr(case, "name", ""))
+def test_certified_minima_are_found_from_their_starts(
+    problem: Published, start: Sequence[float], form: str
+) -> None:
+    found = searched(problem.residual, start, form=form)
+    assert found.converged
+    assert found.point.cost == pytest.approx(problem.cost, rel=1e-8)
+    np.testing.assert_allclose(found.x, problem.certified, rtol=1e-4)
+    assert found.gradient < 1e-3
+
+
+def test_a_bound_that_the_minimum_lies_on_is_met_exactly() -> None:
+    """Problem 2 of Hock & Schittkowski (1981): Rosenbrock's valley cut off at x2 >= 1.5."""
+    found = searched(
+        lambda x: np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]]),
+        (2.0, 3.0),
+        bounds=(np.array([-np.inf, 1.5]), np.array(np.inf)),
+    )
+    assert found.point.cost == pytest.approx(0.0504261879, rel=1e-8)
+    a = np.sqrt(598.0 / 1200.0)
+    best = 2.0 * a * np.cos(np.arccos(1.0 / (400.0 * a**3)) / 3.0)
+    np.testing.assert_allclose(found.x, [best, 1.5], rtol=1e-6)
+    assert found.x[1] == 1.5
+
+
+def test_equal_bounds_hold_a_number_and_the_start_is_brought_within_the_others() -> None:
+    bounds = np.array([200.0, 1e-3]), np.array([200.0, 1.0])
+    found = searched(PUBLISHED[0].residual, (1.0, 1e-9), bounds=bounds)
+    np.testing.assert_array_equal(found.x, [200.0, 1e-3])
+    assert found.gradient == 0.0  # all that is left points out of the bounds
+
+
+def test_variable_projection_finds_a_sum_of_exponentials_by_its_two_rates() -> None:
+    time, target = 10.0 * np.arange(33), np.array(OSBORNE)
+
+    @dataclass(frozen=True, eq=False)
+    class Projected:
+        rate: Array
+
+        @property
+        def columns(self) -> Array:
+            decayed = np.exp(-np.multiply.outer(time, self.rate))
+            return np.column_stack([np.ones(33), decayed])
+
+        @property
+        def cost(self) -> float:
+            return float(np.sum(eliminated(self.columns, target).residual ** 2))
+
+        def linearised(self) -> Rows:
+            at = eliminated(self.columns, target)
+            tangent, _ = at.across(-time[:, None] * self.columns[:, 1:] * at.coefficients[1:])
+            return Rows(factor=-tangent, residual=at.residual)
+
+    found = minimise(
+        Projected, np.array([0.01, 0.02]), (np.zeros(2), np.full(2, np.inf)), rule=EXACT
+    )
+    at = eliminated(found.point.columns, target)
+    assert found.point.cost == pytest.approx(5.46489e-5, rel=1e-5)
+    np.testing.assert_allclose(np.sort(found.x), [0.01287, 0.02212], rtol=1e-3)
+    np.testing.assert_allclose(at.coefficients, [0.37541, 1.93585, -1.46469], rtol=2e-3)
+    assert found.iterations < 20
+
+
+def test_eliminated_coefficients_are_those_of_least_squares_and_say_how_they_move(
+    rng: np.random.Generator,
+) -> None:
+    columns, target = rng.normal(size=(30, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=30)
+    at = eliminated(columns, target)
+    np.testing.assert_allclose(at.coefficients, np.linalg.lstsq(columns, target)[0], rtol=1e-9)
+    np.testing.assert_allclose(at.residual, target - columns @ at.coefficients, atol=1e-12)
+    np.testing.assert_allclose(at.root @ at.root.T, np.linalg.inv(columns.T @ columns), rtol=1e-8)
+    tangent = rng.normal(size=(30, 2))
+    across, moves = at.across(tangent)
+    np.testing.assert_allclose(columns.T @ across, 0.0, atol=1e-7)
+    np.testing.assert_allclose(across, tangent + columns @ moves, atol=1e-12)
+    with pytest.raises(np.linalg.LinAlgError, match="smallest pivot"):
+        eliminated(columns[:, [0, 1, 0]], target)
+
+
+def test_a_prior_is_rows_like_any_others() -> None:
+    def residual(x: Array) -> Array:
+        return np.array([x[0] - 1.0, 3.0 * (x[0] - 2.0), 1e-3 * (x[1] - 5.0)])
+
+    found = searched(residual, (0.0, 0.0))
+    np.testing.assert_allclose(found.x, [1.9, 5.0], rtol=1e-6)
+
+
+def test_what_is_in_the_model_for_no_column_stays_where_it_was() -> None:
+    @dataclass(frozen=True, eq=False)
+    class Partly:
+        x: Array
+
+        @property
+        def cost(self) -> float:
+            return float((self.x[2] - 3.0) ** 2 + (self.x[0] - 1.0) ** 2)
+
+        def linearised(self) -> Rows:
+            residual = np.array([self.x[2] - 3.0, self.x[0] - 1.0])
+            return Rows(factor=np.eye(2), residual=residual, place=np.array([2, 0]))
+
+    found = minimise(Partly, np.full(3, 0.25), (np.full(3, -9.0), np.full(3, 9.0)), rule=EXACT)
+    np.testing.assert_allclose(found.x, [1.0, 0.25, 3.0], atol=1e-6)
+
+
+def test_a_longest_move_and_what_is_allowed_are_kept_at_every_trial() -> None:
+    tried = []
+
+    def at(x: Array) -> Curve:
+        tried.append(x)
+        return Curve(lambda x: x - 7.0, x)
+
+    no_bounds = np.full(2, -np.inf), np.full(2, np.inf)
+    longest = np.array([0.5, np.inf])
+
+    def within(x: Array) -> Array:
+        return np.minimum(x, [np.inf, 3.0])
+
+    found = minimise(at, np.zeros(2), no_bounds, rule=EXACT, longest=longest, within=within)
+    np.testing.assert_allclose(found.x, [7.0, 3.0], atol=1e-6)
+    moves = np.abs(np.diff([x[0] for x in tried]))
+    assert moves.max() <= 0.5 * (1.0 + 1e-12)
+    assert max(x[1] for x in tried) == 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class Staircase:
+    """A place whose cost is the next of a list, whatever the step."""
+
+    costs: Iterator[float]
+    cost: float
+
+    def linearised(self) -> Rows:
+        return Rows(factor=np.eye(1), residual=np.ones(1))
+
+
+def descended(*shares: float, rule: Rule) -> Minimum[Staircase]:
+    """Search where step after step lowers the cost by given shares, the last again and again."""
+
+    def costs() -> Iterator[float]:
+        now = 1.0
+        yield now
+        for share in shares:
+            now *= 1.0 - share
+            yield now
+        while True:
+            now *= 1.0 - shares[-1]
+            yield now
+
+    down = costs()
+    free = np.full(1, -np.inf), np.full(1, np.inf)
+    return minimise(lambda _: Staircase(down, next(down)), np.zeros(1), free, rule=rule)
+
+
+RULE = Rule(tolerance=1e-5, crawl=1e-3)
+
+
+def test_a_search_ends_at_a_step_that_is_not_worth_another() -> None:
+    found = descended(0.5, 0.5, 1e-6, rule=RULE)
+    assert (found.reason, found.iterations) == ("converged", 3)
+    # In units of the cost itself, as of a log likelihood: 0.5, 0.25, 0.025.
+    found = descended(0.5, 0.5, 0.1, rule=Rule(tolerance=0.0, enough=0.03))
+    assert (found.reason, found.iterations) == ("converged", 3)
+
+
+def test_steps_that_go_on_and_on_for_next_to_nothing_end_in_a_converged_search() -> None:
+    found = descended(0.5, 0.1, 1.5e-4, rule=RULE)
+    assert found.converged
+    assert (found.reason, found.iterations) == ("crawling", 2 + CRAWL)
+
+
+def test_steady_steps_that_add_up_go_on_to_the_limit_which_is_no_convergence() -> None:
+    found = descended(0.5, 1e-3, rule=replace(RULE, iterations=20))
+    assert not found.converged
+    assert (found.reason, found.iterations) == ("iterations", 20)
+    found = descended(0.5, 1e-3, rule=replace(RULE, evaluations=7))
+    assert not found.converged
+    assert (found.reason, found.evaluations) == ("evaluations", 7)
+
+
+def test_a_search_that_finds_its_stride_again_is_not_ended_by_a_few_small_steps() -> None:
+    found = descended(0.5, 1e-4, 1e-4, 1e-4, 1e-4, 0.3, 1e-6, rule=RULE)
+    assert (found.reason, found.iterations) == ("converged", 7)
+
+
+@pytest.mark.parametrize("worse", [0.0, -0.5, np.nan])
+def test_a_search_that_no_step_helps_ends_where_it_stands(worse: float) -> None:
+    found = descended(worse, rule=RULE)
+    assert found.converged
+    assert (found.reason, found.iterations, found.point.cost) == ("stationary", 1, 1.0)
+    assert found.evaluations == 1 + RULE.tries
+    np.testing.assert_array_equal(found.x, [0.0])
