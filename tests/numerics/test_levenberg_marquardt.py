@@ -192,6 +192,10 @@ def test_equal_bounds_hold_a_number_and_the_start_is_brought_within_the_others()
     found = searched(PUBLISHED[0].residual, (1.0, 1e-9), bounds=bounds)
     np.testing.assert_array_equal(found.x, [200.0, 1e-3])
     assert found.gradient == 0.0  # all that is left points out of the bounds
+    asked = searched(
+        lambda x: x - 9.0, (-7.0,), bounds=(np.zeros(1), np.ones(1)), rule=Rule(iterations=0)
+    )
+    np.testing.assert_array_equal(asked.x, [0.0])
 
 
 def test_variable_projection_finds_a_sum_of_exponentials_by_its_two_rates() -> None:
@@ -330,6 +334,7 @@ def test_steps_that_go_on_and_on_for_next_to_nothing_end_in_a_converged_search()
     found = descended(0.5, 0.1, 1.5e-4, rule=RULE)
     assert found.converged
     assert (found.reason, found.iterations) == ("crawling", 2 + CRAWL)
+    assert descended(1.5e-4, rule=RULE).iterations == CRAWL
 
 
 def test_steady_steps_that_add_up_go_on_to_the_limit_which_is_no_convergence() -> None:
