@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.export.parameter_file import ParameterFile
+    from piezoid.numerics.hands import Hands
+    from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import Verification
 
@@ -26,6 +28,9 @@ def verify(
     target: Annotated[
         str, typer.Option(help="cortex-m4: compile bundle/ for it and emulate it.")
     ] = "",
+    prove: Annotated[
+        bool, typer.Option("--prove", help="Frama-C: inside the limits whatever comes in.")
+    ] = False,
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
     ] = None,
@@ -47,11 +52,14 @@ def verify(
     piezoid verify stage42/
 
     piezoid verify stage42/ --rebuild --target cortex-m4 --json | jq .passed
+
+    piezoid verify stage42/ --prove
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
     from piezoid.export.parameter_file import from_json
     from piezoid.identification.store import read_model
+    from piezoid.numerics.hands import Hands
     from piezoid.verification.limits import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
@@ -67,7 +75,9 @@ def verify(
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
-        proofs = _proofs(file, _held(stage / "bundle"), is_host=rebuild, is_target=target != "")
+        held = _held(stage / "bundle")
+        proofs = _proofs(file, held, is_host=rebuild, is_target=target != "")
+        proved = _proved(file, held, Hands(told=told, count=usable_cores())) if prove else ()
         told("running the compiled controller against the stage")
         found = verify_stage(
             file,
@@ -75,6 +85,7 @@ def verify(
             lab=declared,
             limits=chosen,
             proofs=proofs,
+            limit_proofs=proved,
             seed=seed,
             threads=usable_cores(),
         )
@@ -102,6 +113,15 @@ def _proofs(
     return (*host, *((emulate(file, held),) if is_target else ()))
 
 
+def _proved(
+    file: "ParameterFile", held: Mapping[str, bytes], hands: "Hands"
+) -> "tuple[LimitProof, ...]":
+    from piezoid.verification.limit_proof import prove
+
+    hands.say("proving that no input leads past a limit, about a minute an axis")
+    return prove(file, held, hands=hands)
+
+
 def show(found: "Verification", file: "ParameterFile") -> None:
     """Print the comparison, the proofs, and every verdict that failed."""
     from rich.console import Console
@@ -113,6 +133,8 @@ def show(found: "Verification", file: "ParameterFile") -> None:
         console.print(_comparison(found))
     for proof in found.proofs:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
+    for claimed in found.limit_proofs:
+        console.print(plain(_claim_line(claimed), style="" if claimed.passed else "bold red"))
     for verdict in found.verdicts:
         if not verdict.passed:
             console.print(plain(f"failed: {failure_of(verdict)}", style="bold red"))
@@ -139,6 +161,14 @@ def _comparison(found: "Verification") -> "Table":
             told(row.delay_s, "s"),
         )
     return table
+
+
+def _claim_line(claimed: "LimitProof") -> str:
+    line = f"axis {claimed.axis}, {claimed.precision}: {claimed.verdict}"
+    if claimed.is_proved:
+        line += f" by {claimed.tool} in {claimed.seconds} s: for every input, for ever, "
+        line += "; ".join(claimed.claims)
+    return "\n  ".join((line, *claimed.alarms))
 
 
 def _proof_line(proof: "Proof", file: "ParameterFile") -> str:

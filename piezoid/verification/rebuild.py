@@ -35,7 +35,7 @@ def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
     Raises ``ParameterFileError`` for a bundle that is not this parameter file's, and
     ``RuntimeLibraryError`` for one that does not compile or run.
     """
-    held = _own(file, contents)
+    held = own_files(file, contents)
     compiler = next((found for name in _HOST if (found := which(name))), None)
     if compiler is None:
         said = f"host: none of {', '.join(_HOST)} is on this machine"
@@ -48,7 +48,7 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
 
     Raises as ``rebuild`` does.
     """
-    held = _own(file, contents)
+    held = own_files(file, contents)
     missing = _missing_for_target()
     if missing:
         said = f"Cortex-M4F: no {' and no '.join(missing)} on this machine"
@@ -100,7 +100,7 @@ def _on_host(file: ParameterFile, held: Mapping[str, bytes], compiler: str, real
     )
 
 
-def _own(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
+def own_files(file: ParameterFile, contents: Mapping[str, bytes] | None) -> Mapping[str, bytes]:
     """Return the bundle's files, after comparing those found with what this file makes."""
     made = bundle(file).files
     for name, content in made.items():

@@ -16,6 +16,7 @@ from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 from piezoid.verification.criteria import Limits
+from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.limits import limits_from
 from piezoid.verification.plant import (
     AxisPlant,
@@ -38,6 +39,7 @@ def verify_stage(
     lab: Lab | None = None,
     limits: Limits | None = None,
     proofs: Sequence[Proof] = (),
+    limit_proofs: Sequence[LimitProof] = (),
     draws: int = DRAWS,
     seed: int = 0,
     threads: int = 1,
@@ -73,6 +75,7 @@ def verify_stage(
         variations=variations,
         limits=chosen,
         proofs=proofs,
+        limit_proofs=limit_proofs,
         seed=seed,
         threads=threads,
         lab_digest=declared.digest,

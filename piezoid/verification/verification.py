@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
@@ -10,6 +10,7 @@ from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
 from piezoid.verification.criteria import Verdict
+from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
 from piezoid.verification.trace import SpiralTrace
 
@@ -73,6 +74,7 @@ class Verification:
     traces           a few spirals place by place, for pictures
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
+    limit_proofs     what abstract interpretation says of every input; not in the file if empty
     plants           label and axis of every plant that was run
     parameters_digest, runtime_digest   of params.json, and of the runtime's source
     lab_digest       of the lab.toml whose converters and limits were taken; empty without one
@@ -91,11 +93,16 @@ class Verification:
     parameters_digest: str
     runtime_digest: str
     lab_digest: str = ""
+    limit_proofs: tuple[LimitProof, ...] = ()
 
     @property
     def passed(self) -> bool:
-        """Whether every verdict passed, and every build that was made gave the same bits."""
-        return all(v.passed for v in self.verdicts) and all(p.passed for p in self.proofs)
+        """Whether every verdict passed, every build gave the same bits and every proof holds.
+
+        What a machine without compiler, emulator or analyser cannot tell is no failure.
+        """
+        builds, proofs = (all(p.passed for p in held) for held in (self.proofs, self.limit_proofs))
+        return all(v.passed for v in self.verdicts) and builds and proofs
 
     def plot(self, kind: str = "comparison", *, ax: "Axes | None" = None) -> "Axes":
         """Draw the error over frequency by method (``comparison``), or all ``verdicts``."""
@@ -123,9 +130,19 @@ class Verification:
         return seal(SCHEMA, {"passed": self.passed, **to_json(self, LAYOUTS)})
 
 
-LAYOUTS = tuple(
-    RecordLayout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
-    for kind in (Verdict, Proof)
+def _fields(found: Verification) -> dict[str, Any]:
+    """Return the entries of the file; without proofs the same as before there were any."""
+    held = fields_of(found)
+    return held if found.limit_proofs else {k: held[k] for k in held if k != "limit_proofs"}
+
+
+LAYOUTS = (
+    RecordLayout(kind=Verification, write=_fields),
+    *(
+        RecordLayout(kind=kind, write=lambda one: {**fields_of(one), "passed": one.passed})
+        for kind in (Verdict, Proof)
+    ),
+    RecordLayout(kind=LimitProof, write=lambda one: {**fields_of(one), "verdict": one.verdict}),
 )
 
 

@@ -13,6 +13,7 @@ from piezoid.verification import criteria
 from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
+from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.over_surface import judge_tips, run_tips
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.proof import Proof
@@ -33,6 +34,7 @@ def verify(
     scenarios: Sequence[Scenario] = SCENARIOS,
     trials: Sequence[TipTrial] = TIP_TRIALS,
     proofs: Sequence[Proof] = (),
+    limit_proofs: Sequence[LimitProof] = (),
     seed: int = 0,
     threads: int = 1,
     lab_digest: str = "",
@@ -45,6 +47,7 @@ def verify(
     limits      by default those of ``Limits``
     trials      what happens to every tip
     proofs      builds that were compared, to stand in the same record
+    limit_proofs  what was proved of every input, likewise
     seed        of every noise
     threads     so many axes of a path run at once; what is found does not depend on it
 
@@ -74,6 +77,7 @@ def verify(
         traces=tuple(bench.traces),
         verdicts=(criteria.drive(bench.records, shipped), *bench.verdicts),
         proofs=tuple(proofs),
+        limit_proofs=tuple(limit_proofs),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),

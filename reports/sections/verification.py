@@ -3,6 +3,7 @@
 import numpy as np
 
 from piezoid.verification.criteria import Verdict
+from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, decades_over
@@ -36,6 +37,7 @@ def _parts(found: Verification) -> list[Part]:
         Heading(text="Verdicts"),
         _verdicts(found),
         *_proofs(found.proofs),
+        *_limit_proofs(found.limit_proofs),
     ]
 
 
@@ -49,6 +51,9 @@ def _summary(found: Verification) -> Prose:
     )
     if failed:
         text += " Failed: " + "; ".join(f"{v.name} ({v.scenario})" for v in failed) + "."
+    unproved = [f"axis {p.axis} in {p.precision}" for p in found.limit_proofs if not p.passed]
+    if unproved:
+        text += " Not proved: " + "; ".join(unproved) + "."
     if differing:
         text += " Builds that gave other bits: " + "; ".join(differing) + "."
     return Prose(text=text, tone="good" if found.passed else "bad")
@@ -216,6 +221,30 @@ def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
         Table(
             caption="The bundle compiled again and stepped through the same inputs.",
             columns=("build", "samples", "differing", "instructions a sample"),
+            rows=rows,
+        ),
+    ]
+
+
+def _limit_proofs(proofs: tuple[LimitProof, ...]) -> list[Part]:
+    if not proofs:
+        return []
+    rows = tuple(
+        (
+            f"{proof.axis}, {proof.precision}",
+            proof.verdict,
+            "; ".join(proof.alarms or proof.claims),
+            proof.tool,
+            f"{proof.seconds} s" if proof.tool else "",
+        )
+        for proof in proofs
+    )
+    return [
+        Heading(text="Proved of every input"),
+        Table(
+            caption="The C of the bundle with these parameters: any reference and any reading, "
+            "NaN and the infinities included, for any number of samples.",
+            columns=("axis", "verdict", "what holds, or where it was not shown", "by", "took"),
             rows=rows,
         ),
     ]

@@ -1,0 +1,283 @@
+"""The shipped C proved by abstract interpretation: no input, however wrong, leads past a limit.
+
+Frama-C's EVA (Bühler 2017, *Structuring an abstract interpreter through value and state
+abstractions*) runs the runtime with this stage's own parameters on *sets* of numbers: every
+reference and every reading is any number there is, NaN and the infinities included, in every step,
+and the loop goes on until no step adds a value that was not there. What holds of those sets holds
+of every run.
+"""
+
+import csv
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import which
+from subprocess import TimeoutExpired, run
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.numerics.hands import ALONE, Hands
+from piezoid.verification.rebuild import own_files
+
+TOOL = "frama-c"
+LIMIT_s = 600  # an axis takes 6 to 25 s of a free core: a machine with much else to do has time
+PRECISIONS: Mapping[str, str] = {"double": "", "float": "-DPZ_REAL_FLOAT"}
+_ANALYSIS = (
+    *("-no-unicode", "-machdep", "gcc_x86_64"),
+    *("-kernel-warn-key", "parser:decimal-float=inactive"),
+    *("-warn-special-float", "none"),  # infinity and NaN are values here, not errors
+    *("-eva", "-eva-precision", "3", "-eva-no-show-progress"),
+    # The table of pz_check has 75 rows; a loop over it is followed row by row.
+    *("-eva-auto-loop-unroll", "100", "-eva-split-return-function", "is_finite:0:1,pz_start:0"),
+)
+_ROUNDED = 1 + 1e-5  # bounds are wider by so much: sums of a few floats are off by 1e-6 of them
+_GOOD = ("Valid", "Considered valid")
+# Of these the tool knows what they do; of any other function it must have read the body.
+_KNOWN = frozenset({"memset", "Frama_C_nondet"})
+_SAID = re.compile(r"using specification for function (\w+)|Neither code nor.* function (\w+)")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitProof:
+    """One axis in one precision, for every input and any number of samples.
+
+    axis       name
+    precision  ``double`` or ``float``
+    tool       with its version; empty where it is not on this machine
+    claims     what was to be proved, in words
+    alarms     places where an error or a step beyond a bound could not be excluded
+    why_not    why there is no answer; empty where there is one
+    seconds    of a core, the one number here that differs from run to run
+    """
+
+    axis: str
+    precision: str
+    tool: str
+    claims: tuple[str, ...] = ()
+    alarms: tuple[str, ...] = ()
+    why_not: str = ""
+    seconds: int = 0
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether all claims hold and no operation of the C can fail."""
+        return bool(self.tool and self.claims) and not (self.alarms or self.why_not)
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing speaks against it; a tool that is not here says nothing."""
+        return self.is_proved or not self.tool
+
+    @property
+    def verdict(self) -> str:
+        """``proved``, or in a few words what there is instead."""
+        if not self.tool:
+            return f"not proved here: no {TOOL}"
+        if self.why_not:
+            return f"not proved: {self.why_not}"
+        count = len(self.alarms)
+        return "proved" if not count else f"not proved: {count} alarm{'s' * (count > 1)}"
+
+
+def prove(
+    file: ParameterFile, contents: Mapping[str, bytes] | None = None, *, hands: Hands = ALONE
+) -> tuple[LimitProof, ...]:
+    """Prove the bundle's C for every axis of a parameter file, in both precisions.
+
+    contents  the bundle's files as they were found; by default made of the parameter file
+
+    Raises ``ParameterFileError`` for a bundle that is not this parameter file's.
+    """
+    held = own_files(file, contents)
+    wanted = [(place, real) for place in range(len(file.axes)) for real in PRECISIONS]
+    return tuple(
+        hands.each(lambda one: prove_axis(held, file.axes[one[0]], one[0], one[1]), wanted)
+    )
+
+
+def prove_axis(
+    contents: Mapping[str, bytes],
+    axis: AxisParameters,
+    place: int,
+    precision: str,
+    *,
+    limit_s: float = LIMIT_s,
+) -> LimitProof:
+    """Prove these sources, whatever they are, with the parameters of one axis.
+
+    contents  at least ``piezoid_runtime.h``, ``piezoid_runtime.c`` and ``piezo_params.h``
+    place     of the axis in ``piezo_params``
+    limit_s   after which the tool is stopped, and nothing is proved
+    """
+    if which(TOOL) is None:
+        return LimitProof(axis=axis.axis, precision=precision, tool="")
+    claims = _claims(axis)
+    with TemporaryDirectory(prefix="piezoid-") as name:
+        folder = Path(name)
+        for own, content in contents.items():
+            (folder / own).write_bytes(content)
+        lines = _harness(claims)
+        (folder / "harness.c").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        flags = f"-DAXIS={place} {PRECISIONS[precision]}".strip()
+        alarms, why_not = _analysed(folder, flags, lines, limit_s)
+        seconds = _seconds(folder / "time.txt")
+        return LimitProof(
+            axis=axis.axis,
+            precision=precision,
+            tool=_version(folder),
+            claims=("no operation of the C fails", *claims),
+            alarms=alarms,
+            why_not=why_not,
+            seconds=seconds,
+        )
+
+
+def _analysed(
+    folder: Path, flags: str, harness: Sequence[str], limit_s: float
+) -> tuple[tuple[str, ...], str]:
+    """Return the alarms, and why they are no answer where they are none."""
+    # The tool looks where PWD says, not where it was started: every path is a whole one.
+    sources = [str(folder / name) for name in ("harness.c", "piezoid_runtime.c")]
+    table = folder / "proved.csv"
+    command = (
+        *(TOOL, f"-cpp-extra-args=-I{folder} {flags}", *_ANALYSIS),
+        *("-time", str(folder / "time.txt"), *sources, "-then", "-report-csv", str(table)),
+    )
+    try:
+        done = run(
+            command, cwd=folder, capture_output=True, text=True, timeout=limit_s, check=False
+        )
+    except TimeoutExpired:
+        return (), f"stopped after {limit_s:g} s"
+    if done.returncode != 0 or not table.is_file():
+        said = [line for line in (done.stdout + done.stderr).splitlines() if "rror" in line]
+        return (), f"{TOOL} ended with {done.returncode}: {' '.join(said[:2])[:300]}"
+    found = {name for pair in _SAID.findall(done.stdout) for name in pair if name}
+    unread = sorted(found - _KNOWN)
+    if unread:
+        return (), f"no body of {', '.join(unread)}"
+    if "done for function main" not in done.stdout:
+        return (), "the analysis did not come to its end"
+    return _alarms(table, harness)
+
+
+def _alarms(table: Path, harness: Sequence[str]) -> tuple[tuple[str, ...], str]:
+    """Read the table of all properties; every claim must stand in it, and be reached."""
+    with table.open(encoding="utf-8", newline="") as opened:
+        rows = list(csv.DictReader(opened, delimiter="\t", quoting=csv.QUOTE_NONE))
+    stated = {str(k) for k, line in enumerate(harness, start=1) if "//@ check" in line}
+    states = {row["line"]: row["status"] for row in rows if row["file"] == "harness.c"}
+    silent = sorted(stated - set(states), key=int)
+    dead = sorted((line for line in stated & set(states) if "ead" in states[line]), key=int)
+    alarms = tuple(_told(row for row in rows if "ead" not in row["status"]))
+    if not alarms and (silent or dead):  # behind an operation that must fail nothing is reached
+        places = ", ".join(f"harness.c:{line}" for line in (*silent, *dead))
+        return (), f"never reached: {places}"
+    return alarms, ""
+
+
+def _told(rows: Iterable[Mapping[str, str]]) -> Iterable[str]:
+    for row in rows:
+        if row["status"] not in _GOOD:
+            place = f"{row['file']}:{row['line']} ({row['function']})"
+            yield f"{place} {row['property kind']}: {row['property']}"
+
+
+def _version(folder: Path) -> str:
+    done = run(
+        (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
+    )
+    return f"Frama-C {done.stdout.strip() or 'of unknown version'}, EVA"
+
+
+def _seconds(place: Path) -> int:
+    """Return what the tool says it took; 0 where it was stopped before it could."""
+    words = place.read_text(encoding="utf-8").split() if place.is_file() else []
+    return round(float(words[-1])) if words else 0
+
+
+def _harness(claims: Mapping[str, str]) -> list[str]:
+    """Return the program that is proved: a start from anything, then steps without an end."""
+    checks = [f"        //@ check {condition};" for condition in claims.values()]
+    return [
+        '#include "piezo_params.h"',
+        '#include "piezoid_runtime.h"',
+        '#include "__fc_builtin.h"',
+        "static pz_state state;",
+        "static volatile pz_real any;",
+        "int main(void) {",
+        "    const pz_parameters *const p = &piezo_params[AXIS];",
+        "    pz_real u = pz_step(&state, p, any, any);",
+        f"    //@ check {_WITHIN.format('u')};",
+        "    if (pz_start(&state, p, any, any) != PZ_OK) {",
+        "        return 1;",
+        "    }",
+        "    while (1) {",
+        "        if (Frama_C_nondet(0, 1)) {",
+        "            pz_reset(&state);",
+        "        }",
+        "        if (Frama_C_nondet(0, 1)) {",
+        "            pz_schedule(&state, p, any);",
+        "        }",
+        "        u = pz_step(&state, p, any, any);",
+        *checks,
+        "    }",
+        "}",
+    ]
+
+
+_WITHIN = "\\is_finite({0}) && p->voltage_minimum_V <= {0} <= p->voltage_maximum_V"
+
+
+def _claims(axis: AxisParameters) -> dict[str, str]:
+    """Return what holds after every step: words, and the condition in ACSL."""
+    common = {
+        "the voltage put out is finite and inside the limits": _WITHIN.format("u"),
+        "the state's voltages are inside the limits": " && ".join(
+            _WITHIN.format(f"state.{name}") for name in ("voltage_V", "command_V", "moved_V")
+        ),
+        "no counter is negative": " && ".join(
+            f"state.{name} >= 0"
+            for name in ("unchanged", "unusable", "retract_left", "contact", "trips", "trip_age")
+        ),
+        "the mode is one of three": "0 <= state.mode <= 2",
+        "the last reading kept is finite": "\\is_finite(state.measured)",
+    }
+    if axis.method == "rst":
+        return {**common, **_tip_claims(axis)}
+    within = "p->reference_minimum_m <= state.reference_m <= p->reference_maximum_m"
+    limited = {"the reference stays in its range": f"\\is_finite(state.reference_m) && {within}"}
+    return {**common, **limited, **(_play_claims(axis) if axis.method.startswith("mpi") else {})}
+
+
+def _tip_claims(axis: AxisParameters) -> dict[str, str]:
+    within = "p->current_floor_A <= state.reference_m <= p->current_ceiling_A"
+    taps = range(int(axis.values["rst_S_count"]))
+    ends_V = [float(axis.values[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
+    most = f"{_ROUNDED * (ends_V[1] - ends_V[0])!r}"
+    return {
+        "the reference stays between floor and ceiling": within,
+        "the gain ratio stays inside the schedule's limit": "\\is_finite(state.gain_ratio) && "
+        "1 / p->schedule_limit <= state.gain_ratio <= p->schedule_limit",
+        "no remembered change of voltage is larger than the window": " && ".join(
+            f"-{most} <= state.rst_change_V[{k}] <= {most}" for k in taps
+        ),
+    }
+
+
+def _play_claims(axis: AxisParameters) -> dict[str, str]:
+    """Return a bound of every play: |z_i| <= max |gamma(u)| + r_i, gamma at most as steep as
+    the sum of its weights' magnitudes."""
+    value = axis.values
+    count = int(value["play_count"])
+    threshold_V = np.asarray(value["play_threshold_V"], dtype=float)[:count]
+    weight = np.asarray(value["envelope_weight"], dtype=float)[: int(value["envelope_count"])]
+    steepest = float(np.abs(weight).sum()) if weight.size else 1.0
+    ends_V = [float(value[f"voltage_{end}_V"]) for end in ("minimum", "maximum")]
+    largest_V = max(abs(end - float(value["voltage_offset_V"])) for end in ends_V)
+    bound_V = _ROUNDED * (steepest * largest_V + threshold_V)
+    plays = (f"{-b!r} <= state.play_V[{k}] <= {b!r}" for k, b in enumerate(map(float, bound_V)))
+    return {"the memory of every play is bounded": " && ".join(plays)}

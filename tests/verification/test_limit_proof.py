@@ -1,0 +1,117 @@
+"""Proofs of the shipped C: what ships is proved, what is broken or not analysed never is."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, broken, table
+from piezoid.errors import ParameterFileError
+from piezoid.export.bundle import bundle, shipped
+from piezoid.verification.limit_proof import TOOL, LimitProof, prove, prove_axis
+from piezoid.verification.verification import verification_from_json
+from piezoid.verification.verify import verify
+from tests.verification.rig import PLANTS, stage
+
+PROVED = LimitProof(
+    axis="x", precision="float", tool="Frama-C 25.0, EVA", claims=("it is so",), seconds=7
+)
+ALARM = "piezoid_runtime.c:603 (to_code) is_nan_or_infinite: x"
+
+
+@pytest.fixture
+def tool():
+    if shutil.which(TOOL) is None:
+        pytest.skip(f"no {TOOL} on this machine: nothing is proved here")
+
+
+@pytest.mark.usefixtures("tool")
+def test_the_tip_is_proved_and_a_limit_left_out_is_refused_with_its_place():
+    file = stage("z")
+    held = bundle(file).files
+    whole = prove_axis(held, file.axes[0], 0, "float")
+    assert (whole.verdict, whole.alarms) == ("proved", ())
+    assert whole.tool.startswith("Frama-C")
+    assert any("inside the limits" in claim for claim in whole.claims)
+    wanted = "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)"
+    made = broken(held[SOURCE].decode(), ("convert", wanted, "wanted"))
+    refused = prove_axis({**held, SOURCE: made.encode()}, file.axes[0], 0, "float")
+    assert not refused.passed
+    assert any("to_code" in alarm for alarm in refused.alarms)
+
+
+@pytest.mark.usefixtures("tool")
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("pz_real pz_step(", "pz_real pz_stop(", "no body of pz_step"),
+        ("    state->ready = READY;", "    while (1) {\n    }", "never reached"),
+        ("#include <float.h>", "#error broken", "ended with"),
+    ],
+)
+def test_what_is_not_analysed_to_its_end_is_never_proved(old, new, said):
+    file = stage("z")
+    source = shipped(SOURCE).decode().replace(old, new)
+    found = prove_axis({**bundle(file).files, SOURCE: source.encode()}, file.axes[0], 0, "double")
+    assert not found.is_proved
+    assert not found.passed
+    assert said in found.verdict
+
+
+@pytest.mark.usefixtures("tool")
+def test_a_proof_that_takes_too_long_says_so():
+    file = stage("z")
+    found = prove_axis(bundle(file).files, file.axes[0], 0, "double", limit_s=0.01)
+    assert found.verdict == "not proved: stopped after 0.01 s"
+    assert not found.passed
+
+
+def test_without_the_tool_nothing_is_claimed_and_nothing_fails(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    proofs = prove(stage("x", "z"))
+    assert [(p.axis, p.precision) for p in proofs] == [
+        *(("x", "double"), ("x", "float")),
+        *(("z", "double"), ("z", "float")),
+    ]
+    assert all(p.verdict == "not proved here: no frama-c" for p in proofs)
+    assert all(p.passed and not p.is_proved for p in proofs)
+
+
+def test_an_edited_bundle_is_not_proved():
+    with pytest.raises(ParameterFileError, match="bundle/"):
+        prove(stage("x"), {})
+
+
+def test_an_alarm_fails_the_verification_and_stands_in_its_file():
+    alarmed = replace(PROVED, alarms=(ALARM,))
+    for given, passed in ((PROVED, True), (alarmed, False)):
+        found = verify(stage("x"), PLANTS[:1], scenarios=(), limit_proofs=[given])
+        assert found.passed is passed
+        read = verification_from_json(found.to_json())
+        assert read.limit_proofs == (given,)
+    assert alarmed.verdict == "not proved: 1 alarm"
+    assert PROVED.verdict == "proved"
+
+
+def test_without_proofs_the_file_is_as_it_always_was():
+    written = verify(stage("x"), PLANTS[:1], scenarios=()).to_json()
+    assert b"limit_proofs" not in written
+
+
+def test_a_proof_of_nothing_is_none():
+    assert not replace(PROVED, claims=()).is_proved
+
+
+def test_every_mutant_changes_the_source():
+    source = shipped(SOURCE).decode()
+    assert len(LATERAL) + len(TIP) >= 50
+    assert len({broken(source, slip) for slip in LATERAL + TIP}) == len(LATERAL) + len(TIP)
+    with pytest.raises(ValueError, match="clamp does not hold"):
+        broken(source, ("clamp", "x ==", "x !="))
+
+
+def test_a_mutant_that_is_proved_counts_as_missed():
+    rows = [("x", TIP[0], replace(PROVED, alarms=(ALARM,))), ("x", TIP[1], PROVED)]
+    page = table(rows)
+    assert "1 of 2 are refused" in page
+    assert page.count("**missed**: proved") == 1
