@@ -6,7 +6,7 @@ told by its gain beside that of the others, before anything is fitted.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -128,15 +128,17 @@ def remarks_on_set(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ..
     odd = {misfit.name for misfit in misfits(recordings)}
     for axis in sorted({r.axis for r in recordings}):
         own = [r for r in recordings if r.axis == axis and _drives(r, axis) and r.name not in odd]
-        found += _beside_the_widest(own, axis)
+        found += beside_the_widest({r.name: _range(r.voltage_V(axis)) for r in own}, axis)
         found += _of_other_rate(own)
     return tuple(found)
 
 
-def _beside_the_widest(recordings: Sequence[Recording], axis: str) -> list[tuple[str, str]]:
-    if len(recordings) < 2:
+def beside_the_widest(
+    ranges: Mapping[str, tuple[float, float]], axis: str
+) -> list[tuple[str, str]]:
+    """Return what is remarkable about the ranges of the drive, V: name and sentence."""
+    if len(ranges) < 2:
         return []
-    ranges = {r.name: _range(r.voltage_V(axis)) for r in recordings}
     widest, (low_V, high_V) = max(ranges.items(), key=lambda item: item[1][1] - item[1][0])
     found = []
     for name, (least_V, most_V) in ranges.items():
