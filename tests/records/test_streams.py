@@ -216,7 +216,7 @@ def _compared(paths: list[Path], samples: int = excerpts.SAMPLES) -> Compared:
     ("factors", "reason"),
     [
         ((1e-3, 1), "1000 times as much: the drive is in another unit"),
-        ((1 / 15, 1), "its drive is the output of a 1/15 monitor"),
+        ((1 / 15, 1), "its drive is the output of a monitor, 1/15,"),
         ((-1, 1), "drive or sensor is of the other polarity"),
     ],
 )
