@@ -6,7 +6,7 @@ told by its gain beside that of the others, before anything is fitted.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -35,7 +35,11 @@ _OTHER_GAIN = 3.0
 # A factor of a thousand is told within this, as its logarithm to the base of ten.
 _THOUSAND = 0.3
 _MONITORS = (5, 10, 15, 20, 25, 30, 40, 50, 100, 200)
-_MONITOR = 0.15  # within which a ratio is one of these
+# Within this, as a logarithm, a ratio is one of these; loops of other size or speed move otherwise
+# per volt (by 1.17 between the sweep and the check of the bundled stage, of nearly one range), and
+# then the ratio leaves several.
+_MONITOR = 0.03
+_OTHER_LOOPS = 0.25
 # A copy differs by its printing alone; of two recordings, noise makes 1.4 between them.
 _COPY = 0.3
 _SAME_DRIVE = 1e-3
@@ -128,15 +132,17 @@ def remarks_on_set(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ..
     odd = {misfit.name for misfit in misfits(recordings)}
     for axis in sorted({r.axis for r in recordings}):
         own = [r for r in recordings if r.axis == axis and _drives(r, axis) and r.name not in odd]
-        found += _beside_the_widest(own, axis)
+        found += beside_the_widest({r.name: _range(r.voltage_V(axis)) for r in own}, axis)
         found += _of_other_rate(own)
     return tuple(found)
 
 
-def _beside_the_widest(recordings: Sequence[Recording], axis: str) -> list[tuple[str, str]]:
-    if len(recordings) < 2:
+def beside_the_widest(
+    ranges: Mapping[str, tuple[float, float]], axis: str
+) -> list[tuple[str, str]]:
+    """Return what is remarkable about the ranges of the drive, V: name and sentence."""
+    if len(ranges) < 2:
         return []
-    ranges = {r.name: _range(r.voltage_V(axis)) for r in recordings}
     widest, (low_V, high_V) = max(ranges.items(), key=lambda item: item[1][1] - item[1][0])
     found = []
     for name, (least_V, most_V) in ranges.items():
@@ -259,17 +265,28 @@ def _reason(ratio: float, *, is_drive: bool) -> tuple[str, str]:
             f"the displacement is in another unit{turned}",
             f"scale = {{ displacement = {sign}{1 / factor:g} }}",
         )
-    nearest = min(_MONITORS, key=lambda monitor: abs(math.log(size / monitor)))
-    if is_drive and abs(math.log(size / nearest)) < _MONITOR:
+    monitors = _monitors_near(size)
+    if is_drive and monitors:
+        named = " or ".join(f"1/{monitor}" for monitor in monitors)
+        known = len(monitors) == 1 and abs(math.log(size / monitors[0])) < _MONITOR
+        scale = f"{sign}{monitors[0]}" if known else "..."
         return (
-            f"its drive is the output of a 1/{nearest} monitor, or the command in front of the "
+            f"its drive is the output of a monitor, {named}, or the command in front of the "
             f"amplifier{turned}",
-            f"scale = {{ voltage = {sign}{nearest} }}",
+            f"scale = {{ voltage = {scale} }}"
+            + ("" if known else f"   # what {sign}1 V of it is at the stage, in volts"),
         )
     return (
         f"it is of another axis, stage or range of the sensor{turned}",
         'axis = "..."   # or scale = { displacement = ... }',
     )
+
+
+def _monitors_near(size: float) -> tuple[int, ...]:
+    """Return the monitors that a ratio of gains may come from: one where it meets one."""
+    far = {monitor: abs(math.log(size / monitor)) for monitor in _MONITORS}
+    met = tuple(monitor for monitor in _MONITORS if far[monitor] < _MONITOR)
+    return met or tuple(monitor for monitor in _MONITORS if far[monitor] < _OTHER_LOOPS)
 
 
 def _gain(answer: _Answer) -> str:

@@ -116,7 +116,7 @@ def test_a_part_in_seconds_is_counted_from_the_first_sample_of_the_file(tmp_path
     ("name", "reason"),
     [
         ("kilovolts.csv", r"1000 times as much: the drive is in another unit.*voltage = 1000"),
-        ("monitor.csv", r"15\.0 times as much: its drive is the output of a 1/15 monitor"),
+        ("monitor.csv", r"15\.0 times as much: its drive is the output of a monitor, 1/15,"),
         ("polarity.csv", r"the other way: drive or sensor is of the other polarity"),
     ],
 )
@@ -131,6 +131,16 @@ def test_a_file_that_does_not_fit_the_others_is_refused_with_the_likely_reason(
         refuse_misfits(recordings)
     assert re.search(reason, str(caught.value), re.DOTALL)
     assert f'file = "{name}"' in caught.value.remedy
+
+
+def test_a_monitor_that_loops_of_other_gain_hide_is_not_guessed(tmp_path: Path) -> None:
+    text(lines())(tmp_path / "clean.csv")
+    text(lines(table=columns() * [1, 1 / 15, 1.17], written="{:.6f}".format))(
+        tmp_path / "check.csv"
+    )
+    with pytest.raises(RecordingError, match=r"a monitor, 1/15 or 1/20, or the command") as caught:
+        refuse_misfits(ingest_all([tmp_path / "clean.csv", tmp_path / "check.csv"]))
+    assert "scale = { voltage = ... }" in caught.value.remedy
 
 
 def test_a_displacement_in_another_unit_is_told_from_a_drive(tmp_path: Path) -> None:

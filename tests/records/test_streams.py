@@ -13,7 +13,8 @@ from piezoid.records.ingest import ingest
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.readers import read_table
 from piezoid.records.readers.source import open_source
-from piezoid.records.streams import FORMATS
+from piezoid.records.streams import FORMATS, excerpts
+from piezoid.records.streams.excerpts import Compared, compared
 from piezoid.records.streams.piece import Piece
 from piezoid.records.streams.spool import spooled
 from tests.records.formats import RATE_Hz
@@ -203,3 +204,46 @@ def test_extremes_and_covariance_are_those_of_all_samples(tmp_path: Path) -> Non
     assert piece.displacement_m == (y.min(), y.max())
     assert piece.step_V == np.abs(np.diff(u)).max()
     assert piece.covariance == pytest.approx((u - u.mean()) @ (y - y.mean()), rel=1e-12)
+
+
+def _compared(paths: list[Path], samples: int = excerpts.SAMPLES) -> Compared:
+    with spooled(paths, rows=ROWS) as spool:
+        return compared(spool.pieces["x"], "x", samples=samples)
+
+
+@pytest.mark.parametrize("samples", [SAMPLES, 400, 1 << 20])
+@pytest.mark.parametrize(
+    ("factors", "reason"),
+    [
+        ((1e-3, 1), "1000 times as much: the drive is in another unit"),
+        ((1 / 15, 1), "its drive is the output of a monitor, 1/15,"),
+        ((-1, 1), "drive or sensor is of the other polarity"),
+    ],
+)
+def test_files_that_do_not_fit_are_refused_in_blocks_too(
+    factors: tuple[float, float],
+    reason: str,
+    samples: int,
+    tmp_path: Path,
+) -> None:
+    noise_um = np.random.default_rng(1).normal(0, 0.01, (2, SAMPLES))
+    first = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE + noise_um[0], name="first.csv")
+    odd = VOLTAGE_V * factors[0], RESPONSE * factors[1] + noise_um[1]
+    other = table(tmp_path, HEADINGS, TIME_s, *odd, name="other.csv")
+    with pytest.raises(RecordingError, match=reason) as caught:
+        _compared([first, other], samples)
+    assert 'file = "other.csv"' in caught.value.remedy
+
+
+def test_a_copy_and_a_file_that_hardly_moves_are_told_in_blocks_too(tmp_path: Path) -> None:
+    noise_um = np.random.default_rng(1).normal(0, 0.01, (2, SAMPLES))
+    held = RESPONSE + noise_um[0]
+    first = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, held, name="first.csv")
+    in_nm = "time [s],voltage [V],position [nm]"
+    again = table(tmp_path, in_nm, TIME_s, VOLTAGE_V, 1e3 * held, name="again.csv")
+    rest = table(tmp_path, HEADINGS, TIME_s, 50 + VOLTAGE_V / 500, noise_um[1], name="rest.csv")
+    found = _compared([first, again, rest])
+    assert [piece.name for piece in found.pieces] == ["first.csv", "rest.csv"]
+    assert found.remarks[0].startswith("again.csv holds the same samples as first.csv")
+    assert found.remarks[1].startswith("rest.csv: the drive of axis x moves by 160 mV")
+    assert len(found.remarks) == 2

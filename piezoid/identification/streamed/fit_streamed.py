@@ -27,6 +27,7 @@ from piezoid.identification.streamed.stream import CHUNK, Stream, streams_of
 from piezoid.identification.streamed.survey import Survey, lag_s_of, longest_lag_s, survey
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
+from piezoid.records.streams.excerpts import compared
 from piezoid.records.streams.piece import Piece
 from piezoid.records.streams.spool import Spool
 
@@ -54,7 +55,8 @@ def fit_streamed(
     workers  pieces that are run side by side; the numbers are the same
     orders   (plays, dead zones per side) to choose from
 
-    Raises ``ExcitationError`` where no recording has both a drive and a displacement.
+    Raises ``ExcitationError`` where no recording has both a drive and a displacement, and
+    ``RecordingError`` where recordings do not fit each other.
     """
     declared = lab or Lab()
     if not spool.pieces:
@@ -63,19 +65,24 @@ def fit_streamed(
             needed="both, for a fit in blocks; a tunnelling loop must fit into memory",
             remedy="Name the columns in lab.toml, or fit without --stream.",
         )
+    progress("comparing the recordings")
+    beside = {axis: compared(pieces, axis) for axis, pieces in spool.pieces.items()}
     return ActuatorModel(
         stage=declared.name or next(iter(spool.sources)).partition(".")[0],
         axes={
             axis: _fit_axis(
                 _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders)),
-                pieces,
+                found.pieces,
                 lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
             )
-            for axis, pieces in spool.pieces.items()
+            for axis, found in beside.items()
         },
         sources=spool.sources,
         lab=declared.digest or None,
-        remarks=tuple(f"{name}: {problem.text}" for name, problem in spool.problems),
+        remarks=(
+            *(f"{name}: {problem.text}" for name, problem in spool.problems),
+            *(text for found in beside.values() for text in found.remarks),
+        ),
         controller_rate_Hz=declared.acquisition.sampling_rate_Hz,
     )
 

@@ -1,5 +1,6 @@
-"""Archives and containers that are no recording themselves: named for what they are."""
+"""Archives, containers and other programs' files that are not read: named for what they are."""
 
+import re
 import zipfile
 
 from piezoid.records.readers.reader import Reader
@@ -9,7 +10,26 @@ from piezoid.records.table import RawTable
 ZIP = b"PK\x03\x04"
 _OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _EXPORT = "Export the recording as CSV."
+_AFM = (
+    "Export it as text from the microscope's program, or write its columns with the Python "
+    "package afmformats as CSV, the drive in volts beside the measured height."
+)
 _SHOWN = 3
+# By the first bytes, which these formats define, and by the suffix where the bytes alone are weak.
+_OTHERS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
+    (re.compile(rb'\s*(?:\{\s*"|\[\s*[\[{])'), "", "it is JSON", "Write its arrays as columns "
+     "of a CSV file, with pandas.DataFrame(json.load(...)).to_csv(...), say."),
+    (re.compile(rb"\s*<(?:\?xml|!DOCTYPE|html|table)", re.IGNORECASE), "",
+     "it is a page of HTML or XML, whatever its suffix", _EXPORT),
+    (re.compile(rb"%PDF-"), "", "it is a PDF", "Ask for the numbers behind the plot."),
+    (re.compile(rb"\{\\rtf"), "", "it is a text with formats (RTF)", "Save it as plain text."),
+    (re.compile(rb"SQLite format 3\x00"), "", "it is an SQLite data base", _EXPORT),
+    (re.compile(rb"[\x01\x02\x03\x05]\x00|\x00[\x01\x02\x03\x05]"), ".ibw",
+     "it is a wave of Igor", _AFM),
+    (re.compile(rb"\x01\xb0\x93\xff"), "", "it is an image or curve of NT-MDT", _AFM),
+    (re.compile(rb".", re.DOTALL), ".wfm", "it is a waveform as an oscilloscope stores it",
+     "Store the waveform as CSV on the oscilloscope."),
+)  # fmt: skip
 
 
 def members(source: Source) -> tuple[str, ...]:
@@ -25,12 +45,26 @@ def members(source: Source) -> tuple[str, ...]:
 
 
 def recognises(source: Source) -> bool:
-    """Take zip archives that no other reader has taken, and containers of Microsoft Office."""
-    return source.head.startswith((ZIP, _OLE))
+    """Take zip archives that no other reader has taken, and whatever else is known by sight."""
+    return source.head.startswith((ZIP, _OLE)) or _other(source) is not None
+
+
+def _other(source: Source) -> tuple[str, str] | None:
+    """Return what a file is and how to make it a recording, None where sight does not tell."""
+    for begins, suffix, kind, remedy in _OTHERS:
+        if suffix in ("", source.suffix) and begins.match(source.head):
+            return kind, remedy
+    return None
 
 
 def read(source: Source) -> RawTable:
     """Refuse with the name of what it is."""
+    other = _other(source)
+    if other is not None:
+        kind, remedy = other
+        raise unreadable(
+            source.name, kind, needed="a table with a row for each sample", remedy=remedy
+        )
     if source.head.startswith(_OLE):
         raise unreadable(
             source.name,

@@ -32,6 +32,8 @@ _TIME_OF_DAY = (
     r"(?:[\d./-]{6,10}[ T])?\s*(?P<h>\d{1,2}):(?P<m>[0-5]\d):(?P<s>[0-5]\d(?:[.,]\d+)?)"
     r"\s*(?P<half>[AaPp])?\.?(?:[Mm]\.?)?"
 )
+# Without hours, as Excel shows a time with tenths; only the fraction tells it from 14:05 o'clock.
+_MINUTES = r"(?P<m>\d{1,4}):(?P<s>[0-5]\d[.,]\d+)"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,7 +196,8 @@ def _seconds_of(held: "Series[str]") -> "Series[float] | None":
     """Return seconds from the first of a column of times of day, or None where it is none.
 
     A date in front is not interpreted (day or month first?) unless it is ISO 8601: a clock that
-    goes back by more than half a day has passed midnight.
+    goes back by more than half a day has passed midnight, and one without hours that goes back by
+    more than half an hour a full one.
     """
     import pandas as pd
 
@@ -202,18 +205,28 @@ def _seconds_of(held: "Series[str]") -> "Series[float] | None":
     if stamps.notna().all():
         return (stamps - stamps.iloc[0]).dt.total_seconds()
     parts = held.str.strip().str.extract(f"^{_TIME_OF_DAY}$")
-    if parts[["h", "m", "s"]].isna().to_numpy().any():
-        return None
-    hours = parts["h"].astype(float)
-    if parts["half"].notna().any():
-        hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
+    if not parts[["h", "m", "s"]].isna().to_numpy().any():
+        hours = parts["h"].astype(float)
+        if parts["half"].notna().any():
+            hours = hours % 12 + 12 * parts["half"].str.lower().eq("p")
+        return _running(3600 * hours + _of_hour(parts), 86400.0)
+    parts = held.str.strip().str.extract(f"^{_MINUTES}$")
+    return None if parts.isna().to_numpy().any() else _running(_of_hour(parts), 3600.0)
+
+
+def _of_hour(parts: "DataFrame") -> "Series[float]":
+    """Return the seconds of minutes ``m`` and seconds ``s``."""
     second = parts["s"].str.replace(",", ".").astype(float)
-    of_day = 3600 * hours + 60 * parts["m"].astype(float) + second
-    step = of_day.diff()
-    days = step.lt(-43200).astype(int).cumsum() - step.gt(43200).astype(int).cumsum()
-    seconds: Series[float] = of_day + 86400.0 * days
+    return 60 * parts["m"].astype(float) + second
+
+
+def _running(seconds: "Series[float]", turn_s: float) -> "Series[float]":
+    """Return seconds from the first of a clock that begins anew after each turn."""
+    step = seconds.diff()
+    turns = step.lt(-turn_s / 2).astype(int).cumsum() - step.gt(turn_s / 2).astype(int).cumsum()
+    running: Series[float] = seconds + turn_s * turns
     # Stamps have at most nanoseconds; hours in seconds would leave noise behind their digits.
-    return (seconds - seconds.iloc[0]).round(9)
+    return (running - running.iloc[0]).round(9)
 
 
 def _most(wrong: np.ndarray, textual: frozenset[int]) -> int:

@@ -4,6 +4,7 @@ import errno
 import gzip
 import io
 import os
+import re
 import stat
 import zlib
 from dataclasses import dataclass
@@ -23,6 +24,8 @@ HEAD_SIZE = 1 << 16
 # Everything that is tried on columns is tried on each; recorders have some hundred.
 MOST_COLUMNS = 4096
 _PIECE = 1 << 20
+# An en dash is a sign in front of a number or its exponent, and a range between two numbers.
+_DASHED = re.compile(r"(?:(?<![\w.])|(?<=\d[eEdD]))\u2013(?=[\d.,])")
 _LARGE = (
     "Fit it with --stream, cut the recording into several files, or keep only the columns that "
     "matter."
@@ -229,12 +232,23 @@ def text_of(source: Source) -> str:
         line = text.count("\n", 0, text.index("\x00")) + 1
         raise unreadable(
             source.name,
-            f"line {line} holds a zero byte: this is no text, and no binary format known here",
-            needed="a text table, .npy, .npz, .mat, .h5, .parquet, .lvm, .tdms or Nanonis .dat",
-            remedy="Export the recording as CSV.",
+            f"its text is broken by {text.count(chr(0))} zero bytes, the first in line {line}: "
+            "what a computer leaves that stopped while it wrote",
+            needed="a text table to its end",
+            remedy="Copy the file again from where it was written, or remove the zero bytes and "
+            "the rows that they cut; an empty cell is read as a lost sample.",
             line=line,
         )
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return with_hyphens(text.replace("\r\n", "\n").replace("\r", "\n"))
+
+
+def with_hyphens(text: str) -> str:
+    """Return a text with a hyphen for every sign that is printed as a longer stroke.
+
+    Word processors and some locales write the true minus, or an en dash.
+    """
+    text = text.replace("\u2212", "-")
+    return _DASHED.sub("-", text) if "\u2013" in text else text
 
 
 def encoding_of(head: bytes) -> str:

@@ -23,6 +23,10 @@ from piezoid.records.readers.source import Source, encoding_of, text_of
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
 
+# No binary format begins with so many lines without a zero byte, unless it has a header of text:
+# those that are known here are asked before.
+_LINES_OF_TEXT = 3
+
 
 def read(source: Source) -> RawTable:
     """Read a text table; columns of text are left out, their place stays counted."""
@@ -113,8 +117,15 @@ def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
 
 
 def recognises(source: Source) -> bool:
-    """Take whatever is not the beginning of some other binary file."""
-    return b"\x00" not in source.head or encoding_of(source.head).startswith("utf-16")
+    """Take whatever is not the beginning of some other binary file.
+
+    Zero bytes behind some lines of text are damage to a text, which is told where it is read.
+    """
+    head = source.head
+    begun = head[: head.find(b"\x00")] if b"\x00" in head else head
+    return begun.count(b"\n") >= _LINES_OF_TEXT or (
+        begun == head or encoding_of(head).startswith("utf-16")
+    )
 
 
 READER = Reader(

@@ -18,7 +18,13 @@ from piezoid.records.readers.block import (
 )
 from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.heading_lines import HEAD_LINES, Start, find_start, names_but_first
-from piezoid.records.readers.source import Source, check_growth, encoding_of, unreadable
+from piezoid.records.readers.source import (
+    Source,
+    check_growth,
+    encoding_of,
+    unreadable,
+    with_hyphens,
+)
 from piezoid.records.recording import Problem
 from piezoid.records.streams.format import BlockFormat
 from piezoid.records.table import RawTable
@@ -125,7 +131,7 @@ def _lines(stream: io.TextIOWrapper, characters: int, name: str) -> str:
             needed="a text table to its end",
             remedy="Export the recording as CSV.",
         )
-    return text + rest
+    return with_hyphens(text + rest)
 
 
 def _last_line(text: str) -> str:

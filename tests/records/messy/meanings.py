@@ -8,6 +8,7 @@ from tests.records.messy.writers import (
     COUNTS,
     EVERY,
     FIT,
+    FULL_HOUR,
     NAMES,
     SAMPLES,
     VOLTAGE_V,
@@ -118,6 +119,12 @@ MEANINGS: tuple[Messy, ...] = (
         kept=EVERY,
     ),
     Messy(
+        name="minutes.csv",
+        wrong="times as `59:59.800`, without hours, across a full one",
+        write=stamped([clock_of_day(k, start=FULL_HOUR)[3:] for k in range(SAMPLES)]),
+        kept=EVERY,
+    ),
+    Messy(
         name="midnight.csv",
         wrong="dates, day or month first, across midnight",
         write=stamped(across_midnight()),
@@ -188,6 +195,18 @@ MEANINGS: tuple[Messy, ...] = (
         refused="no column is a drive voltage or a displacement",
         lines=BY_NUMBER,
         mended=frozenset({"transposed"}),
+    ),
+    Messy(
+        name="wave.ibw",
+        wrong="a wave of Igor",
+        write=lambda path: path.write_bytes(b"\x05\x00" + bytes(382)) and None,
+        refused="it is a wave of Igor",
+    ),
+    Messy(
+        name="scope.wfm",
+        wrong="a waveform as a Rigol oscilloscope stores it",
+        write=lambda path: path.write_bytes(b"\xa5\xa5\x00\x00" + bytes(380)) and None,
+        refused="it is a waveform as an oscilloscope stores it",
     ),
     Messy(
         name="complex.mat",

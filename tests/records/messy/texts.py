@@ -1,6 +1,7 @@
 """Encodings, line ends, separators, decimals, headings and rows that are messy."""
 
 import gzip
+import json
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from tests.records.messy.writers import (
 def whole_volts(k: int) -> str:
     """Return 950 or 1,234: no decimals, thousands marked off."""
     return f"{round(1e3 * VOLTAGE_V[k] / 40):,}"
+
+
+def _with_zeros(content: bytes, at: int, count: int) -> bytes:
+    return content[:at] + bytes(count) + content[at + count :]
 
 
 TEXTS: tuple[Messy, ...] = (
@@ -217,6 +222,18 @@ TEXTS: tuple[Messy, ...] = (
         refused="does the comma mark decimals or thousands?",
     ),
     Messy(
+        name="true_minus.csv",
+        wrong="the minus of typesetters, `1.0e\u22123`",
+        write=text(lines(written=lambda value: f"{value:.6e}".replace("-", "\u2212"))),
+        kept=EVERY,
+    ),
+    Messy(
+        name="en_dash.csv",
+        wrong="an en dash for the minus, as word processors set it",
+        write=text(lines(written=lambda value: f"{value:.6e}".replace("-", "\u2013"))),
+        kept=EVERY,
+    ),
+    Messy(
         name="fortran.txt",
         wrong="exponents with D",
         write=text(lines("  ", written=lambda v: f"{v:.8E}".replace("E", "D"))),
@@ -352,6 +369,29 @@ TEXTS: tuple[Messy, ...] = (
         kept=np.concatenate([EVERY, EVERY[100:]]),
         breaks=1,
         problems=frozenset({"not_a_number", "missing_values", "time_reversed"}),
+    ),
+    Messy(
+        name="zeros.csv",
+        wrong="zero bytes in its middle, of a computer that stopped",
+        write=lambda path: (
+            path.write_bytes(_with_zeros("\n".join(lines()).encode(), 3000, 256)) and None
+        ),
+        refused="broken by 256 zero bytes, the first in line 1",
+    ),
+    Messy(
+        name="run.json",
+        wrong="JSON",
+        write=lambda path: (
+            path.write_text(json.dumps(dict(zip(NAMES, columns().T.tolist(), strict=True))))
+            and None
+        ),
+        refused="it is JSON",
+    ),
+    Messy(
+        name="web.xls",
+        wrong="a page of HTML that calls itself a workbook",
+        write=text(["<html><table><tr><td>0.001</td></tr></table></html>"]),
+        refused="it is a page of HTML or XML",
     ),
     Messy(
         name="units_in_cells.csv",

@@ -18,6 +18,8 @@ _noise = np.random.default_rng(42).normal(0, 0.003, SAMPLES)
 VOLTAGE_V = np.round(50 + 40 * np.sin(2 * np.pi * 5 * TIME_s), 3)
 POSITION_um = np.round(9 + 8 * np.sin(2 * np.pi * 5 * TIME_s - 0.2) + _noise, 4)
 NAMES = ("time [s]", "voltage [V]", "position [um]")
+AFTERNOON = datetime(2026, 3, 1, 14, 5, 3, 250000)
+FULL_HOUR = datetime(2026, 3, 1, 14, 59, 59, 800000)
 LONG = 4096  # samples of the files whose rate changes
 
 Write = Callable[[Path], None]
@@ -83,8 +85,8 @@ def grouped(value: float, mark: str, decimal: str) -> str:
     return f"{value:,.2f}".replace(",", "_").replace(".", decimal).replace("_", mark)
 
 
-def clock_of_day(k: int, mark: str = ".") -> str:
-    at = datetime(2026, 3, 1, 14, 5, 3, 250000) + timedelta(seconds=float(TIME_s[k]))
+def clock_of_day(k: int, mark: str = ".", start: datetime = AFTERNOON) -> str:
+    at = start + timedelta(seconds=float(TIME_s[k]))
     return at.strftime("%H:%M:%S") + f"{mark}{at.microsecond // 1000:03d}"
 
 
