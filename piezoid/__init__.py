@@ -25,8 +25,8 @@ __version__ = "0.2.0"
 _PUBLIC = {
     **dict.fromkeys(
         (
-            *("calibrate", "design", "diagnose", "export", "fit", "load", "plan", "read"),
-            *("read_lab", "report", "save", "simulate", "verify", "VirtualStage"),
+            *("calibrate", "design", "diagnose", "export", "fit", "plan", "read"),
+            *("read_lab", "report", "simulate", "verify", "VirtualStage"),
         ),
         "piezoid.verbs",
     ),
@@ -50,6 +50,8 @@ _PUBLIC = {
     "Recording": "piezoid.records.recording",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
+    "load": "piezoid.sealed_files",
+    "save": "piezoid.sealed_files",
 }
 
 if TYPE_CHECKING:
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
     from piezoid.records.collection import Collection
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Channel, Quantity, Recording
+    from piezoid.sealed_files import load, save
     from piezoid.verbs import (
         VirtualStage,
         calibrate,
@@ -71,12 +74,10 @@ if TYPE_CHECKING:
         diagnose,
         export,
         fit,
-        load,
         plan,
         read,
         read_lab,
         report,
-        save,
         simulate,
         verify,
     )

@@ -7,7 +7,7 @@ being done, a sentence each time.
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from json import JSONDecodeError, loads
+from json import loads
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,36 +17,35 @@ from numpy.typing import ArrayLike
 from piezoid.calibration import calibrate as whole_way
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.controllers import shipped
-from piezoid.design.design import Design, design_from_json
+from piezoid.design.design import Design
 from piezoid.design.stage import Asked, design_stage
 from piezoid.diagnosis import diagnose as engine
 from piezoid.diagnosis import experiment
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
-from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
+from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification import fit as identification
 from piezoid.identification.model import ActuatorModel, AxisModel
-from piezoid.identification.store import read_model, write_model
+from piezoid.identification.store import write_model
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect
 from piezoid.records.comparison import refuse_misfits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
+from piezoid.sealed_files import Place, digest_of, path_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.follow import Controller, follow, parameters_of
 from piezoid.verification.limits import limits_from_toml
 from piezoid.verification.shipping import Shipping
 from piezoid.verification.stage import verify_stage
-from piezoid.verification.verification import Verification, verification_from_json
+from piezoid.verification.verification import Verification
 
-Place = str | Path
 Recordings = Recording | Collection | Iterable[Recording]
 Progress = Callable[[str], None] | None
-Sealed = ActuatorModel | Diagnosis | tuple[Diagnosis, ...] | Design | ParameterFile | Verification
 
 
 def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
@@ -64,12 +63,12 @@ def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
             needed="one recording or more",
             remedy="Name its file, as in piezoid.read('sweep.csv').",
         )
-    return collect([_path(file) for file in files], _lab(lab))
+    return collect([path_of(file) for file in files], _lab(lab))
 
 
 def read_lab(path: Place) -> Lab:
     """Read a lab.toml; raises ``LabFileError`` with the line or table that cannot be used."""
-    return laboratory.read_lab(_path(path))
+    return laboratory.read_lab(path_of(path))
 
 
 def fit(
@@ -179,7 +178,7 @@ def design(
     Raises ``TemplateError`` where no controller meets what is asked, ``DesignError`` where too
     little is known of every axis.
     """
-    place = None if specification is None else _path(specification)
+    place = None if specification is None else path_of(specification)
     asked = None if place is None else Asked(text=_text(place), place=place.name)
     return design_stage(
         model,
@@ -238,7 +237,7 @@ def verify(
     limits      path of a limits.toml; default: those of [verification] in lab.toml
     seed        of sensor noise and drawn stages
     """
-    place = None if limits is None else _path(limits)
+    place = None if limits is None else path_of(limits)
     return verify_stage(
         parameters_of(parameters, model, _lab(lab)),
         model,
@@ -395,77 +394,6 @@ def simulate(
 _LABORATORY = ("campaign", "write")
 
 
-def load(path: Place) -> Sealed:
-    """Read a sealed file back, whichever it is by its schema; of a folder, its model.json.
-
-    returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
-              axis, of design.json a Design, of params.json a ParameterFile, of verification.json
-              a Verification
-
-    Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
-    ``OSError`` where it cannot be read.
-    """
-    place = _path(path)
-    place = place / "model.json" if place.is_dir() else place
-    content = place.read_bytes()
-    try:
-        record = loads(content)
-        schema = str(record.get("schema")) if isinstance(record, dict) else ""
-    except (JSONDecodeError, UnicodeDecodeError, RecursionError):
-        schema = ""
-    kind = schema.partition("/")[0]
-    if kind not in _READERS:
-        raise ParameterFileError(
-            f"{place.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
-            needed=f"one of {', '.join(_READERS)}",
-            remedy="Pass model.json, diagnosis.json, design.json, params.json or "
-            "verification.json of a stage's folder.",
-        )
-    return _READERS[kind](content, str(place))
-
-
-_READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
-    "piezoid.model": read_model,
-    "piezoid.diagnosis": read_diagnoses,
-    "piezoid.design": design_from_json,
-    "piezoid.params": parameter_file.from_json,
-    "piezoid.verification": verification_from_json,
-}
-
-
-def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
-    """Write a record into its sealed file; ``load`` reads it back, number for number.
-
-    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification
-    """
-    _path(path).write_bytes(sealed(record))
-
-
-def sealed(record: object) -> bytes:
-    """Return the bytes of a record's sealed file; the same record, the same bytes."""
-    if isinstance(record, ActuatorModel):
-        return write_model(record)
-    if isinstance(record, Diagnosis):
-        return write_diagnosis(record)
-    if isinstance(record, Design | Verification):
-        return record.to_json()
-    if isinstance(record, ParameterFile):
-        return parameter_file.to_json(record)
-    several = tuple(record) if isinstance(record, tuple | list) else ()
-    if several and all(isinstance(one, Diagnosis) for one in several):
-        return write_diagnosis(several[0], others=several[1:])
-    raise ParameterFileError(
-        f"{type(record).__name__} has no sealed file",
-        needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile or a Verification",
-        remedy="Save what a Shipping holds: its parameters and its verification.",
-    )
-
-
-def digest_of(record: object) -> str:
-    """Return the digest in a record's sealed file."""
-    return str(loads(sealed(record))["digest"])
-
-
 def _known(model: ActuatorModel, axis: str | None, held: Sequence[Recording]) -> AxisModel:
     """Return an axis, without the memory of recordings other than these."""
     known = model[axis or ""]
@@ -494,24 +422,14 @@ def _recordings(given: object) -> Collection:
 
 def _collected(given: object, lab: Lab | None) -> Collection:
     if isinstance(given, str | Path):
-        return collect([_path(given)], lab)
+        return collect([path_of(given)], lab)
     if isinstance(given, list | tuple) and given and isinstance(given[0], str | Path):
-        return collect([_path(one) for one in given], lab)
+        return collect([path_of(one) for one in given], lab)
     return _recordings(given)
 
 
-def _path(given: object) -> Path:
-    if isinstance(given, str | Path):
-        return Path(given)
-    raise RecordingError(
-        f"{type(given).__name__} given for a file",
-        needed="the path of a file",
-        remedy="Pass a string or a pathlib.Path.",
-    )
-
-
 def _lab(given: object) -> Lab | None:
-    return given if given is None or isinstance(given, Lab) else read_lab(_path(given))
+    return given if given is None or isinstance(given, Lab) else read_lab(path_of(given))
 
 
 def _text(place: Path) -> str:

@@ -76,8 +76,13 @@ def confidence_of(law: GapLaw) -> str:
 
 
 def told_interval(value: float, interval: tuple[float, float], unit: str) -> str:
-    """Return a value and its 95 % interval, which need not be symmetric or bounded."""
+    """Return a value and its 95 % interval, which need not be symmetric or bounded.
+
+    Where any value is inside the interval, none is told.
+    """
     low, high = interval
+    if low <= 0.0 and not math.isfinite(high):
+        return "unknown (any value fits these recordings)"
     if unit in ("", "eV"):
         ends = [significant(end, 4) if math.isfinite(end) else "any" for end in (low, high)]
         shown = f"{significant(value, 4)}{NARROW}{unit}" if unit else significant(value, 4)

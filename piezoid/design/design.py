@@ -223,7 +223,7 @@ class Design:
 
     def save(self, path: str | Path) -> None:
         """Write design.json."""
-        upstairs("verbs").save(self, path)
+        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         loops = [

@@ -162,7 +162,7 @@ class Diagnosis:
 
     def save(self, path: str | Path) -> None:
         """Write diagnosis.json; the model with what was found in it stands in model.json."""
-        upstairs("verbs").save(self, path)
+        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         found = [

@@ -127,7 +127,7 @@ class ParameterFile:
 
     def save(self, path: str | Path) -> None:
         """Write params.json; ``bundle`` holds what firmware compiles beside it."""
-        upstairs("verbs").save(self, path)
+        upstairs("sealed_files").save(self, path)
 
 
 def to_json(file: ParameterFile) -> bytes:

@@ -486,7 +486,7 @@ class ActuatorModel:
 
     def save(self, path: str | Path) -> None:
         """Write model.json."""
-        upstairs("verbs").save(self, path)
+        upstairs("sealed_files").save(self, path)
 
 
 def _drive(given: ArrayLike, place: str, unit: str) -> Array:

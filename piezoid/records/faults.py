@@ -1,8 +1,8 @@
-"""What is wrong with a channel's samples: dead, clipped, equal to another; its noise and step."""
+"""What is wrong with a channel's samples: dead, clipped, wrapped, equal; its noise and step."""
 
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -18,6 +18,11 @@ _CLIPPED_RATIO = 8
 # A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
 _JUMP = 5.0
 _JUMP_SHARE = 0.2
+# A counter that overflows jumps over its whole range, while the drive makes no step.
+_WHOLE, _STEP = 0.8, 0.1
+_AROUND = (
+    5  # samples on either side of it in which the reading neither jumps back nor is one value
+)
 
 
 def noise_rms(values: Array) -> float:
@@ -85,13 +90,33 @@ def clipped_share(values: Array, *, rest: float | None = None) -> float:
     return float(lengths[clipped].sum() / len(values))
 
 
+def wraps(values: Array, drives: Sequence[Array]) -> Array:
+    """Return the samples before which a reading jumped from one end of its range to the other.
+
+    drives  of any axis: where one makes a step, a reading may
+
+    A value that stands for a lost reading is one value, or goes back at once.
+    """
+    span = float(np.ptp(values))
+    after = np.flatnonzero(np.abs(np.diff(values)) > _WHOLE * span) + 1
+    found = []
+    for k in after.tolist():
+        if any(abs(one[k] - one[k - 1]) > _STEP * np.ptp(one) for one in drives):
+            continue
+        sides = values[max(k - _AROUND, 0) : k], values[k : k + _AROUND]
+        if all(0.0 < np.ptp(side) < 0.5 * span for side in sides):
+            found.append(k)
+    return np.array(found, dtype=int)
+
+
 def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, ...]:
-    """Return the problems of all columns: empty, dead, saturated, equal to another.
+    """Return the problems of all columns: empty, dead, saturated, wrapped, equal to another.
 
     read  columns, by number, that become channels; only there does clipping mean anything
     """
     found: list[Problem] = []
     seen: dict[bytes, Column] = {}
+    drives = [c.values for c in table.columns if read.get(c.number) is Quantity.VOLTAGE]
     for column in table.columns:
         held = column.values[np.isfinite(column.values)]
         if not len(held):
@@ -107,6 +132,15 @@ def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, .
                 ends = f"rests on {held.min():.6g} or {held.max():.6g} (as found)"
                 text = f"{ends} for {100 * share:.2g} % of the samples: clipped?"
                 found.append(_problem("saturated", column, text))
+            if quantity is Quantity.DISPLACEMENT and len(held) == len(column.values):
+                over = wraps(held, drives)
+                if len(over):
+                    text = (
+                        f"jumps over its whole range {len(over)} times while the drive makes no "
+                        f"step, first at row {over[0] + 1}: a counter or converter that "
+                        "overflows? Add its range to the readings beyond"
+                    )
+                    found.append(_problem("wrapped", column, text))
             twin = seen.setdefault(hashlib.sha256(column.values.tobytes()).digest(), column)
             if twin is not column:
                 text = f"holds the same numbers as {twin.place}"

@@ -111,7 +111,7 @@ class Verification:
 
     def save(self, path: str | Path) -> None:
         """Write verification.json."""
-        upstairs("verbs").save(self, path)
+        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         good = sum(verdict.passed for verdict in self.verdicts)

@@ -8,7 +8,7 @@ import pytest
 import piezoid
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
-from piezoid.verbs import sealed
+from piezoid.sealed_files import sealed
 from tests.verification.known_fit import fitted
 from tests.verification.rig import RATE_Hz
 

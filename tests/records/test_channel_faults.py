@@ -1,9 +1,14 @@
-"""Dead, clipped and coarse channels, and the noise of a smooth one."""
+"""Dead, clipped, wrapped and coarse channels, and the noise of a smooth one."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezoid.numerics.arrays import Array
 from piezoid.records.faults import clipped_share, noise_rms, step_size
+from piezoid.records.ingest import ingest
+from piezoid.records.recording import Recording
 
 PHASE = 2 * np.pi * np.arange(20000) / 4000
 SINE = np.sin(PHASE)
@@ -60,3 +65,36 @@ def test_a_clipped_channel_is_told_with_its_share(rng: np.random.Generator) -> N
 )
 def test_drives_that_rest_where_they_should_are_not_clipped(values: np.ndarray) -> None:
     assert clipped_share(values, rest=0.0) == 0
+
+
+def _file(tmp_path: Path, reading_um: Array, drive_V: Array) -> Recording:
+    place = tmp_path / "sweep.csv"
+    rows = zip(np.arange(len(drive_V)) / 1000.0, drive_V, reading_um, strict=True)
+    lines = (f"{t:.3f},{u:.5f},{x:.5f}" for t, u, x in rows)
+    place.write_text("time [s],voltage [V],displacement [um]\n" + "\n".join(lines) + "\n")
+    return ingest(place)
+
+
+def test_a_reading_that_overflows_is_told_with_its_first_row(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    drive_V = 50.0 * SINE
+    reading_um = 20.0 * SINE + rng.normal(0, 2e-3, len(SINE))
+    wrapped_um = np.where(reading_um > 15.0, reading_um - 35.0, reading_um)
+    told = [p for p in _file(tmp_path, wrapped_um, drive_V).problems if p.kind == "wrapped"]
+    assert len(told) == 1
+    first = int(np.flatnonzero(np.abs(np.diff(wrapped_um)) > 30.0)[0]) + 1
+    assert f"row {first + 1}" in told[0].text
+
+
+@pytest.mark.parametrize("lost_um", [0.0, 9999.0, -1.0])
+def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
+    lost_um: float, rng: np.random.Generator, tmp_path: Path
+) -> None:
+    drive_V = 50.0 * SINE
+    reading_um = 20.0 + 18.0 * SINE + rng.normal(0, 2e-3, len(SINE))
+    reading_um[200:203] = reading_um[400] = lost_um
+    steps_V = np.sign(SINE) * 40.0
+    for read_um, sent_V in ((reading_um, drive_V), (0.4 * steps_V + 0.01 * SINE, steps_V)):
+        found = _file(tmp_path, read_um, sent_V)
+        assert "wrapped" not in {problem.kind for problem in found.problems}

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from piezoid import readable
 from piezoid.readable import PREFIXES, UNKNOWN
+from piezoid_reports.junction_words import told_interval
 from piezoid_reports.quantities import MICRO, MINUS, significant, told, told_between
 
 FACTOR = {prefix: factor for factor, prefix in PREFIXES} | {MICRO: 1e-6}
@@ -80,3 +81,8 @@ def test_the_terminal_is_told_the_same_number_in_plain_letters(value: float) -> 
 
 def test_microns_in_a_sentence_are_written_without_a_power_of_ten() -> None:
     assert readable.told(6.06e-6, "m") == "6.06 um"
+
+
+def test_a_value_that_may_be_anything_is_not_told():
+    assert "1.45" not in told_interval(1.45, (0.0, math.inf), "eV")
+    assert "1.45" in told_interval(1.45, (1.2, math.inf), "eV")

@@ -1,0 +1,103 @@
+"""Sealed files of a stage, read back into the records that they are of.
+
+A sealed file is JSON with its schema and a digest of its content; the same record, the same bytes.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from json import JSONDecodeError, loads
+from pathlib import Path
+
+from piezoid.design.design import Design, design_from_json
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
+from piezoid.errors import ParameterFileError, RecordingError
+from piezoid.export import parameter_file
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.identification.model import ActuatorModel
+from piezoid.identification.store import read_model, write_model
+from piezoid.verification.verification import Verification, verification_from_json
+
+Place = str | Path
+Sealed = ActuatorModel | Diagnosis | tuple[Diagnosis, ...] | Design | ParameterFile | Verification
+
+
+def load(path: Place) -> Sealed:
+    """Read a sealed file back, whichever it is by its schema; of a folder, its model.json.
+
+    returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
+              axis, of design.json a Design, of params.json a ParameterFile, of verification.json
+              a Verification
+
+    Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
+    ``OSError`` where it cannot be read.
+    """
+    place = path_of(path)
+    place = place / "model.json" if place.is_dir() else place
+    content = place.read_bytes()
+    try:
+        record = loads(content)
+        schema = str(record.get("schema")) if isinstance(record, dict) else ""
+    except (JSONDecodeError, UnicodeDecodeError, RecursionError):
+        schema = ""
+    kind = schema.partition("/")[0]
+    if kind not in _READERS:
+        raise ParameterFileError(
+            f"{place.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
+            needed=f"one of {', '.join(_READERS)}",
+            remedy="Pass model.json, diagnosis.json, design.json, params.json or "
+            "verification.json of a stage's folder.",
+        )
+    return _READERS[kind](content, str(place))
+
+
+_READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
+    "piezoid.model": read_model,
+    "piezoid.diagnosis": read_diagnoses,
+    "piezoid.design": design_from_json,
+    "piezoid.params": parameter_file.from_json,
+    "piezoid.verification": verification_from_json,
+}
+
+
+def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
+    """Write a record into its sealed file; ``load`` reads it back, number for number.
+
+    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification
+    """
+    path_of(path).write_bytes(sealed(record))
+
+
+def sealed(record: object) -> bytes:
+    """Return the bytes of a record's sealed file; the same record, the same bytes."""
+    if isinstance(record, ActuatorModel):
+        return write_model(record)
+    if isinstance(record, Diagnosis):
+        return write_diagnosis(record)
+    if isinstance(record, Design | Verification):
+        return record.to_json()
+    if isinstance(record, ParameterFile):
+        return parameter_file.to_json(record)
+    several = tuple(record) if isinstance(record, tuple | list) else ()
+    if several and all(isinstance(one, Diagnosis) for one in several):
+        return write_diagnosis(several[0], others=several[1:])
+    raise ParameterFileError(
+        f"{type(record).__name__} has no sealed file",
+        needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile or a Verification",
+        remedy="Save what a Shipping holds: its parameters and its verification.",
+    )
+
+
+def digest_of(record: object) -> str:
+    """Return the digest in a record's sealed file."""
+    return str(loads(sealed(record))["digest"])
+
+
+def path_of(given: object) -> Path:
+    """Return the path of a file, or refuse what is none."""
+    if isinstance(given, str | Path):
+        return Path(given)
+    raise RecordingError(
+        f"{type(given).__name__} given for a file",
+        needed="the path of a file",
+        remedy="Pass a string or a pathlib.Path.",
+    )
