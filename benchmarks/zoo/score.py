@@ -185,19 +185,19 @@ def _change_percent(one: Campaign, other: Campaign) -> float:
     return 100.0 * most_m / one.rig.stroke_m
 
 
-def read_back(campaign: Campaign) -> tuple[list[Recording], Lab]:
+def recorded(campaign: Campaign) -> tuple[tuple[Recording, ...], Lab]:
     """Write a campaign as a laboratory hands it over, and read it."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         write_campaign(campaign, place)
         lab = read_lab(place / "recordings/lab.toml")
         files = [place / f"recordings/{rows.run.name}.csv" for rows in campaign.recordings]
-        return list(ingest_all(files, lab)), lab
+        return tuple(ingest_all(files, lab)), lab
 
 
 def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:
     """Return the diagnosis and its seconds of processor."""
-    recordings, lab = read_back(campaign)
+    recordings, lab = recorded(campaign)
     begun = time.process_time()
     return diagnose(recordings, lab=lab), time.process_time() - begun
 

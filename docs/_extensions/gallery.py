@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import made_pages
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
@@ -41,21 +42,13 @@ BLUE, ORANGE = "#0072b2", "#d55e00"
 
 
 def _write(app: Sphinx) -> None:
-    folder = Path(app.srcdir) / "effects"
-    folder.mkdir(exist_ok=True)
     recordings = _healthy()
     written = {"index.md": _index().encode()}
     for effect in EFFECTS:
         played = PLAYED.get(coordinate_of(effect.name).label, "sweep")
         written[f"{effect.name}.md"] = _page(effect).encode()
         written[f"{effect.name}.svg"] = _picture(effect, recordings[played])
-    for name, content in written.items():
-        place = folder / name
-        if not place.exists() or place.read_bytes() != content:  # else the page counts as changed
-            place.write_bytes(content)
-    for place in folder.iterdir():
-        if place.name not in written:
-            place.unlink()
+    made_pages.write(app, "effects", written)
 
 
 def _healthy() -> dict[str, Recording]:

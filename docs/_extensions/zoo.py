@@ -7,8 +7,8 @@ of that law, the straight line between the ends of the stroke taken off so that 
 import itertools
 import sys
 import tempfile
-from pathlib import Path
 
+import made_pages
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
@@ -27,17 +27,9 @@ NOTHING_MISSING = 1e-9  # of the stroke
 
 
 def _write(app: Sphinx) -> None:
-    folder = Path(app.srcdir) / "laws"
-    folder.mkdir(exist_ok=True)
     written = {"index.md": _index().encode()}
     written |= {f"{law.name}.svg": _picture(law) for law in ZOO}
-    for name, content in written.items():
-        place = folder / name
-        if not place.exists() or place.read_bytes() != content:  # else the page counts as changed
-            place.write_bytes(content)
-    for place in folder.iterdir():
-        if place.name not in written:
-            place.unlink()
+    made_pages.write(app, "laws", written)
 
 
 def _index() -> str:

@@ -216,13 +216,12 @@ def without(view: View, found: Discovered) -> View:
 
     Beyond the end of the sensor's range nothing was measured, and those rows are left out.
     """
-    tracks = (
-        replace(track, response=track.response - one, place=place, block=track.block[kept])
-        for track, one in zip(view.tracks, found.curve, strict=True)
-        for kept in [~_beyond(found, one)[track.place]]
-        for place in [track.place[kept]]
-    )
-    return with_tracks(view, tuple(tracks))
+    tracks = []
+    for track, one in zip(view.tracks, found.curve, strict=True):
+        kept = ~_beyond(found, one)[track.place]
+        place, block = track.place[kept], track.block[kept]
+        tracks.append(replace(track, response=track.response - one, place=place, block=block))
+    return with_tracks(view, tracks)
 
 
 def with_it(view: View, found: Discovered) -> View:
@@ -233,7 +232,7 @@ def with_it(view: View, found: Discovered) -> View:
         place = np.union1d(track.place, again)
         block = np.interp(place, raw.place, raw.block).astype(int)
         tracks.append(replace(track, response=track.response + one, place=place, block=block))
-    return with_tracks(view, tuple(tracks))
+    return with_tracks(view, tracks)
 
 
 def _beyond(found: Discovered, curve: Array) -> NDArray[np.bool_]:

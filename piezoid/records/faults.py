@@ -18,11 +18,10 @@ _CLIPPED_RATIO = 8
 # A drive that jumps to its extreme, in typical steps or in shares of the span, was sent there.
 _JUMP = 5.0
 _JUMP_SHARE = 0.2
-# A counter that overflows jumps over its whole range, while the drive makes no step.
+# A counter that overflows jumps over nearly its whole range, while the drive makes no step; within
+# so many samples on either side the reading neither jumps back nor is one value, as a lost one is.
 _WHOLE, _STEP = 0.8, 0.1
-_AROUND = (
-    5  # samples on either side of it in which the reading neither jumps back nor is one value
-)
+_AROUND = 5
 
 
 def noise_rms(values: Array) -> float:
@@ -93,17 +92,20 @@ def clipped_share(values: Array, *, rest: float | None = None) -> float:
 def wraps(values: Array, drives: Sequence[Array]) -> Array:
     """Return the samples before which a reading jumped from one end of its range to the other.
 
-    drives  of any axis: where one makes a step, a reading may
+    drives  (samples,) each, of any axis: where one makes a step, or a sample of it is lost, a
+            reading may jump, then or a few samples later; without a drive nothing is told
 
     A value that stands for a lost reading is one value, or goes back at once.
     """
     span = float(np.ptp(values))
     after = np.flatnonzero(np.abs(np.diff(values)) > _WHOLE * span) + 1
+    steps = [~(np.abs(np.diff(u)) <= _STEP * (np.nanmax(u) - np.nanmin(u))) for u in drives]
     found = []
-    for k in after.tolist():
-        if any(abs(one[k] - one[k - 1]) > _STEP * np.ptp(one) for one in drives):
+    for k in after.tolist() if drives else ():
+        first = max(k - _AROUND, 0)
+        if any(step[first : k + _AROUND - 1].any() for step in steps):
             continue
-        sides = values[max(k - _AROUND, 0) : k], values[k : k + _AROUND]
+        sides = values[first:k], values[k : k + _AROUND]
         if all(0.0 < np.ptp(side) < 0.5 * span for side in sides):
             found.append(k)
     return np.array(found, dtype=int)

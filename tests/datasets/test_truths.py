@@ -1,10 +1,7 @@
 """The ceramics are what their books say, and none of them is a sum of plays."""
 
-import itertools
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from piezoid_datasets.virtual_lab.truths import TRUTHS
 from piezoid_datasets.virtual_lab.truths.bouc_wen import BoucWen, bouc_wen_memory
@@ -13,9 +10,8 @@ from piezoid_datasets.virtual_lab.truths.preisach import Everett, preisach_memor
 from piezoid_datasets.virtual_lab.truths.truth import FLOOR, Ceramic, Truth
 from piezoid_datasets.virtual_lab.truths.wall_pinning import wall_pinning_memory
 
-Array = NDArray[np.float64]
-EXACT = 1e-11  # of the stroke: rounding of the field to 13 decimals, times slopes of order one
-CYCLED = np.array([1.0, -1.0])
+from .fields import EXACT, Array, strain, walk
+
 EVERETT = Everett(
     weight=np.array([0.7, 0.5]),
     centre=np.array([[-0.3, 0.4], [0.1, -0.5]]),
@@ -23,16 +19,6 @@ EVERETT = Everett(
 )
 
 every_truth = pytest.mark.parametrize("truth", TRUTHS, ids=lambda truth: truth.name)
-
-
-def walk(*turns: float, points: int = 60) -> Array:
-    legs = [np.linspace(a, b, points) for a, b in itertools.pairwise(turns)]
-    return np.concatenate(legs)
-
-
-def strain(ceramic: Ceramic, field: Array, history: Array = CYCLED) -> Array:
-    reversible, irreversible = ceramic.respond(field, history)
-    return reversible + irreversible
 
 
 def loop(ceramic: Ceramic, low: float, high: float) -> Array:

@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.laboratory import draw_laboratory
@@ -38,9 +37,8 @@ from piezoid_datasets.virtual_lab.truths.preisach_lorentzian import lorentzian_e
 from piezoid_datasets.virtual_lab.truths.takacs import Takacs, takacs_memory
 from piezoid_datasets.virtual_lab.truths.truth import FLOOR, Ceramic, Truth
 
-Array = NDArray[np.float64]
-EXACT = 1e-11  # of the stroke: rounding of the field to 13 decimals, times slopes of order one
-CYCLED = np.array([1.0, -1.0])
+from .fields import EXACT, Array, strain, walk
+
 SEEDS = range(4)
 
 WIPES_OUT = {
@@ -52,16 +50,6 @@ WIPES_OUT = {
 }
 
 every_law = pytest.mark.parametrize("law", ZOO, ids=lambda law: law.name)
-
-
-def walk(*turns: float, points: int = 60) -> Array:
-    legs = [np.linspace(a, b, points) for a, b in itertools.pairwise(turns)]
-    return np.concatenate(legs)
-
-
-def strain(ceramic: Ceramic, field: Array, history: Array = CYCLED) -> Array:
-    reversible, irreversible = ceramic.respond(field, history)
-    return reversible + irreversible
 
 
 def drawn(law: Truth) -> list[Ceramic]:

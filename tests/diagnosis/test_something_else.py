@@ -112,6 +112,14 @@ def test_an_effect_of_the_catalogue_raises_nothing_else(effect):
     twice(promise)
 
 
+def test_every_tenth_sample_at_500_hertz_is_not_the_grid_as_well():
+    campaign = draw_campaign(57001, plans=PLANS, uncatalogued={"every_nth": 1.0})
+    recordings, lab = recorded(campaign)
+    found = diagnose(recordings, lab=lab)
+    assert set(found.names) <= {NAME, "outliers"}
+    assert found.findings[0].coordinate == "sample_index"
+
+
 def test_a_reading_that_ends_is_told_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
     recordings, lab = recorded(campaign)
@@ -160,9 +168,7 @@ def test_what_the_simulation_follows_is_not_taken_off_its_recordings():
 
 def test_an_end_of_the_range_is_told_where_the_class_does_not_foretell_the_rest():
     """The readings beyond it are left out, so that no foretelling of them is asked for."""
-    campaign = draw_campaign(
-        407, truth="wall_pinning", plans=PLANS, uncatalogued={"range_end": 8.0}
-    )
+    campaign = draw_campaign(407, truth="duhem", plans=PLANS, uncatalogued={"range_end": 16.0})
     recordings, lab = recorded(campaign)
     found = diagnose(recordings, lab=lab)
     assert found.names == (NAME,)

@@ -93,8 +93,11 @@ def test_a_lost_reading_or_a_step_of_the_drive_is_no_overflow(
 ) -> None:
     drive_V = 50.0 * SINE
     reading_um = 20.0 + 18.0 * SINE + rng.normal(0, 2e-3, len(SINE))
-    reading_um[200:203] = reading_um[400] = lost_um
+    reading_um[200:203] = reading_um[400] = reading_um[800:820] = lost_um
     steps_V = np.sign(SINE) * 40.0
-    for read_um, sent_V in ((reading_um, drive_V), (0.4 * steps_V + 0.01 * SINE, steps_V)):
+    answer_um = 0.4 * steps_V + 0.01 * SINE
+    late_um = np.roll(answer_um, 3)  # a sensor that reads three samples later
+    pairs = ((reading_um, drive_V), (answer_um, steps_V), (late_um, steps_V))
+    for read_um, sent_V in pairs:
         found = _file(tmp_path, read_um, sent_V)
         assert "wrapped" not in {problem.kind for problem in found.problems}
