@@ -81,13 +81,10 @@ def diagnose(
     found = _nothing_in(view, against, hands) if against else explained(view, hands)
     progress("refitting the simulation")
     if model is None:
-        numbers = simulated(found)
+        found, numbers = _worth_most(found, simulated)
         if numbers.final > 2.0 * UNEXPLAINED and not against:
             against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
             found = _nothing_in(view, against, hands)
-            numbers = simulated(found)
-        if _is_worth_nothing(found, numbers):
-            found = found.otherwise or found
             numbers = simulated(found)
     else:
         weighed = partial(
@@ -98,21 +95,36 @@ def diagnose(
             scales=scales,
             progress=progress,
         )
-        numbers = weighed(found)
-        if _is_worth_nothing(found, numbers):
-            found = found.otherwise or found
-            numbers = weighed(found)
+        found, numbers = _worth_most(found, weighed)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
     return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
 
 
-def _is_worth_nothing(found: Explained, numbers: Simulated) -> bool:
-    """Tell whether the simulation is no better on data left out without what was discovered.
+def _worth_most(
+    found: Explained, weighed: Callable[[Explained], Simulated]
+) -> tuple[Explained, Simulated]:
+    """Return what was discovered, or what names alone make of it where that is no worse.
 
-    The class of the search then did not follow the hysteresis, and the simulation does.
+    On data left out the simulation may be as good without the curve: the class of the search then
+    did not follow the hysteresis, and the simulation does. Or it may be as good with the names in
+    whose place the curve stands. Beyond the end of a sensor's range the rows are not the same, and
+    the second comparison is not made.
     """
-    return found.discovered is not None and numbers.final >= numbers.without[SOMETHING_ELSE]
+    numbers, otherwise, discovered = weighed(found), found.otherwise, found.discovered
+    if otherwise is None or discovered is None:
+        return found, numbers
+    if numbers.final >= numbers.without[SOMETHING_ELSE]:
+        return otherwise, weighed(otherwise)
+    if discovered.end is None and _names_of(otherwise) - _names_of(found):
+        named = weighed(otherwise)
+        if named.final <= numbers.final:
+            return otherwise, named
+    return found, numbers
+
+
+def _names_of(found: Explained) -> set[str]:
+    return {cause.effect.name for cause in found.outcome.causes}
 
 
 def _nothing_in(view: View, against: str, hands: Hands) -> Explained:

@@ -14,6 +14,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.goldens import artefacts_of
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
@@ -110,6 +111,12 @@ def test_an_effect_of_the_catalogue_raises_nothing_else(effect):
         assert NAME not in diagnosed(20 + second, effect=effect).names
 
     twice(promise)
+
+
+def test_a_delay_is_named_though_a_curve_along_the_speed_leaves_less_of_the_class():
+    """With a model at hand, which is then better with the name than with the curve."""
+    made = artefacts_of((2, "delay", "preisach"))["stage 2/diagnosis.json"]
+    assert [f["effect"] for f in unseal(made, SCHEMA, "diagnosis.json")["findings"]] == ["delay"]
 
 
 def test_every_tenth_sample_at_500_hertz_is_not_the_grid_as_well():
