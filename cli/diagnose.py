@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
     from piezoid.diagnosis.change import Change
     from piezoid.diagnosis.diagnosis import Diagnosis
-    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.model import AxisModel
     from piezoid.records.recording import Recording
 
     _Model = tuple[ActuatorModel, str]  # and the digest of its file

@@ -31,7 +31,7 @@ def diagnosis_page(
     written     diagnosis.json, for the chain of digests
     told        told what is being done: without a model, one is fitted quickly to draw on
     """
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid_reports.render import render_diagnosis
 
     drawn = found.model

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
     from piezoid.calibration.calibrate import Calibration
     from piezoid.calibration.controllers import Controllers
-    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
 
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.diagnosis.experiment import Plan
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.actuator_model import ActuatorModel
 
 
 def plan(

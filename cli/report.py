@@ -9,7 +9,7 @@ import typer
 from piezoid_cli.terminal import say
 
 if TYPE_CHECKING:
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.collection import Collection
 
 SEALED = ("model.json", "diagnosis.json", "design.json", "params.json", "verification.json")

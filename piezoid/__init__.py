@@ -30,7 +30,7 @@ _PUBLIC = {
         ),
         "piezoid.verbs",
     ),
-    "ActuatorModel": "piezoid.identification.model",
+    "ActuatorModel": "piezoid.identification.actuator_model",
     "AxisDesign": "piezoid.design.design",
     "AxisModel": "piezoid.identification.model",
     "Calibration": "piezoid.calibration.calibrate",
@@ -61,7 +61,8 @@ if TYPE_CHECKING:
     from piezoid.diagnosis.experiment import Plan
     from piezoid.errors import PiezoidError
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
     from piezoid.records.collection import Collection
     from piezoid.records.lab import Lab

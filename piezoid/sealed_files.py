@@ -13,7 +13,7 @@ from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.verification.verification import Verification, verification_from_json
 

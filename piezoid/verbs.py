@@ -28,7 +28,8 @@ from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification import fit as identification
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect

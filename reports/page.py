@@ -9,7 +9,8 @@ from typing import ClassVar
 
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording

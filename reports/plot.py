@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid_reports.folding import figures_in
 from piezoid_reports.page import Page

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab

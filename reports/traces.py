@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording

@@ -14,8 +14,8 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.export.stage import export_stage
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import fit
-from piezoid.identification.model import ActuatorModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.verification.plant import AxisPlant

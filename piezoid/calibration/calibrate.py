@@ -8,7 +8,7 @@ from piezoid.calibration.controllers import Controllers, controllers_of, files_o
 from piezoid.calibration.stage_jobs import AxisFound, Designed, TipFound, jobs_of, run_job
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import write_model
 from piezoid.records.collection import Collection
 from piezoid.records.lab import Lab

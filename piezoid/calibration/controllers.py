@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from piezoid.calibration.stage_jobs import Designed
     from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.identification.model import ActuatorModel
+    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.lab import Lab
     from piezoid.verification.shipping import Shipping
     from piezoid.verification.verification import Verification

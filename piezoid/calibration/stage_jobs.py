@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from piezoid.design.stage import Outcome
     from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.hysteresis.order import Elsewhere
-    from piezoid.identification.model import ActuatorModel, AxisModel
+    from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
     from piezoid.records.collection import Collection
     from piezoid.records.frequency_response import FrequencyResponseRecord

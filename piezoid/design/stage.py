@@ -13,7 +13,7 @@ from piezoid.design.lateral import design_lateral
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 
 _ROUNDED = 1e-6  # of a range: a recorded voltage may pass a converter's end by its own rounding

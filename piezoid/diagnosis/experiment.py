@@ -20,7 +20,7 @@ from piezoid.diagnosis.planning.question import Question, is_open, questions_of
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.table import Alternative, Choice, Table, table_of
 from piezoid.errors import ExcitationError
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording

@@ -6,7 +6,7 @@ from piezoid.errors import ParameterFileError, PiezoidError
 from piezoid.export.from_design import lateral_axis, tunnelling_axis
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.tip_guards import tip_guards
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 
 # A sensor is stuck if it shows one number for so long while the drive moves by this share of its

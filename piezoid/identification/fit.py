@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
 from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.comparison import STILL, copies, refuse_misfits, remarks_on_set

@@ -5,9 +5,10 @@ from typing import Any, Literal
 
 from msgspec import convert
 
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
-from piezoid.identification.model import SCHEMA, ActuatorModel, AxisModel
+from piezoid.identification.model import SCHEMA, AxisModel
 from piezoid.identification.quality import FitQuality
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

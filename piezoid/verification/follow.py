@@ -10,7 +10,7 @@ from piezoid.design.design import Design
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.export.stage import export_stage
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.shipping import Shipping

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from piezoid.export.parameter_file import ParameterFile
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
 from piezoid.verification.criteria import failure_of
 from piezoid.verification.stage import verify_stage

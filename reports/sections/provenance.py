@@ -2,7 +2,7 @@
 
 from json import loads
 
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid_reports.page import Listing, Page, Part, Prose, Section, Table

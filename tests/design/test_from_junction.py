@@ -9,7 +9,7 @@ from piezoid.design.converters import converters_of
 from piezoid.design.from_junction import reading_noise_A, vertical_task
 from piezoid.design.stage import design_stage
 from piezoid.errors import DesignError, LabFileError
-from piezoid.identification.model import ActuatorModel
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.model import GapLaw, TunnellingModel
 from piezoid.records.lab import Acquisition, Amplifier, Lab, Tunnelling

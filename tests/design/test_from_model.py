@@ -11,11 +11,12 @@ from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, AxisModel, Lag
+from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.frequency import response
 from piezoid.numerics.polynomial import roots_of
 from piezoid.operators.dead_zone import DeadZones

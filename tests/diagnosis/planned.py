@@ -13,8 +13,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

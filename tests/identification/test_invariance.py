@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import fit
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import RATE_Hz, decaying, recording, wandering

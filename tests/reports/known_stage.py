@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, AxisModel, Lag, PieceStart
+from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Order, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones

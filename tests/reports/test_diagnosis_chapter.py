@@ -8,8 +8,9 @@ import pytest
 
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.identification.model import ActuatorModel, Lag
+from piezoid.identification.model import Lag
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
 from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of

@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.hysteresis.pieces import Rig
-from piezoid.identification.model import ActuatorModel, Lag
+from piezoid.identification.model import Lag
 from piezoid.identification.tunnelling.model import TunnellingModel
 from tests.design.junction_lab import loop_plant
 from tests.reports.known_stage import axis_model

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezoid.errors import LabFileError
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.model import AxisModel
 from piezoid.records.excitation import DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Quantity, Recording

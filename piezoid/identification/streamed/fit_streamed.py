@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import rig_of
 from piezoid.identification.hysteresis.coordinates import Coordinates, Shape, vector_of
 from piezoid.identification.hysteresis.jackknife import BLOCKS
@@ -18,7 +19,7 @@ from piezoid.identification.hysteresis.order import ORDERS
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.search import THRESHOLDS
 from piezoid.identification.hysteresis.start import Start
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.streamed.axis_model import Found, axis_model
 from piezoid.identification.streamed.convex import choose, grid_of, halves, starts_of_program
 from piezoid.identification.streamed.descent import Reached, descend

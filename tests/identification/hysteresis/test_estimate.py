@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ExcitationError
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import fit
-from piezoid.identification.model import ActuatorModel, AxisModel
+from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from tests.identification.hysteresis.stages import (

@@ -1,0 +1,210 @@
+"""ActuatorModel: what is known of a whole stage, axis by axis."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from numpy.typing import ArrayLike
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.model import AxisModel
+from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.numerics.arrays import Array
+from piezoid.readable import told
+from piezoid.records.recording import Recording
+from piezoid.showing import shown
+from piezoid.upstairs import upstairs
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+    from scipy.signal import StateSpace
+
+    from piezoid.identification.prediction import Comparison
+
+
+class Diagnosed(Protocol):
+    """What of a diagnosis a stage is extended by."""
+
+    @property
+    def axis(self) -> str:
+        """The axis it is about."""
+
+    @property
+    def model(self) -> AxisModel | None:
+        """The axis with everything found in it, None where no model was at hand."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ActuatorModel:
+    """A whole stage.
+
+    stage       its name
+    axes        by name; none where only the tunnelling current was recorded
+    sources     digest of every recording by name
+    lab         digest of what lab.toml declared, or None
+    tunnelling  the junction, where its current was recorded
+    remarks     what was recorded and could not be used
+    controller_rate_Hz  at which a controller will run, as the laboratory declares; None: unknown
+    """
+
+    stage: str
+    axes: Mapping[str, AxisModel]
+    sources: Mapping[str, str]
+    lab: str | None = None
+    tunnelling: TunnellingModel | None = None
+    remarks: tuple[str, ...] = ()
+    controller_rate_Hz: float | None = None
+
+    def __getitem__(self, axis: str) -> AxisModel:
+        """Return one axis, or refuse naming those there are."""
+        if axis not in self.axes:
+            raise IdentificationError(
+                f"{self.stage}: no axis {axis!r} in the model, only {', '.join(self.axes)}",
+                needed="an axis that was fitted",
+                remedy="Fit a recording of that axis, or name another one.",
+            )
+        return self.axes[axis]
+
+    def _repr_html_(self) -> str:
+        return shown(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
+
+    @property
+    def applies(self) -> bool:
+        """Whether the model class applies to every axis."""
+        return all(axis.verdict.applies for axis in self.axes.values())
+
+    def one(self, axis: str | None = None) -> AxisModel:
+        """Return the named axis, or the only one there is; several are refused without a name."""
+        if axis is None and len(self.axes) != 1:
+            raise IdentificationError(
+                f"{self.stage}: no axis named, the model holds {', '.join(self.axes) or 'none'}",
+                needed="one axis",
+                remedy="Name it, as in axis='x', or take it by model['x'].",
+            )
+        return self[next(iter(self.axes)) if axis is None else axis]
+
+    def with_axis(self, axis: AxisModel) -> "ActuatorModel":
+        """Return the stage with one axis replaced, or added."""
+        return replace(self, axes={**self.axes, axis.axis: axis})
+
+    def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
+        """Return the stage with what diagnoses of its axes found, as it ships.
+
+        Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
+        from its file: that holds no model.
+        """
+        found = self
+        for diagnosis in diagnoses:
+            if diagnosis.model is None:
+                raise IdentificationError(
+                    f"{self.stage}: the diagnosis of axis {diagnosis.axis} holds no model",
+                    needed="a diagnosis made with model=, and not read from a file",
+                    remedy="Diagnose the recordings again with the model.",
+                )
+            found = found.with_axis(diagnosis.model)
+        return found
+
+    def simulate(
+        self,
+        voltage_V: ArrayLike,
+        sampling_rate_Hz: float,
+        memory_V: Array | None = None,
+        *,
+        zero_m: float | None = None,
+        axis: str | None = None,
+    ) -> Array:
+        """Return what an axis makes of a drive, as ``AxisModel.simulate``."""
+        own = self.one(axis)
+        return own.simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
+
+    def predict(self, recording: Recording, *, axis: str | None = None) -> Array:
+        """Return what an axis should show in a recording; default: the axis it is about."""
+        return self[axis or recording.axis].predict(recording)
+
+    def compare(self, recording: Recording, *, axis: str | None = None) -> "Comparison":
+        """Return a recording beside ``predict``."""
+        return self[axis or recording.axis].compare(recording)
+
+    def inverse(
+        self,
+        displacement_m: ArrayLike,
+        memory_V: Array | None = None,
+        *,
+        zero_m: float | None = None,
+        axis: str | None = None,
+    ) -> Array:
+        """Return the voltage of an axis that makes a displacement, as ``AxisModel.inverse``."""
+        return self.one(axis).inverse(displacement_m, memory_V, zero_m=zero_m)
+
+    def simulate_loop(
+        self,
+        reference_m: ArrayLike,
+        controller: Any,
+        *,
+        axis: str | None = None,
+        lab: Any = None,
+        seed: int = 0,
+    ) -> Any:
+        """Run the compiled controller against this stage, from rest in the middle of its range.
+
+        reference_m  (samples,)  m, as the sensor shows it, at the controller's rate; ``zero_m``
+                     of an axis is about the middle
+        controller   a Design, what ``export`` returned, or a ParameterFile
+        lab          a path or a Lab, of the design
+        seed         of the sensor's noise
+
+        Returns a ``LoopRecord``. What goes wrong: a reference outside the range the controller
+        keeps is limited there, which ``status`` says.
+        """
+        return upstairs("verbs").simulate_loop(
+            self, reference_m, controller, axis=axis, lab=lab, seed=seed
+        )
+
+    def parameters(self) -> "DataFrame":
+        """Return the numbers of every axis, the axis in front of each name."""
+        from pandas import concat
+
+        return concat(
+            {name: axis.parameters() for name, axis in self.axes.items()}, names=["axis", "name"]
+        )
+
+    def to_scipy(
+        self, sampling_rate_Hz: float | None = None, *, axis: str | None = None
+    ) -> "StateSpace":
+        """Return the linear part of an axis, as ``AxisModel.to_scipy``."""
+        return self.one(axis).to_scipy(sampling_rate_Hz)
+
+    def to_control(self, sampling_rate_Hz: float | None = None, *, axis: str | None = None) -> Any:
+        """Return the linear part of an axis, as ``AxisModel.to_control``."""
+        return self.one(axis).to_control(sampling_rate_Hz)
+
+    def plot(
+        self,
+        kind: str = "loop",
+        *,
+        recording: Recording | None = None,
+        axis: str | None = None,
+        ax: "Axes | None" = None,
+    ) -> "Axes":
+        """Draw one axis, as ``AxisModel.plot``; default: the recording's, or the only one."""
+        told_axis = recording.axis if axis is None and recording is not None else axis
+        return self.one(told_axis).plot(kind, recording=recording, ax=ax)
+
+    def save(self, path: str | Path) -> None:
+        """Write model.json."""
+        upstairs("sealed_files").save(self, path)
+
+
+def _shown(axis: AxisModel) -> tuple[str, str]:
+    """Return one axis as a notebook shows it."""
+    held, quality = axis.hysteresis, axis.quality
+    if not axis.verdict.applies:
+        return f"axis {axis.axis}", f"the model class does not apply: {axis.verdict.reason}"
+    return (
+        f"axis {axis.axis}",
+        f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
+        f"error {told(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} % "
+        f"of the range; noise {told(quality.noise_rms_m, 'm')} rms",
+    )
