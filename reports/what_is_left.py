@@ -12,7 +12,8 @@ from piezoid.diagnosis.unnamed import words as place_words
 from piezoid.readable import told
 from piezoid_reports.effect_words import words
 
-CHANCE, LEAST = 0.05, 0.01  # p-value and part of the power: less is told as living nowhere
+CHANCE = 0.05  # p-value: what more healthy stages leave is told to be usual
+LEAST = 0.01  # part of the power: less is told as living nowhere
 SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # they move a zero
 
 SPEEDS = (
@@ -93,9 +94,12 @@ def nothing_named(found: Diagnosis) -> str:
 
 
 def _lives(rest: Unexplained) -> str:
-    if rest.p_value > CHANCE or rest.gain < LEAST:
+    if rest.gain < LEAST:
         return "and they live in no coordinate"
-    return f"and {100 * rest.gain:.2g} % of their power live in {place_words(rest.coordinate)}"
+    lives = f"and {100 * rest.gain:.2g} % of their power live in {place_words(rest.coordinate)}"
+    if rest.p_value <= CHANCE:
+        return lives
+    return f"{lives}, as in {100 * rest.p_value:.0f} % of healthy stages"
 
 
 def mover_of(found: Diagnosis | None) -> Mover | None:

@@ -2,9 +2,11 @@
 
     python -m benchmarks.zoo [--laws takacs,dahl] [--kinds healthy,single] [--cases 5]
                              [--seeds 700000] [--workers 1] [--json build/zoo.jsonl] [--minutes 35]
+                             [--effects lag,delay]
 
 ``--cases`` stages of each law and kind; kinds are healthy, single, half, quarter (one effect at 1,
-1/2, 1/4 of full size), pair and triple. Every stage is appended to the file of results as one
+1/2, 1/4 of full size), pair and triple; of these only those that hide one of ``--effects``,
+where it is given. Every stage is appended to the file of results as one
 line; one that stands there already is not made again, so a run that was cut short goes on, and
 the table is of all that was asked for and stands in the file. Ten seconds of one core a stage.
 """
@@ -30,6 +32,8 @@ def main() -> None:
         if unknown := sorted(set(names) - set(known)):
             raise SystemExit(f"found {', '.join(unknown)}, but known are {', '.join(known)}.")
     wanted = list(asked_for(laws, kinds, asked.cases, asked.seeds))
+    if asked.effects:
+        wanted = [one for one in wanted if set(one.hidden) & set(asked.effects.split(","))]
     held = read(asked.json)
     missing = [one for one in wanted if (one.law, one.kind, one.seed) not in held]
     asked.json.parent.mkdir(parents=True, exist_ok=True)
@@ -73,6 +77,7 @@ def _arguments() -> argparse.ArgumentParser:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--laws", default=",".join(NAMES))
     parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--effects", default="", help="of which one at least is hidden")
     parser.add_argument("--cases", type=int, default=5, help="of each law and kind")
     parser.add_argument("--seeds", type=int, default=700_000, help="the first of them")
     parser.add_argument("--workers", type=int, default=1)

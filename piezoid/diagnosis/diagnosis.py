@@ -49,8 +49,8 @@ class Unexplained:
     rms_m       beyond the noise, beside hysteresis of the widest class and every cause found;
                 before anything without a name is taken off
     share       of the power that is left there, noise included
-    p_value     of the surest coordinate, were the remainder in another place; a count of shifts of
-                it for signals, the power around it for lines
+    p_value     that a healthy stage leaves as much in one coordinate, by its rank among healthy
+                stages of every law of the zoo; at rest: of the highest line, were it noise
     coordinate  that explains most of it, in blocks left out
     gain        part of its power, noise included, that this explains
     """

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from piezoid.diagnosis.coordinates import Signals, along_displacement
 from piezoid.diagnosis.discovery import SHIFTS, Lives, Remainder, course, everywhere, of_grid
 from piezoid.diagnosis.extended import extended
+from piezoid.diagnosis.healthy import chance_of, score_of
 from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.range_end import Ended, ended
 from piezoid.diagnosis.screening import Screened, screen
@@ -51,8 +52,7 @@ class Rest:
 
     rms         beyond the noise, before anything without a name is taken off
     share       of the power that the causes leave
-    p_value     of the surest coordinate, for all families of them [Sidak]; uniform where the
-                remainder lives nowhere, but for the steps of counted shifts
+    p_value     that a healthy stage leaves as much of it in one coordinate
     coordinate  that explains most of it
     gain        part of its power that this explains, on blocks left out
     """
@@ -358,14 +358,14 @@ def _instead(outcome: Outcome) -> Discovered | None:
 
 
 def rest_of(outcome: Outcome, lives: Sequence[Lives]) -> Rest:
-    """Return how much is left, how surely it lives anywhere, and where most of it does."""
-    final, sure = outcome.final, max(min(one.p_value for one in lives), LEAST_P)
+    """Return how much is left, how often healthy stages leave as much, and where it lives."""
+    final = outcome.final
     known = max((one.gain for one in lives if _is_sure(one)), default=0.0)
     above = _above(final.rms**2, final.noise**2, min(known, 1.0))
     return Rest(
         rms=sqrt(above),
         share=above / max(final.rms**2, 1e-300),
-        p_value=float(1.0 - (1.0 - sure) ** FAMILIES),
+        p_value=chance_of(score_of(lives[0].gain, final.rms, final.noise)),
         coordinate=lives[0].coordinate,
         gain=float(np.clip(lives[0].gain, 0.0, 1.0)),
     )

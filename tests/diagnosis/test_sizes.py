@@ -1,7 +1,12 @@
 """Sizes of causes are the laboratory's own numbers."""
 
-import pytest
+from itertools import pairwise
 
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import piezoid
 from piezoid.diagnosis.effects import amplifier_saturation
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.refinement import begun, refined
@@ -39,3 +44,53 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
     assert size.value == pytest.approx(true, rel=0.1)
     low, high = size.ci95
     assert 0.0 < low < true < high < 1.3 * true
+
+
+RATE_Hz = 200.0
+PER_DECADE = 12  # rungs of the quadrature
+
+
+def crept(response_m: np.ndarray) -> np.ndarray:
+    """Return relaxations from 10 ms to three hours, a whole step in each decade, from rest."""
+    total = np.zeros_like(response_m)
+    for tau_s in 10.0 ** (-2.0 + (np.arange(6 * PER_DECADE) + 0.5) / PER_DECADE):
+        pole = np.exp(-1.0 / (RATE_Hz * tau_s))
+        total += lfilter([1.0 - pole], [1.0, -pole], response_m)
+    return total / PER_DECADE
+
+
+def plays(drive_V: np.ndarray) -> np.ndarray:
+    states, moved = np.zeros(5), np.empty(len(drive_V))
+    widths, weights = np.array([0.0, 5.0, 15.0, 30.0, 50.0]), np.array([0.7, 0.1, 0.1, 0.06, 0.04])
+    for i, u in enumerate(drive_V):
+        states = np.clip(states, u - widths, u + widths)
+        moved[i] = weights @ states
+    return 1e-8 * moved
+
+
+def staircase(rng: np.random.Generator, hold_s: float) -> np.ndarray:
+    levels = np.concatenate([[0.0], rng.uniform(0.0, 100.0, 8)])
+    rise, hold = np.linspace(0.0, 1.0, int(RATE_Hz / 2)), np.ones(int(hold_s * RATE_Hz))
+    steps = [a + (b - a) * np.concatenate([rise, hold]) for a, b in pairwise(levels)]
+    return np.concatenate(steps)
+
+
+@pytest.mark.parametrize("hold_s", [3.0, 6.0])
+def test_the_size_of_creep_is_the_part_of_a_step_that_each_decade_of_time_adds(hold_s) -> None:
+    rng = np.random.default_rng(int(hold_s))
+    time_s = np.arange(int(20 * RATE_Hz)) / RATE_Hz
+    loops_V = 50.0 - 50.0 * np.cos(np.pi * time_s) * np.linspace(1.0, 0.3, len(time_s))
+    recordings = []
+    for drive_V in (staircase(rng, hold_s), loops_V, staircase(rng, hold_s)):
+        quick_m = plays(drive_V)
+        measured_m = quick_m + 0.01 * crept(quick_m) + rng.normal(0.0, 0.3e-9, len(quick_m))
+        recordings.append(
+            piezoid.Recording.from_arrays(
+                time_s=np.arange(len(drive_V)) / RATE_Hz,
+                voltage_V=drive_V,
+                displacement_m=measured_m,
+            )
+        )
+    (found,) = [one for one in piezoid.diagnose(recordings).findings if one.effect == "creep"]
+    assert found.size.value == pytest.approx(1.0, rel=0.05)
+    assert found.size.ci95[0] < 1.0 < found.size.ci95[1]

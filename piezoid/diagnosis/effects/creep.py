@@ -49,12 +49,15 @@ def _times_s(view: View) -> Array:
 
 
 def _ladder(view: View, first_s: float, last_s: float, *, backwards: bool = False) -> Array:
-    times_s = [t for t in _times_s(view) if first_s <= t <= last_s]
+    """Return the relaxation of the static response that adds a whole step in each decade."""
+    every_s = _times_s(view)
+    decades = float(np.log10(every_s[1] / every_s[0]))  # of each rung
+    times_s = [t for t in every_s if first_s <= t <= last_s]
 
     def crept(signal: Array, rate_Hz: float) -> Array:
         way = signal[::-1] if backwards else signal
         total = laddered(way, times_s, rate_Hz)
-        return (total[::-1] if backwards else total) / PER_DECADE
+        return (total[::-1] if backwards else total) * decades
 
     return view.of(lambda k, track: crept(view.static[k], track.rate_Hz))[:, None]
 

@@ -1,0 +1,48 @@
+"""How much healthy stages leave: the null against which a remainder is more than usual.
+
+Hysteresis of another law than the class follows leaves a remainder that lives somewhere, and no
+shuffling of it tells that from an effect nobody has named. So its score,
+
+    s = g (rms / noise)^2,
+
+g the part of its power that the best coordinate explains on blocks left out, is held against the
+scores of healthy stages of all laws of the zoo. Its rank among n of them is a probability,
+
+    p = (1 + #{s_i >= s}) / (n + 1),
+
+exactly uniform for a healthy stage that is exchangeable with these, whatever the score is: no
+threshold is typed in. ``python -m benchmarks.zoo.healthy`` makes the table.
+
+Source: Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World (2005), conformal p.
+"""
+
+import json
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+
+
+def score_of(gain: float, rms: float, noise: float) -> float:
+    """Return the power that one coordinate explains, in units of the noise's.
+
+    gain  part of the remainder's power that the coordinate explains on blocks left out
+    """
+    return max(gain, 0.0) * (rms / max(noise, 1e-300)) ** 2
+
+
+def chance_of(score: float, healthy: Iterable[float] | None = None) -> float:
+    """Return the probability that a healthy stage scores as much.
+
+    healthy  scores of healthy stages; None: of the table
+
+    >>> chance_of(3.0, [0.1, 0.5, 4.0])
+    0.5
+    """
+    scores = list(_scores() if healthy is None else healthy)
+    return (1.0 + sum(one >= score for one in scores)) / (len(scores) + 1.0)
+
+
+@cache
+def _scores() -> tuple[float, ...]:
+    table = json.loads(files(__package__).joinpath("healthy_scores.json").read_text("utf-8"))
+    return tuple(one for of_law in table["scores"].values() for one in of_law)
