@@ -124,22 +124,6 @@ def place_observer(
     return frame.placed(feedback_poles=feedback_poles, observer_poles=observer_poles)
 
 
-def observer_with_gain(
-    plant: Plant,
-    gain: Array,
-    *,
-    feedback_poles: ArrayLike,
-    form: str,
-    disturbance: DisturbanceModel,
-) -> DisturbanceObserver:
-    """Complete an observer whose correction gain is known, from placement or from a Kalman filter.
-
-    gain  (n + w,)  of the plant without its delays, then of the disturbance
-    """
-    frame = ObserverFrame(plant=plant, disturbance=disturbance, form=form)
-    return frame.with_gain(gain, feedback_poles=feedback_poles)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverFrame:
     """All that the observers of one plant have in common: a search asks for thousands of them.

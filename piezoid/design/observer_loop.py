@@ -51,12 +51,6 @@ def feedback_polynomials(observer: DisturbanceObserver) -> tuple[Array, Array]:
     return -np.convolve(impulse, S)[: len(S)], S
 
 
-def error_poles(observer: DisturbanceObserver) -> Complex:
-    """Return the eigenvalues of the estimation error, A_e - A_e L C_e."""
-    A_e, _, C_e, L, _ = _stacked(observer)
-    return np.asarray(np.linalg.eigvals(A_e - A_e @ np.outer(L, C_e)), dtype=np.complex128)
-
-
 def with_oscillators_as_states(observer: DisturbanceObserver) -> DisturbanceObserver:
     """Return the same observer with its oscillators among the states of x.
 

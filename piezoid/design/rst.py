@@ -102,14 +102,3 @@ def closed_loop_target(
     """Return P = P_D P_F: a dominant pair, and (1 - alpha q^-1)^n to spend the free degrees."""
     auxiliary = from_roots(np.full(auxiliary_count, auxiliary_root)) if auxiliary_count else [1.0]
     return product(sampled_poles(dominant, sampling_rate_Hz), auxiliary)
-
-
-def tracking_polynomial(plant: Plant, P: ArrayLike, reference: Section) -> tuple[Array, Array]:
-    """Return T and A_m that make tracking B/B(1) times a reference model.
-
-        T = P/B(1) * A_m(1),   A_m r' = r       (T acts on the filtered reference r')
-
-    Closed-loop poles leave the response to the reference; the plant's zeros and delay stay.
-    """
-    model = sampled_poles(reference, plant.sampling_rate_Hz)
-    return np.asarray(P) * (model.sum() / plant.B.sum()), model

@@ -42,16 +42,6 @@ class PlacementForm:
         return np.asarray((row.real @ self.Q.T @ self.reflect.T) / self.basis)
 
 
-def placed_gain(A: Array, B: Array, poles: ArrayLike) -> Array:
-    """Return K such that A - B K has the wanted eigenvalues; see ``placement_form``.
-
-    A      (n, n)
-    B      (n,)
-    poles  (n,)  values of z, complex ones in pairs
-    """
-    return placement_form(A, B).gain(poles)
-
-
 def placement_form(A: Array, B: Array) -> PlacementForm:
     """Return a system in the Hessenberg basis that starts at B, in which poles are placed by
 

@@ -5,9 +5,9 @@ import pytest
 
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.kalman import kalman_gain
-from piezoid.design.observer import disturbance_model, extended, observer_with_gain
+from piezoid.design.observer import ObserverFrame, disturbance_model, extended
 from piezoid.design.plant import plant_from_fraction
-from piezoid.design.state_feedback import placed_gain
+from piezoid.design.state_feedback import placement_form
 from piezoid.errors import DesignError
 from piezoid.numerics.polynomial import from_roots
 from tests.design.rig import RATE_Hz, lateral_chain, printed_observer_poles
@@ -21,7 +21,7 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
         repeated = np.full(order, 0.5)
         distinct = rng.uniform(-0.8, 0.8, order)
         for wanted in (repeated, distinct):
-            K = placed_gain(A, B, wanted)
+            K = placement_form(A, B).gain(wanted)
             placed = np.poly(A - np.outer(B, K)).real
             np.testing.assert_allclose(placed, from_roots(wanted), atol=1e-7)
 
@@ -30,7 +30,7 @@ def test_state_feedback_places_random_and_repeated_poles(rng):
 def test_a_state_that_the_input_cannot_reach_is_refused(link, input_size):
     """Or so little, beside what it does to another, that rounding reaches it as well."""
     with pytest.raises(DesignError, match="cannot be moved"):
-        placed_gain(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]), [0.1, 0.2])
+        placement_form(np.array([[0.5, 0.0], [link, 0.3]]), np.array([input_size, 0.0]))
 
 
 @pytest.mark.parametrize("input_variance", [0.0, 1e-4])
@@ -58,13 +58,8 @@ def test_innovations_of_a_kalman_observer_are_white_with_the_promised_variance(r
     found = kalman_gain(
         plant, model, input_variance=1e-12, drift_variance=1e-3, sensor_variance=1e-2
     )
-    observer = observer_with_gain(
-        plant,
-        found.gain,
-        feedback_poles=printed_observer_poles()[0],
-        form="affine",
-        disturbance=model,
-    )
+    frame = ObserverFrame(plant=plant, disturbance=model, form="affine")
+    observer = frame.with_gain(found.gain, feedback_poles=printed_observer_poles()[0])
     n = 40_000
     d_V = np.cumsum(np.sqrt(1e-3) * rng.normal(size=n))
     _, nu = with_observer(plant, observer, np.zeros(n), d_V, 0.1 * rng.normal(size=n))

@@ -10,7 +10,6 @@ from piezoid.design.rst import (
     RstController,
     closed_loop_target,
     place,
-    tracking_polynomial,
 )
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.errors import DesignError, UnstableLoopError
@@ -117,20 +116,6 @@ def test_a_constant_disturbance_leaves_no_error_and_the_reference_is_reached():
     y = with_polynomials(plant, c, np.ones(400), np.zeros(400), disturbance)
     assert y[199] == pytest.approx(1.0, abs=1e-9)
     assert y[-1] == pytest.approx(1.0, abs=1e-9)
-
-
-def test_the_tracking_polynomial_leaves_only_zeros_delay_and_the_reference_model():
-    plant, c = plant_from_chain(vertical_chain()), example()
-    T, model = tracking_polynomial(plant, c.P, Section(frequency_Hz=500.0, damping=1.0))
-    full = RstController(R=c.R, S=c.S, T=T, H_R=c.H_R, H_S=c.H_S, P=c.P, residual=c.residual)
-    filtered = np.zeros(200)
-    for k in range(200):
-        past = range(1, min(k, 2) + 1)
-        filtered[k] = 1.0 - sum(model[j] * filtered[k - j] for j in past)
-    y = with_polynomials(plant, full, filtered, np.zeros(200), np.zeros(200))
-    # y must be B/B(1) times the model's step response, A_m(1)/A_m.
-    expected = np.convolve(filtered * model.sum(), plant.B / plant.B.sum())[:200]
-    np.testing.assert_allclose(y, expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("count", [0, 1, 3])

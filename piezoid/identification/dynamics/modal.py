@@ -115,11 +115,6 @@ class LinearDynamics:
         half = NORMAL_95 * np.sqrt(self.shape_covariance[-1, -1])
         return np.maximum([self.delay_s - half, self.delay_s + half], 0.0)
 
-    def static_gain_interval_m_per_V(self) -> Array:
-        """Return the 95 % intervals of the gain at rest, (outputs, inputs, 2), m/V."""
-        half = NORMAL_95 * self.static_gain_std_m_per_V
-        return np.stack([self.static_gain_m_per_V - half, self.static_gain_m_per_V + half], -1)
-
     def _interval(self, values: Array, first: int) -> Array:
         """Intervals that are symmetric in the logarithm, as the fit is."""
         variance = np.diag(self.shape_covariance)[first : first + len(values)]
