@@ -47,6 +47,8 @@ TRUE_SIZE: dict[str, Callable[[Numbers, Rig], float]] = {
     "gain_change": lambda n, _: 100.0 * float(n["relative_change"]),
     "amplifier_saturation": cut_off_percent,
 }
+# rms about its mean in the recording that it moves most, of the stroke
+ADDED = ("thermal_drift", "cross_coupling", "mains_interference")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -204,9 +206,12 @@ def diagnosed(campaign: Campaign) -> tuple[Diagnosis, float]:
 
 def _said(finding: Finding, campaign: Campaign, hidden: tuple[str, ...]) -> Said:
     truth = None
-    if finding.effect in hidden and finding.effect in TRUE_SIZE:
-        numbers = next(e.numbers for e in campaign.answer.effects if e.name == finding.effect)
-        truth = TRUE_SIZE[finding.effect](numbers, campaign.rig)
+    if finding.effect in hidden:
+        put_in = next(e for e in campaign.answer.effects if e.name == finding.effect)
+        if finding.effect in TRUE_SIZE:
+            truth = TRUE_SIZE[finding.effect](put_in.numbers, campaign.rig)
+        elif finding.effect in ADDED:
+            truth = put_in.moving_percent
     return Said(
         name=finding.effect,
         p_value=float(finding.p_value),

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from piezoid_datasets.virtual_lab.effects.effect import Bench, Effect, Fault, Measure
 from piezoid_datasets.virtual_lab.signals import Array
 from piezoid_datasets.virtual_lab.stage import Rows, Run, Stage, follow, record
@@ -16,6 +18,7 @@ class HiddenEffect:
     asked_percent     of the stroke: the size it was scaled to on the healthy bench
     measured_percent  the size it has: what changes when it alone is taken out again
     change_percent    rms of that change in each recording, by name
+    moving_percent    the largest rms of it about its own mean: where a zero is nobody's
     numbers           the physical parameters, units in their names
     """
 
@@ -24,6 +27,7 @@ class HiddenEffect:
     asked_percent: float
     measured_percent: float
     change_percent: Mapping[str, float]
+    moving_percent: float
     numbers: Mapping[str, float | str]
 
 
@@ -61,6 +65,7 @@ def taken_out(
         change_percent={
             name: percent * Measure.RMS.of(change) for name, change in changes.items()
         },
+        moving_percent=percent * max(float(np.std(change)) for change in changes.values()),
         numbers=faults[effect.name].numbers,
     )
 

@@ -252,9 +252,10 @@ def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*rivals, *(s.name for s in structure if s.name not in rivals)),
         explanation=_first_words(effect)
-        + f" {'Behind jumps of the drive' if cause.accepted.struck else 'Here'} it is "
-        f"{100 * cause.share:.3g} % of the stroke (rms); beside everything else found it takes "
-        f"{100 * cause.held.gain:.3g} % off the error that no hysteresis explains there."
+        + f" {'Behind jumps of the drive' if cause.accepted.struck else 'Here'} "
+        f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
+        f"beside everything else found it takes {100 * cause.held.gain:.3g} % off the error that "
+        "is left there."
         f"{_or_a_part(structure)}",
         next_experiment=" ".join(one.experiment for one in (effect, *structure)),
         parameters=dict(cause.accepted.parameters),

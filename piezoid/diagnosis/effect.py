@@ -115,7 +115,8 @@ class Effect:
     against      (view) -> the null to beat, where it is not the view's own; such an effect is
                  judged at the end, when everything else is in
     known_to     part of the size that the law itself may be wrong by: a spectrum that is not even,
-                 a hold between samples; blocks of rows know nothing of it
+                 a hold between samples; blocks of rows know nothing of it. Two to three times
+                 what the worst of thirteen laws asked for (``python -m benchmarks.zoo.sizes``)
     knee         part of the error that it must take off of a material that no class follows, or
                  it must be there beside a Bouc-Wen state in the class without it; 0: not asked
     rings        whether hysteresis may have been fitted to it, so that it must begin without

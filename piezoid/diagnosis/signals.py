@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.diagnosis.effect import Parameters
 from piezoid.diagnosis.view import View
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array
@@ -50,6 +51,26 @@ def mode(signal: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> 
     b = k * k * np.array([1.0, 2.0, 1.0])
     start = np.asarray(signal)[0]
     return np.asarray(recursive_filter(b, a, signal - start) + start)
+
+
+def added_percent(
+    columns: Callable[[View, Parameters], Array],
+) -> Callable[[View, Parameters, Array], float]:
+    """Return the size of what adds to the readings, rms in percent of the stroke.
+
+        s = max over tracks of 100 rms(c - mean c),   c = columns coefficient
+
+    It is what a person measures with the drive at rest, and not what is left of it beside a free
+    hysteresis, which takes up a part of anything slow or periodic.
+    """
+
+    def size(view: View, parameters: Parameters, coefficient: Array) -> float:
+        added, edges = columns(view, parameters) @ coefficient, view.envelope.edges
+        return 50.0 * max(
+            float(np.std(part)) for part in np.split(added, edges[1:-1]) if len(part)
+        )
+
+    return size
 
 
 def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Array:

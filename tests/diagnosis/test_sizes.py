@@ -1,5 +1,6 @@
 """Sizes of causes are the laboratory's own numbers."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -7,14 +8,16 @@ import pytest
 from scipy.signal import lfilter
 
 import piezoid
-from piezoid.diagnosis.effects import amplifier_saturation
+from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling, mains_interference
 from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.screening import screen
 from piezoid.diagnosis.sizes import size_of
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
 from .bench import recorded, view_of_recordings
+from .play_stage import recording
 
 
 def cut_off_percent(campaign: Campaign) -> float:
@@ -94,3 +97,24 @@ def test_the_size_of_creep_is_the_part_of_a_step_that_each_decade_of_time_adds(h
     (found,) = [one for one in piezoid.diagnose(recordings).findings if one.effect == "creep"]
     assert found.size.value == pytest.approx(1.0, rel=0.05)
     assert found.size.ci95[0] < 1.0 < found.size.ci95[1]
+
+
+def with_another_axis(one: Recording) -> Recording:
+    time_s = np.arange(one.samples) / one.sampling_rate_Hz
+    other_V = 40.0 * np.sin(2.3 * time_s + 1.0) + 15.0 * np.sin(12.1 * time_s)
+    channel = Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="y")
+    return replace(one, channels=(*one.channels, channel))
+
+
+@pytest.mark.parametrize(
+    ("effect", "share"), [(cross_coupling.EFFECT, 0.005), (mains_interference.EFFECT, 0.002)]
+)
+def test_the_size_of_what_adds_to_readings_is_what_was_added_and_no_rest_of_it(
+    effect, share
+) -> None:
+    """A free hysteresis takes up two fifths of a coupling, and none of the size that is told."""
+    stage = [with_another_axis(recording(kind)) for kind in ("sweep", "walk")]
+    found = piezoid.diagnose([effect.inject(one, share) for one in stage], axis="x")
+    (size,) = [one.size for one in found.findings if one.effect == effect.name]
+    assert size.value == pytest.approx(100.0 * share, rel=0.05)
+    assert size.ci95[0] < 100.0 * share < size.ci95[1]

@@ -10,7 +10,7 @@ import piezoid.diagnosis.diagnose as engine
 from piezoid.diagnosis import something_else
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.effects import cross_coupling, delay
+from piezoid.diagnosis.effects import delay, rate_dependence
 from piezoid.diagnosis.extended import Accepted, extended
 from piezoid.diagnosis.folds import compared
 from piezoid.diagnosis.judgement import Judged
@@ -114,7 +114,8 @@ def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
 
 
 def test_a_share_of_the_stroke_is_known_the_better_the_surer_its_effect_is() -> None:
-    answer = Accepted(effect=cross_coupling.EFFECT, parameters={})
+    slow = {"time_s": 0.01, "strain": 0.03}
+    answer = Accepted(effect=rate_dependence.EFFECT, parameters=slow)
     (cause,) = outcome_of(recordings_of(), answer).causes
     reach = []
     for z in (0.5, 4.0, 8.0):

@@ -123,11 +123,11 @@ EFFECT = Effect(
     name="creep",
     explanation=__doc__ or "",
     unit="percent of a step per decade of time",
+    known_to=0.1,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
     rivals=("thermal_drift",),
     sure=2.7,
-    known_to=0.2,  # stages of another law than the ladder came out by up to 40 per cent larger
     least=5e-5,  # what its past takes for itself does not count
     untestable=_untestable,
     trials=_trials,

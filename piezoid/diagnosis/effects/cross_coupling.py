@@ -18,7 +18,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.other_axes import GAPS, answers_of_others
-from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.signals import added_percent, scaled_to, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
@@ -77,12 +77,13 @@ def _coupled(axis: str, setting: Setting) -> Extension:
 EFFECT = Effect(
     name="cross_coupling",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="percent of the stroke, rms where most",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and record "
     "both drives and this displacement.",
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
+    size=added_percent(_columns),
     inject=inject,
     extend=extend,
 )

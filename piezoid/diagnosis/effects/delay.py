@@ -86,6 +86,7 @@ EFFECT = Effect(
     name="delay",
     explanation=__doc__ or "",
     unit="us, in the fastest recording",
+    known_to=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
     rivals=("lag", "rate_dependence", "resonance"),

@@ -80,6 +80,7 @@ BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
     unit="us",
+    known_to=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",
     rivals=("delay", "rate_dependence", "resonance"),

@@ -20,7 +20,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -165,12 +165,13 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
 EFFECT = Effect(
     name="mains_interference",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="percent of the stroke, rms where most",
     experiment="Record one minute with the drive at rest at 1 kHz or more, then once more with "
     "the amplifier unplugged: what stays comes from the sensor's side.",
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
+    size=added_percent(_columns),
     inject=inject,
     extend=extend,
 )

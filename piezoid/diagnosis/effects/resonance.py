@@ -132,6 +132,7 @@ EFFECT = Effect(
     name="resonance",
     explanation=__doc__ or "",
     unit="Hz",
+    known_to=0.001,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
     rivals=("delay", "lag"),

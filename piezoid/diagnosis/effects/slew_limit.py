@@ -83,6 +83,7 @@ EFFECT = Effect(
     name="slew_limit",
     explanation=__doc__ or "",
     unit="V/s, at the command",
+    known_to=0.002,
     experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
     "limit is where its slope stops rising.",
     rivals=("delay", "lag", "rate_dependence"),

@@ -18,7 +18,7 @@ from numpy.polynomial.legendre import legval
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
@@ -81,13 +81,14 @@ def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
 EFFECT = Effect(
     name="thermal_drift",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="percent of the stroke, rms where most",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
     rivals=("creep",),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
+    size=added_percent(_columns),
     inject=inject,
     extend=extend,
     shows_at=4e-3,
