@@ -154,10 +154,12 @@ def _show(found: "Diagnosis", out: Path) -> None:
         console.print(plain(leading[0].explanation))
     if found.findings:
         console.print(_table(found))
+        was_m, is_m = found.baseline.rms_m, found.final.rms_m
+        goes = "falls" if is_m < was_m else "goes"
         console.print(
             plain(
-                f"on rows left out the error falls from {told(found.baseline.rms_m, 'm')} to "
-                f"{told(found.final.rms_m, 'm')}; the sensor's noise is "
+                f"on rows left out the error {goes} from {told(was_m, 'm')} to "
+                f"{told(is_m, 'm')}; the sensor's noise is "
                 f"{told(found.noise_floor_rms_m, 'm')}"
             )
         )

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from piezoid.diagnosis.absence import absent, unsought
-from piezoid.diagnosis.at_rest import diagnose_at_rest, is_at_rest
+from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
@@ -30,6 +30,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.hands import Hands
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
+from piezoid.records.rest import is_at_rest
 
 Progress = Callable[[str], None]
 

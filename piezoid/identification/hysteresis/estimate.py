@@ -42,10 +42,9 @@ from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
-from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import told
 from piezoid.records.recording import Recording
-from piezoid.records.sweep import reversals_of
+from piezoid.records.sweep import noise_of, reversals_of
 
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
@@ -172,7 +171,7 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
     """Return the longest lag worth searching: a quarter of the slower branches of the drive."""
     branches = []
     for piece in pieces:
-        turns = reversals_of(piece.drive, max(6 * white_noise_rms(piece.drive), 0.02))
+        turns = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
         edges = np.array([piece.first, *turns, piece.last])
         branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
     least_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)
