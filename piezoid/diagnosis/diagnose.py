@@ -11,6 +11,7 @@ from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
@@ -99,6 +100,8 @@ def diagnose(
         found, numbers = _worth_most(found, weighed)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
+    gain_m_per_V = scales.displacement_m / scales.voltage_V
+    diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, wanted), gain_m_per_V)
     return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
 
 

@@ -62,11 +62,11 @@ def rest_columns(recording: Recording, axis: str, keep: Places, time_s: Array, y
     time_s  (rows,)  of them
     y       (rows,)  their readings, m
     """
-    cubic, slow = _cubic(time_s), _logarithms(time_s)
-    jump, jump_s = _jump(time_s, y, (cubic, slow))
+    smooth, slow = cubic(time_s), _logarithms(time_s)
+    jump, jump_s = _jump(time_s, y, (smooth, slow))
     block = np.arange(len(y)) * BLOCKS // len(y)
-    left, slower = _left(y, cubic, block), _left(y, slow, block)
-    found = {DRIFT: slow if slower < left else cubic, JUMP: jump}
+    left, slower = _left(y, smooth, block), _left(y, slow, block)
+    found = {DRIFT: slow if slower < left else smooth, JUMP: jump}
     least = min(_left(y, slow[:, k : k + 1], block) for k in range(len(SLOW)))
     lines = _grid(recording.sampling_rate_Hz, time_s, y, found[DRIFT])
     if lines is not None:
@@ -133,7 +133,8 @@ def line_in(left: Array, time_s: Array, chance: float) -> float | None:
     return float(tried[int(np.argmax(power))])
 
 
-def _cubic(time_s: Array) -> Array:
+def cubic(time_s: Array) -> Array:
+    """Return a cubic of time, (rows, 3)."""
     along = 2.0 * (time_s - time_s[0]) / max(float(np.ptp(time_s)), 1e-30) - 1.0
     return np.column_stack([along, along**2, along**3])
 
