@@ -75,6 +75,23 @@ def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
     assert "single readings" not in done.stdout  # corners of the residual are no outliers
 
 
+def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -> None:
+    """A servo of 60 rad/s, damping 0.66, asymmetric triangles: an objective's positioner."""
+    field = np.tile(np.concatenate([np.linspace(-1, 1, 500), np.linspace(1, -1, 900)]), 5)
+    w = 60.0 / RATE_Hz  # rad per sample
+    moved, speed, late = -1.0, 0.0, []
+    for command in field.tolist():
+        speed += w * w * (command - moved) - 2 * 0.66 * w * speed
+        moved += speed
+        late.append(moved)
+    sweep = write(tmp_path / "sweep.csv", field, 40 * np.array(late) + noise_um(len(field)))
+    done = piezoid("fit", sweep, "--out", tmp_path / "stage")
+    assert done.returncode == 1
+    assert "phase lag, not hysteresis" in joined(done)
+    axis = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
+    assert len(axis["hysteresis"]["dead_zone_weight"]) <= 5
+
+
 def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
     field = triangles(6, 500)
     late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
