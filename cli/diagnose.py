@@ -138,7 +138,7 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     unused = [r.name for r in recordings if r.name not in (*used, *held)]
     if held and not set(held) & used:
         say(
-            f"{', '.join(held)}: the sensor is held there, as under feedback; the drive's answer "
+            f"{', '.join(held)}: the sensor stands there, as under feedback; the drive's answer "
             "was looked at for creep, and no loop"
         )
     if unused:

@@ -188,8 +188,8 @@ def _held_throughout(recordings: Sequence[Recording], axis: str) -> list[tuple[s
         return []
     return [
         (name, f"{name}: the sensor of axis {axis} stands while the drive moves, as under "
-         "feedback: no loop is fitted to it; the diagnosis takes the drive's answer for creep "
-         "and drift")
+         "feedback, or of a sensor that does not see the motion: no loop is fitted to it; the "
+         "diagnosis looks for creep in the drive's answer")
         for name in held
     ]  # fmt: skip
 
