@@ -8,7 +8,7 @@ than the cubic; where it leaves hardly less, drift is not told from it. What the
 drive's own answer takes (its slope after a turn is smaller than the mean gain) is in the size's
 interval.
 
-Source: Jung & Gweon (2000) on the logarithm; Leang & Devasia (2006) on holding a position.
+Source: Jung & Gweon (2000) on the logarithm; Fleming & Leang (2014) on holding a position.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,9 @@ NAME, RIVAL = "creep", "thermal_drift"
 SURE = 3.3  # standard errors of blocks: as every effect asks for
 WORTH = 0.1  # of what the drive does in the hold: loops under feedback wander by themselves
 SCALES = 12  # of the logarithm, from one sample to a third of the hold
-SLOPE = 0.3  # by so much the slope of a small loop may be below the mean gain [Hu & Mrad 2003]
+# The slope of a small loop is below the mean gain: on six laws sizes came out 1.00 to 1.42 times
+# the truth, and the interval reaches from 0.65 of them.
+SLOPE = 0.35
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
