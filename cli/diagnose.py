@@ -130,10 +130,17 @@ def _changed(
 
 def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
     """Say which recordings tell nothing of an axis: somebody may have meant them to."""
-    from piezoid.identification.fit import moving
+    from piezoid.identification.fit import moving, recorded_of
+    from piezoid.records.plausibility import is_held_throughout
 
     used = {recording.name for recording in moving(recordings, axis)}
-    unused = [recording.name for recording in recordings if recording.name not in used]
+    held = [r.name for r in recorded_of(recordings, axis) if is_held_throughout(r, axis)]
+    unused = [r.name for r in recordings if r.name not in (*used, *held)]
+    if held and not set(held) & used:
+        say(
+            f"{', '.join(held)}: the sensor stands there, as under feedback; the drive's answer "
+            "was looked at for creep, and no loop"
+        )
     if unused:
         say(
             f"not used, for axis {axis} rests there or has no displacement: {', '.join(unused)}; "
@@ -154,10 +161,12 @@ def _show(found: "Diagnosis", out: Path) -> None:
         console.print(plain(leading[0].explanation))
     if found.findings:
         console.print(_table(found))
+        was, now = told(found.baseline.rms_m, "m"), told(found.final.rms_m, "m")
+        falls = found.final.rms_m < found.baseline.rms_m
+        goes = f"{'falls' if falls else 'goes'} from {was} to {now}" if was != now else f"is {was}"
         console.print(
             plain(
-                f"on rows left out the error falls from {told(found.baseline.rms_m, 'm')} to "
-                f"{told(found.final.rms_m, 'm')}; the sensor's noise is "
+                f"on rows left out the error {goes}; the sensor's noise is "
                 f"{told(found.noise_floor_rms_m, 'm')}"
             )
         )

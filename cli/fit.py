@@ -184,7 +184,8 @@ def _show_axis(axis: "AxisModel", console: "Console") -> None:
         console.print(plain(reason, style="bold red"))
     for limit in quality.limits:
         console.print(plain(f"axis {axis.axis}: {limit.reason}.", style="yellow"))
-    said = f"the held-out error is on {quality.held_out_words}."
+    error = "held-out error" if quality.is_tested else "error"
+    said = f"the {error} is on {quality.held_out_words}."
     for remark in (said, *axis.verdict.remarks):
         console.print(plain(f"axis {axis.axis}: {remark}", style="dim"))
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid_reports.chart import Canvas, axis_over, decades_over
+from piezoid_reports.effect_words import words
 from piezoid_reports.page import Figure
 from piezoid_reports.quantities import percent, told
 
@@ -29,11 +30,8 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         x = axis_over(label, [place], seen.unit)
     canvas = Canvas(x=x, y=axis_over("what is left", [low, high, fitted], "m"), height=HEIGHT)
     return Figure(
-        title=f"Something else: what is left against {_against(finding)}",
-        numbers=(
-            f"The curve explains {told(finding.size.value * 1e-9, 'm')} rms, "
-            f"{percent(finding.share)} of the stroke; p {finding.p_value:.2g}."
-        ),
+        title=f"{words(finding.effect).capitalize()}: what is left against {_against(finding)}",
+        numbers=f"The curve explains {_explained(finding)}; p {finding.p_value:.2g}.",
         look="What hysteresis and every named cause leave, in classes of the coordinate: middle "
         "half and median, and the curve that was fitted to other stretches of the recordings. "
         "Where the curve runs with the median, this is where it lives.",
@@ -57,3 +55,10 @@ def _against(finding: Finding) -> str:
         quantity, _, unit = name.rpartition("_")
         return f"the {PHASES} ({quantity} {told(value, unit)})"
     return finding.coordinate.replace("_", " ")
+
+
+def _explained(finding: Finding) -> str:
+    share = f"{percent(finding.share)} of the stroke"
+    if not finding.size.unit.startswith("nm"):
+        return f"{share}, rms"
+    return f"{told(finding.size.value * 1e-9, 'm')} rms, {share}"

@@ -6,6 +6,7 @@ is the next experiment, and no other is proposed beside it.
 
 from dataclasses import dataclass
 
+from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
@@ -81,15 +82,20 @@ def nothing_named(found: Diagnosis) -> str:
     """Say of a diagnosis without findings what was tested, what is left and where it lives."""
     tested = sum(one.upper_bound_m is not None for one in found.not_detected)
     if not tested:
-        return "No cause could be tested."
+        reasons = {one.reason for one in found.not_detected}
+        why = f": {reasons.pop().rstrip('.')}" if len(reasons) == 1 else ""
+        return f"No cause could be tested{why}."
     left_m, noise_m = found.envelope_rms_m, found.noise_floor_rms_m
     times = f", {left_m / noise_m:.2g} times the sensor's noise," if noise_m > 0.0 else ""
     where = ""
     if found.unexplained is not None:
         where = f" {_lives(found.unexplained)}"
+    count = "1 effect was" if tested == 1 else f"{tested} effects were"
+    rests = any(one.reason == RESTS for one in found.not_detected)
+    beside = "with the drive at rest" if rests else "beside hysteresis of any shape"
     return (
-        f"{tested} effects were tested, and none is seen: beside hysteresis of any shape "
-        f"{told(left_m, 'm')} rms are left{times}{where}."
+        f"{count} tested, and none is seen: {beside} {told(left_m, 'm')} rms are left{times}"
+        f"{where}."
     )
 
 

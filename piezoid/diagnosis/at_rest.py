@@ -1,54 +1,65 @@
-"""A drive at rest: drift, hum, other axes and noise, with no hysteresis to be told from them.
+"""A drive at rest: drift, jumps, hum, other axes and noise; no hysteresis is to be told from them.
 
-    y = c + drift(t) + sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t) + sum_j g_j u_j + noise
+    y = c + drift(t) + jump(t - t0) + sum_h a_h cos(2 pi h f t) + b_h sin(2 pi h f t)
+        + a cos(2 pi f1 t) + b sin(2 pi f1 t) + sum_j g_j u_j + noise
 
-All of it is linear but the frequency f, which is sought within half a hertz of 50 and 60 Hz. Each
-cause is judged by what it takes off the error of blocks of time that were left out, with the other
-causes at work. Drift is a cubic of time; where the logarithm of the time from the beginning does
-as well, it is not told from creep after what the drive did before.
+All of it is linear but the grid's frequency f, the instant t0 and the frequency f1 of a line of
+its own (``rest_columns``). Each cause is judged by what it takes off the error of blocks of time
+that were left out, with the other causes at work. Where the logarithm of the time from the
+beginning does as well as a cubic, drift is not told from creep after what the drive did before.
 
 Source: Bendat & Piersol for lines beside a trend; Arlot & Celisse (2010) on blocks.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import erfc, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.blocks import sure_gain
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     Finding,
     HeldOut,
     NotDetected,
+    Seen,
     Size,
     Unexplained,
 )
 from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.rest_columns import (
+    BLOCKS,
+    DRIFT,
+    FOLDS,
+    HUM,
+    JUMP,
+    LINE,
+    OTHERS,
+    Columns,
+    GRIDS_Hz,
+    Rest,
+    held,
+    line_in,
+    rest_columns,
+    spectrum_of,
+)
+from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
+from piezoid.diagnosis.unnamed import NEXT, classes_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.readable import told
-from piezoid.records.recording import Quantity, Recording
+from piezoid.readable import significant, told
+from piezoid.records.recording import Recording
 
-DRIFT, HUM, OTHERS = "thermal_drift", "mains_interference", "cross_coupling"
-GRIDS_Hz, OFF_Hz, HARMONICS = (50.0, 60.0), 0.5, 3
-BLOCKS, FOLDS = 40, 5  # blocks of time, each fold every fifth of them
 SURE = 3.3  # standard errors of the gain of blocks: as every effect asks for
 WORTH = 0.01  # of the error: less is not worth a name
-SLOWS = 1.02  # times what a cubic leaves: a logarithm of time that leaves no more does as well
-LOWEST = 4  # periods in the recording: what is slower is no line
+JUMPS = 0.05  # of the error beside any drift: a jump found by search takes off less by chance
+CHANCE = 1e-4  # p-value of a line that stands alone: there are thousands of frequencies to try
+RESTS = "the drive rests, and nothing in these recordings excites it"
 ROWS = 60_000  # of a recording: enough for a line of a ten-thousandth of the noise
-
-Columns = Mapping[str, Array]
-
-
-def is_at_rest(recording: Recording, axis: str) -> bool:
-    """Tell whether the drive of an axis does nothing but read its own noise."""
-    voltage_V = recording.voltage_V(axis)
-    span = float(np.ptp(voltage_V))
-    return span <= 10.0 * white_noise_rms(voltage_V) or span == 0.0
 
 
 def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
@@ -64,14 +75,20 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     reading_m = recording.displacement_m(axis)
     time_s = keep / recording.sampling_rate_Hz
     y = reading_m[keep] - reading_m[keep].mean()
-    columns = _columns(recording, axis, keep, time_s, y)
     block = np.arange(len(y)) * BLOCKS // len(y)
-    chosen = _chosen(columns, y, block)
-    final = _held(y, [columns[name] for name in chosen], block)
-    baseline = _held(y, [], block)
-    noise_m = white_noise_rms(reading_m)
+    rest = rest_columns(recording, axis, keep, time_s, y)
+    chosen = _chosen(rest.columns, y, block)
+    final = held(y, [rest.columns[name] for name in chosen], block)
+    line_Hz = line_in(final, time_s, CHANCE)
+    if line_Hz is not None:
+        wider = rest.with_line(line_Hz)
+        if _is_worth(LINE, _gain(wider.columns, chosen, LINE, y, block)):
+            rest, chosen = wider, [*chosen, LINE]
+            final = held(y, [rest.columns[name] for name in chosen], block)
+    baseline = held(y, [], block)
+    noise_m = min(white_noise_rms(reading_m), white_noise_rms(final))
     span_m = max(float(np.ptp(reading_m)), 1e-30)
-    findings = [_finding(name, columns, chosen, y, block, time_s) for name in chosen]
+    findings = [_finding(name, rest, chosen, y, block) for name in chosen]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     return Diagnosis(
         axis=axis,
@@ -84,7 +101,9 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         unexplained=_unexplained(final, noise_m),
         findings=tuple(findings),
         not_detected=tuple(
-            _absent(effect, columns, final) for effect in EFFECTS if effect.name not in chosen
+            _absent(effect, rest.columns, final, recording)
+            for effect in EFFECTS
+            if effect.name not in chosen
         ),
     )
 
@@ -94,9 +113,7 @@ def _unexplained(left_m: Array, noise_m: float) -> Unexplained:
 
     The p-value is of the highest line beside the power around it, for all lines.
     """
-    power = np.abs(np.fft.rfft(left_m - left_m.mean())) ** 2
-    power[:LOWEST] = 0.0
-    lines = highest(power)
+    lines = highest(spectrum_of(left_m))
     total_m2 = float(np.mean(left_m**2))
     above_m2 = max(total_m2 - noise_m**2, 0.0)
     line, p_value = (lines[0][0], max(lines[0][1], 1e-12)) if lines else (0.0, 1.0)
@@ -114,55 +131,24 @@ def _is_slow(recording: Recording) -> bool:
     return recording.sampling_rate_Hz <= 2.0 * GRIDS_Hz[0]
 
 
-def _columns(
-    recording: Recording, axis: str, keep: Places, time_s: Array, y: Array
-) -> dict[str, Array]:
-    """Return the columns of every cause that these rows can show, each about its mean."""
-    along = 2.0 * (time_s - time_s[0]) / max(float(np.ptp(time_s)), 1e-30) - 1.0
-    found = {DRIFT: np.column_stack([along, along**2, along**3])}
-    lines = _lines(recording.sampling_rate_Hz, time_s, y, found[DRIFT])
-    if lines is not None:
-        found[HUM] = lines
-    others = [
-        channel.values[keep]
-        for channel in recording.channels
-        if channel.quantity is Quantity.VOLTAGE
-        and channel.axis != axis
-        and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
-    ]
-    if others:
-        found[OTHERS] = np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in others])
-    return {name: values - values.mean(axis=0) for name, values in found.items()}
-
-
-def _lines(rate_Hz: float, time_s: Array, y: Array, drift: Array) -> Array | None:
-    """Return the lines of the grid that fits best, at its own frequency."""
-    span_s = float(np.ptp(time_s))
-    if rate_Hz <= 2.0 * GRIDS_Hz[0] or span_s * OFF_Hz < 1.0:
-        return None
-    calm = y - drift @ np.linalg.lstsq(drift, y, rcond=None)[0]
-    steps = np.arange(-OFF_Hz, OFF_Hz, 0.25 / span_s)
-    tried = [f + step for f in GRIDS_Hz if rate_Hz > 2.0 * f for step in steps.tolist()]
-    power = [abs(np.exp(-2j * np.pi * f * time_s) @ calm) for f in tried[:4000]]
-    best = tried[int(np.argmax(power))]
-    turns = [
-        2 * np.pi * h * best * time_s for h in range(1, HARMONICS + 1) if 2 * h * best < rate_Hz
-    ]
-    return np.column_stack([wave(turn) for turn in turns for wave in (np.cos, np.sin)])
-
-
 def _chosen(columns: Columns, y: Array, block: Places) -> list[str]:
-    """Return the causes that are sure and worth a name, the largest first, each beside others."""
-    chosen: list[str] = []
-    while len(chosen) < len(columns):
-        rest = [name for name in columns if name not in chosen]
+    """Return the causes that are sure and worth a name, the largest first, each beside others.
+
+    A jump is asked beside drift, which follows the half of any jump.
+    """
+    chosen = [JUMP] if _is_worth(JUMP, _gain(columns, [DRIFT], JUMP, y, block)) else []
+    while True:
+        rest = [name for name in columns if name not in (*chosen, JUMP)]
         seen = {name: _gain(columns, chosen, name, y, block) for name in rest}
-        name = max(rest, key=lambda one: seen[one][0])
-        gain, z = seen[name]
-        if gain < WORTH or z < SURE:
-            break
-        chosen.append(name)
-    return chosen
+        sure = [name for name in rest if _is_worth(name, seen[name])]
+        if not sure:
+            return chosen
+        chosen.append(max(sure, key=lambda one: seen[one][0]))
+
+
+def _is_worth(name: str, seen: tuple[float, float]) -> bool:
+    gain, z = seen
+    return gain >= (JUMPS if name == JUMP else WORTH) and z >= SURE
 
 
 def _gain(
@@ -170,31 +156,18 @@ def _gain(
 ) -> tuple[float, float]:
     """Return by how much a cause lowers the rms of blocks left out, and how surely."""
     rest = [columns[other] for other in beside if other != name]
-    without, within = _held(y, rest, block), _held(y, [*rest, columns[name]], block)
-    better = np.bincount(block, without**2 - within**2, BLOCKS)
-    error = float(np.std(better, ddof=1)) / sqrt(BLOCKS)
+    without, within = held(y, rest, block), held(y, [*rest, columns[name]], block)
+    better = np.bincount(block, without**2 - within**2, BLOCKS).astype(np.float64)
+    made = np.bincount(block, (without - within) ** 2, BLOCKS).astype(np.float64)
     gain = 1.0 - float(np.sqrt(np.mean(within**2) / max(float(np.mean(without**2)), 1e-300)))
-    return gain, float(better.mean()) / max(error, 1e-300)
+    return gain, sure_gain(better, made, gain)
 
 
-def _held(y: Array, parts: Sequence[Array], block: Places) -> Array:
-    """Return what columns and a constant leave of rows they were not fitted to, (rows,)."""
-    design = np.column_stack([np.ones(len(y)), *parts])
-    left, fold = np.empty(len(y)), block % FOLDS
-    for out in range(FOLDS):
-        inside = fold != out
-        found = np.linalg.lstsq(design[inside], y[inside], rcond=None)[0]
-        left[~inside] = y[~inside] - design[~inside] @ found
-    return left
-
-
-def _finding(
-    name: str, columns: Columns, chosen: Sequence[str], y: Array, block: Places, time_s: Array
-) -> Finding:
-    effect = next(one for one in EFFECTS if one.name == name)
+def _finding(name: str, found: Rest, chosen: Sequence[str], y: Array, block: Places) -> Finding:
+    columns = found.columns
     gain, z = _gain(columns, chosen, name, y, block)
     rest = [columns[other] for other in chosen if other != name]
-    before, after = _held(y, rest, block), _held(y, [*rest, columns[name]], block)
+    before, after = held(y, rest, block), held(y, [*rest, columns[name]], block)
     design = np.column_stack([*rest, columns[name]])
     width = columns[name].shape[1]
     sizes = [
@@ -204,15 +177,9 @@ def _finding(
         _size(design, y, width),
         float(np.std(sizes, ddof=1)) * (FOLDS - 1) / sqrt(FOLDS),
     )
-    creeps = name == DRIFT and _slows_down(y, rest, columns[name], block, time_s)
-    said = f"At rest it is {told(value, 'm')} rms."
-    if creeps:
-        said += (
-            " It slows down as the logarithm of the time does: drift and creep after what the "
-            "drive did before are not separable here."
-        )
+    said = _said(name, found, value, design, y)
     return Finding(
-        effect=name,
+        effect=said.effect,
         held_out_gain=float(np.clip(gain, 0.0, 1.0)),
         held_out_rms_before_m=float(np.sqrt(np.mean(before**2))),
         held_out_rms_after_m=float(np.sqrt(np.mean(after**2))),
@@ -223,43 +190,115 @@ def _finding(
             unit="nm, rms",
             ci95=(1e9 * max(value - 1.96 * spread, 0.0), 1e9 * (value + 1.96 * spread)),
         ),
-        not_separable_from=("creep",) if creeps else (),
-        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} {said}",
-        next_experiment="Step to mid-range and hold the drive for ten times as long: creep goes "
+        not_separable_from=said.rivals,
+        explanation=said.explanation,
+        next_experiment=said.experiment,
+        parameters=said.parameters,
+        coordinate=said.coordinate,
+        seen=_seen(name, found, design, y) if said.coordinate else None,
+    )
+
+
+def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
+    """Return the picture of something else: what is left along time or phase, and its curve."""
+    width = found.columns[name].shape[1]
+    every = design - design.mean(axis=0)
+    coefficients = _coefficients(design, y)
+    curve = every[:, -width:] @ coefficients[-width:]
+    left = y - y.mean() - every @ coefficients + curve
+    turns = (found.time_s * found.line_Hz) % 1.0
+    place, *kinds = classes_of(found.time_s if name == JUMP else turns, left, curve)
+    low, median, high, fitted = (tuple(kind.tolist()) for kind in kinds)
+    return Seen(
+        unit="s" if name == JUMP else "",
+        place=tuple(place.tolist()),
+        low_m=low,
+        median_m=median,
+        high_m=high,
+        fitted_m=fitted,
+        recording=found.recording if name == JUMP else "",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Said:
+    """How a cause is called and told, fields as of ``Finding``."""
+
+    effect: str
+    explanation: str
+    experiment: str
+    rivals: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    coordinate: str = ""
+
+
+def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Said:
+    """Return a cause in words.
+
+    design, y  rows of all that was found, the cause's own columns last
+    """
+    size = f"At rest it is {told(value_m, 'm')} rms."
+    if name == LINE:
+        return _Said(
+            effect=SOMETHING_ELSE,
+            explanation="No effect of the catalogue stands for it: a line at "
+            f"{significant(rest.line_Hz, 5)} Hz, of the floor, a pump or another instrument. "
+            f"{size}",
+            experiment=NEXT["frequency"],
+            parameters={"frequency_Hz": rest.line_Hz},
+            coordinate="frequency",
+        )
+    if name == JUMP:
+        high_m = float(_coefficients(design, y)[-1])
+        return _Said(
+            effect=SOMETHING_ELSE,
+            explanation="No effect of the catalogue stands for it: one jump by "
+            f"{told(high_m, 'm')} at {told(rest.jump_s, 's')}, of the stage, its mount or the "
+            "sensor.",
+            experiment=NEXT["time"],
+            parameters={"instant_s": rest.jump_s, "jump_m": high_m},
+            coordinate="time",
+        )
+    effect = next(one for one in EFFECTS if one.name == name)
+    creeps = name == DRIFT and rest.is_creep
+    if creeps:
+        size += (
+            " It slows down as the logarithm of the time does: drift and creep after what the "
+            "drive did before are not separable here."
+        )
+    return _Said(
+        effect=name,
+        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} {size}",
+        experiment="Step to mid-range and hold the drive for ten times as long: creep goes "
         "on slowing down, thermal drift does not."
         if creeps
         else effect.experiment,
-        parameters={},
+        rivals=("creep",) if creeps else (),
     )
+
+
+def _coefficients(design: Array, y: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(design - design.mean(axis=0), y - y.mean(), rcond=None)[0])
 
 
 def _size(design: Array, y: Array, width: int) -> float:
     """Return the rms of what the last columns add to a fit of all."""
-    found = np.linalg.lstsq(design - design.mean(axis=0), y - y.mean(), rcond=None)[0]
-    part = design[:, -width:] @ found[-width:]
+    part = design[:, -width:] @ _coefficients(design, y)[-width:]
     return float(np.std(part))
 
 
-def _slows_down(
-    y: Array, rest: Sequence[Array], cubic: Array, block: Places, time_s: Array
-) -> bool:
-    """Tell whether a logarithm of time leaves as little as a cubic."""
-    since_s = time_s - time_s[0]
-    span_s = float(since_s[-1])
-    least = np.inf
-    for share in (0.003, 0.03, 0.1):
-        slow = np.log1p(since_s / (share * span_s))[:, None]
-        least = min(least, float(np.mean(_held(y, [*rest, slow], block) ** 2)))
-    return least <= SLOWS**2 * float(np.mean(_held(y, [*rest, cubic], block) ** 2))
-
-
-def _absent(effect: Effect, columns: Columns, final: Array) -> NotDetected:
+def _absent(effect: Effect, columns: Columns, final: Array, recording: Recording) -> NotDetected:
     if effect.name not in columns:
+        why = {
+            HUM: f"at {significant(recording.sampling_rate_Hz)} Hz for "
+            f"{told(recording.duration_s, 's')} no line of the grid can be told",
+            OTHERS: "the drive of no other axis moves in it",
+        }
         return NotDetected(
             effect=effect.name,
             upper_bound_m=None,
             detection_limit_m=None,
-            reason="the drive rests, and nothing in these recordings excites it",
+            reason=why.get(effect.name, RESTS),
             next_experiment=effect.experiment,
         )
     # a sum of so many columns within the noise of all rows, one-sided 95 %

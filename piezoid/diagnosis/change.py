@@ -7,6 +7,7 @@ everything refitted.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,8 @@ from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
-from piezoid.readable import told
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.readable import significant, told
 from piezoid.records.recording import Quantity, Recording
 
 AS_IT_WAS = Structure(operator=False)
@@ -31,6 +33,8 @@ WORTH = 0.05  # of the error: a change that takes off less is none
 # 0.08 % on a like sweep and 0.15 % on a staircase), a lag or a load multiplies it
 GROWN = 3.0
 MOST = 0.2  # of the motion, rms: 8 % of the range of a triangle, where no fit applies either
+NOISIER = 2.0  # times the noise of then: sensors of one stage differ by less from day to day
+SEARCHED = (0.11, 9.0)  # ratios inside the search's own ends, at which nothing was found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +50,8 @@ class Change:
     other_gain_m    with another sensitivity as well
     refitted_m      with everything refitted
     gain_ratio      sensitivity now over then, with its 95 % interval
+    noise_then_m    of the sensor, when the model was fitted
+    noise_m         of the sensor in the new recordings
     """
 
     axis: str
@@ -57,6 +63,8 @@ class Change:
     other_gain_m: float
     refitted_m: float
     gain_ratio: tuple[float, float, float]
+    noise_then_m: float
+    noise_m: float
 
     @property
     def holds(self) -> bool:
@@ -72,19 +80,20 @@ class Change:
         if self.against_then:
             return (
                 f"the model never applied ({self.against_then}), and does not hold: it leaves "
-                f"{self._left(self.as_it_was_m)}"
+                f"{self._left(self.as_it_was_m)}{self._noisier()}"
             )
         moves = self._moves()
         if moves and self._is_alone():
             return (
                 f"the sensitivity alone changed: {moves}; the model leaves "
                 f"{self._left(self.as_it_was_m)}, with the new sensitivity "
-                f"{self._left(self.other_gain_m)}"
+                f"{self._left(self.other_gain_m)}{self._noisier()}"
             )
-        if self.holds and self.refitted_m > (1.0 - WORTH) * self.as_it_was_m:
+        as_good = self.refitted_m > (1.0 - WORTH) * self.as_it_was_m
+        if self.holds and (as_good or self.as_it_was_m <= self.held_out_then_m):
             return (
                 f"the model still holds; it leaves {self._left(self.as_it_was_m)}, "
-                f"{told(self.held_out_then_m, 'm')} when it was fitted"
+                f"{told(self.held_out_then_m, 'm')} when it was fitted{self._noisier()}"
             )
         verdict = "holds less well" if self.holds else "does not hold"
         return (
@@ -92,6 +101,7 @@ class Change:
             f"{self._left(self.as_it_was_m)}, {told(self.held_out_then_m, 'm')} when it was "
             f"fitted; {told(self.other_gain_m, 'm')} with another sensitivity"
             f"{f' ({moves})' if moves else ''}, {told(self.refitted_m, 'm')} refitted"
+            f"{self._noisier()}"
         )
 
     def _moves(self) -> str:
@@ -99,9 +109,23 @@ class Change:
         ratio, low, high = self.gain_ratio
         if self.other_gain_m > (1.0 - WORTH) * self.as_it_was_m or low <= 1.0 <= high:
             return ""
+        # less than the model missed when it was fitted is no change: a model that fits badly is
+        # mended a little by any factor, on its own recording as well
+        is_seen = abs(ratio - 1.0) * self.motion_m > self.held_out_then_m
+        if not (is_seen and SEARCHED[0] < ratio < SEARCHED[1]):
+            return ""
         return (
-            f"the stage moves {100.0 * (ratio - 1.0):+.2f} % (+- {50.0 * (high - low):.2f} %) "
-            "more than when the model was fitted"
+            f"the stage moves {100.0 * abs(ratio - 1.0):.2f} % (+- {50.0 * (high - low):.2f} %) "
+            f"{'more' if ratio > 1.0 else 'less'} than when the model was fitted"
+        )
+
+    def _noisier(self) -> str:
+        """Say that the sensor is noisier than it was, where it is."""
+        if self.noise_m <= NOISIER * self.noise_then_m:
+            return ""
+        return (
+            f"; the sensor's noise is {told(self.noise_m, 'm')} rms now, "
+            f"{told(self.noise_then_m, 'm')} when it was fitted"
         )
 
     def _is_alone(self) -> bool:
@@ -112,11 +136,15 @@ class Change:
         return as_good or self._is_small(self.other_gain_m)
 
     def _is_small(self, error_m: float) -> bool:
-        return error_m <= GROWN * self.held_out_then_m and error_m <= MOST * self.motion_m
+        more_m2 = max(
+            self.noise_m**2 - self.noise_then_m**2, 0.0
+        )  # is the sensor's, not the model's
+        at_then_m = sqrt(max(error_m**2 - more_m2, 0.0))
+        return at_then_m <= GROWN * self.held_out_then_m and error_m <= MOST * self.motion_m
 
     def _left(self, error_m: float) -> str:
         share = 100.0 * error_m / self.motion_m
-        return f"{told(error_m, 'm')} ({share:.2g} % of the motion)"
+        return f"{told(error_m, 'm')} ({significant(share, 2)} % of the motion)"
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``since_model`` in diagnosis.json."""
@@ -172,6 +200,8 @@ def change_since(
         other_gain_m=other.held_out_rms_m,
         refitted_m=min(refitted.held_out_rms_m, was.held_out_rms_m),
         gain_ratio=_ratio(other),
+        noise_then_m=model.quality.noise_rms_m,
+        noise_m=_noise_m(refitted.model, recordings),
     )
 
 
@@ -180,7 +210,10 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
     measured_m = recording.displacement_m(model.axis)
     error_m = measured_m - simulate_recording(model, recording)
     parts = [part for part in recording.pieces if np.isfinite(error_m[part]).all()]
-    out = [part.start + k for part in parts for k in outlying(error_m[part]).tolist()]
+    drive_V = recording.voltage_V(model.axis)
+    out = [
+        part.start + k for part in parts for k in outlying(error_m[part], drive_V[part]).tolist()
+    ]
     if not out:
         return recording
     place = np.arange(recording.samples)
@@ -192,6 +225,14 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
         for channel in recording.channels
     )
     return replace(recording, channels=channels, bridged=tuple(sorted({*recording.bridged, *out})))
+
+
+def _noise_m(model: AxisModel, recordings: Sequence[Recording]) -> float:
+    """Return the white noise of the noisiest recording, in what a model leaves of it."""
+    return max(
+        white_noise_rms(r.displacement_m(model.axis) - simulate_recording(model, r))
+        for r in recordings
+    )
 
 
 def _motion_m(recordings: Sequence[Recording], axis: str) -> float:

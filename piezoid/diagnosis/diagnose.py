@@ -7,10 +7,11 @@ from functools import partial
 import numpy as np
 
 from piezoid.diagnosis.absence import absent, unsought
-from piezoid.diagnosis.at_rest import diagnose_at_rest, is_at_rest
+from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.judgement import CERTAIN, Judged
@@ -30,6 +31,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.hands import Hands
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
+from piezoid.records.rest import is_at_rest
 
 Progress = Callable[[str], None]
 
@@ -98,6 +100,8 @@ def diagnose(
         found, numbers = _worth_most(found, weighed)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
+    gain_m_per_V = scales.displacement_m / scales.voltage_V
+    diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, wanted), gain_m_per_V)
     return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
 
 

@@ -154,7 +154,7 @@ def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
     followed = np.concatenate([lives.followed[_rows(found, k)] for k in shown])
     if lives.coordinate in ("displacement", "reading"):
         place = place * np.sign(scale_m) + middle_m
-    classes = _classes(place, np.sign(scale_m) * left, np.sign(scale_m) * followed)
+    classes = classes_of(place, np.sign(scale_m) * left, np.sign(scale_m) * followed)
     low, median, high, fitted = (view.stroke_m * one for one in classes[1:])
     return Seen(
         unit="" if lives.basis.per_unit else lives.basis.unit,
@@ -185,7 +185,7 @@ def _place(found: Discovered, k: int) -> Array:
     return np.asarray((place * basis.per_unit - np.arctan2(own[1], own[0]) / (2.0 * np.pi)) % 1.0)
 
 
-def _classes(place: Array, left: Array, followed: Array) -> tuple[Array, ...]:
+def classes_of(place: Array, left: Array, followed: Array) -> tuple[Array, ...]:
     """Return middles, quartiles of the remainder and mean of the curve, class by class."""
     there = np.isfinite(place)
     place, left, followed = place[there], left[there], followed[there]

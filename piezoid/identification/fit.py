@@ -20,6 +20,7 @@ from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.comparison import STILL, copies, refuse_misfits, remarks_on_set
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
+from piezoid.records.plausibility import is_held_throughout
 from piezoid.records.recording import Quantity, Recording
 from piezoid.records.table import RawTable
 
@@ -266,10 +267,14 @@ def axes_of(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 
 def moving(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:
-    """Return the recordings in which this axis has both channels and its drive moves."""
+    """Return the recordings in which this axis has both channels and its drive moves it.
+
+    Where a feedback holds the sensor, the drive follows creep and drift, and shows no loop.
+    """
     both = recorded_of(recordings, axis)
     widest = max(float(np.ptp(r.voltage_V(axis))) for r in both)
-    return tuple(r for r in both if np.ptp(r.voltage_V(axis)) > STILL * widest) or both
+    moved = [r for r in both if np.ptp(r.voltage_V(axis)) > STILL * widest]
+    return tuple(r for r in moved if not is_held_throughout(r, axis)) or tuple(moved) or both
 
 
 def recorded_of(recordings: Sequence[Recording], axis: str) -> tuple[Recording, ...]:

@@ -16,7 +16,7 @@ from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
 from piezoid.records.faults import noise_rms
-from piezoid.records.plausibility import NOISE_ONLY
+from piezoid.records.plausibility import NOISE_ONLY, is_held_throughout
 from piezoid.records.recording import Quantity, Recording
 
 STILL = 0.01  # of the widest drive: a recording that moves less says nothing of hysteresis
@@ -44,6 +44,7 @@ _OTHER_LOOPS = 0.25
 _COPY = 0.3
 _SAME_DRIVE = 1e-3
 _FEW = 1000
+_NAMED = 3  # recordings in one remark
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +135,7 @@ def remarks_on_set(recordings: Sequence[Recording]) -> tuple[tuple[str, str], ..
         own = [r for r in recordings if r.axis == axis and _drives(r, axis) and r.name not in odd]
         found += beside_the_widest({r.name: _range(r.voltage_V(axis)) for r in own}, axis)
         found += _of_other_rate(own)
+        found += _held_throughout(own, axis)
     return tuple(found)
 
 
@@ -162,15 +164,34 @@ def beside_the_widest(
 
 
 def _of_other_rate(recordings: Sequence[Recording]) -> list[tuple[str, str]]:
+    """Return one remark for each recording beside which others are a thousand times as fast."""
     found = []
-    for one, other in combinations(recordings, 2):
-        slow, fast = sorted((one, other), key=lambda r: r.sampling_rate_Hz)
-        if abs(fast.sampling_rate_Hz / slow.sampling_rate_Hz / 1000 - 1) < _THOUSAND / 10:
+    for slow in recordings:
+        fast = [
+            other.name
+            for other in recordings
+            if abs(other.sampling_rate_Hz / slow.sampling_rate_Hz / 1000 - 1) < _THOUSAND / 10
+        ]
+        if fast:
+            more = f" and {len(fast) - _NAMED} others" if len(fast) > _NAMED else ""
             found.append(
                 (slow.name, f"{slow.name} is sampled at {slow.sampling_rate_Hz:.9g} Hz, "
-                 f"{fast.name} a thousand times as fast: are the times of one in milliseconds?")
+                 f"{', '.join(fast[:_NAMED])}{more} a thousand times as fast: are the times of "
+                 "one in milliseconds?")
             )  # fmt: skip
     return found
+
+
+def _held_throughout(recordings: Sequence[Recording], axis: str) -> list[tuple[str, str]]:
+    held = [r.name for r in recordings if is_held_throughout(r, axis)]
+    if len(held) == len(recordings):
+        return []
+    return [
+        (name, f"{name}: the sensor of axis {axis} stands while the drive moves, as under "
+         "feedback, or of a sensor that does not see the motion: no loop is fitted to it; the "
+         "diagnosis looks for creep in the drive's answer")
+        for name in held
+    ]  # fmt: skip
 
 
 def _drives(recording: Recording, axis: str) -> bool:

@@ -20,13 +20,14 @@ from piezoid.records.response_columns import is_response, part_of, response_colu
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.response_summary import ResponseSummary, summary_of
 from piezoid.records.response_units import unit_in_heading
-from piezoid.records.sweep import reversals_of
+from piezoid.records.sweep import noise_of, reversals_of
 from piezoid.records.table import Column, RawTable
 
 # A turn of the drive smaller than this share of its span is no sweep.
 _TURN_SHARE = 0.01
 # Turning points closer than this share of the span are one level of the drive.
 _LEVEL_SHARE = 0.02
+_WIDE = 5.0  # times
 _MOST_LEVELS = 12
 
 
@@ -299,7 +300,7 @@ def _numbers(
 
 def _turns(recording: Recording, voltage_V: Array) -> list[int]:
     """Return the reversals of the drive in all pieces, ignoring noise and small turns."""
-    ignored_V = max(_TURN_SHARE * float(np.ptp(voltage_V)), 6 * noise_rms(voltage_V))
+    ignored_V = max(_TURN_SHARE * float(np.ptp(voltage_V)), noise_of(voltage_V))
     found = []
     for piece in recording.pieces:
         found += [piece.start + k for k in reversals_of(voltage_V[piece], ignored_V)]
@@ -311,4 +312,6 @@ def _levels(voltage_V: Array, reversals: list[int]) -> tuple[float, ...]:
     turns = np.sort(voltage_V[reversals])
     apart = np.flatnonzero(np.diff(turns) > _LEVEL_SHARE * float(np.ptp(voltage_V))) + 1
     groups = np.split(turns, apart)
-    return tuple(float(g.mean()) for g in groups) if len(groups) <= _MOST_LEVELS else ()
+    # a group many times wider than two levels are apart is no level: turns lie everywhere in it
+    is_wide = any(np.ptp(g) > _WIDE * _LEVEL_SHARE * np.ptp(voltage_V) for g in groups)
+    return () if is_wide or len(groups) > _MOST_LEVELS else tuple(float(g.mean()) for g in groups)

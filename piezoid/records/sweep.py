@@ -1,6 +1,17 @@
 """Where a drive turns: the ends of its monotone branches."""
 
+import numpy as np
+
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
+
+SURE = 6.0  # times the noise of its reading: no excursion of a drive that stands
+MOST = 0.2  # of the drive's range: one drawn anew at every sample would pass for noise throughout
+
+
+def noise_of(drive: Array) -> float:
+    """Return the largest excursion of a drive that its reading's noise makes, in its unit."""
+    return min(SURE * white_noise_rms(drive), MOST * float(np.ptp(drive)))
 
 
 def reversals_of(voltage_V: Array, noise_V: float) -> tuple[int, ...]:

@@ -62,3 +62,25 @@ def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path) -> None:
     (finding,) = diagnosed(tmp_path, CREEP_um).findings
     assert finding.not_separable_from == ("creep",)
     assert "not separable" in finding.explanation
+
+
+def test_a_start_that_creeps_much_and_then_rests_is_seen(tmp_path: Path) -> None:
+    (finding,) = diagnosed(tmp_path, 0.3 * np.log10(1.0 + TIME_s / 0.3)).findings
+    assert finding.effect == "thermal_drift"
+    assert finding.not_separable_from == ("creep",)
+
+
+def test_a_jump_is_no_drift_and_told_with_its_instant(tmp_path: Path) -> None:
+    (finding,) = diagnosed(tmp_path, DRIFT_um + 0.03 * (TIME_s > 23.0)).findings[:1]
+    assert finding.effect == "something_else"
+    assert finding.parameters["instant_s"] == pytest.approx(23.0, abs=0.05)
+    assert 1e6 * finding.parameters["jump_m"] == pytest.approx(0.03, rel=0.1)
+    assert "one jump by" in finding.explanation
+
+
+def test_a_line_that_is_not_the_grids_is_told_with_its_frequency(tmp_path: Path) -> None:
+    (finding,) = diagnosed(tmp_path, 0.002 * np.sin(2.0 * np.pi * 12.63 * TIME_s)).findings
+    assert finding.effect == "something_else"
+    assert finding.parameters["frequency_Hz"] == pytest.approx(12.63, abs=0.003)
+    assert finding.size.value == pytest.approx(2.0 / np.sqrt(2.0), rel=0.1)
+    assert finding.seen is not None

@@ -1,6 +1,7 @@
 """Since a model was fitted: nothing, another sensitivity, or more than that."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +26,7 @@ def test_another_sensitivity_is_measured_and_explains_the_error() -> None:
     more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.03, later=("fast.csv",))
     found = change_since(known_model(), recordings_of(more))
     assert found.gain_ratio[0] == pytest.approx(1.03, abs=2e-3)
-    assert "+3." in found.sentence or "+2.9" in found.sentence
+    assert re.search(r"moves (3\.0|2\.9)\d % .* more than", found.sentence)
     assert found.as_it_was_m > 5 * NOISE_m
     assert found.other_gain_m < 1.3 * NOISE_m
 
@@ -67,6 +68,39 @@ def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so() -> None
     assert not found.holds
     assert "does not hold" in found.sentence
     assert "% of the motion" in found.sentence
+
+
+def test_a_stage_that_moves_less_is_said_to_move_less() -> None:
+    less = GainChange(recording="slow.csv", instant_s=0.0, ratio=0.88, later=("fast.csv",))
+    found = change_since(known_model(), recordings_of(less))
+    assert re.search(r"moves (12\.0|11\.9)\d % .* less than", found.sentence)
+
+
+def test_no_sensitivity_is_told_where_the_search_ran_into_its_end() -> None:
+    strange = [
+        with_readings(
+            recording, np.cumsum(np.random.default_rng(7).normal(size=recording.samples)) / 1e7
+        )
+        for recording in recordings_of()
+    ]
+    found = change_since(known_model(), strange)
+    assert "does not hold" in found.sentence
+    assert "90.00" not in found.sentence
+    assert "e+" not in found.sentence
+
+
+def test_a_noisier_sensor_is_no_other_stage() -> None:
+    rng = np.random.default_rng(5)
+    noisy = [
+        with_readings(
+            recording,
+            recording.displacement_m() + 5 * NOISE_m * rng.normal(size=recording.samples),
+        )
+        for recording in recordings_of()
+    ]
+    found = change_since(known_model(), noisy)
+    assert "still holds" in found.sentence
+    assert "the sensor's noise is" in found.sentence
 
 
 def test_a_model_that_never_applied_holds_nowhere() -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from piezoid.diagnosis.diagnose import diagnose
 from piezoid.identification.fit import fit
 from piezoid.identification.model import AxisModel
 from piezoid.records.ingest import ingest_all
@@ -56,7 +57,16 @@ def test_the_flexure_with_its_wandering_zero(realdata: Path, tmp_path: Path) -> 
 def test_the_positioner_that_is_all_lag_is_not_sold_as_hysteresis(realdata: Path) -> None:
     model = fit(ingest_all([realdata / "objective_lag" / "triangles.csv.gz"]))["x"]
     quality = model.quality
+    assert not model.verdict.applies
+    assert "phase lag, not hysteresis" in model.verdict.reason
     assert quality.lag_is_open
     assert min(limit.most for limit in quality.limits) <= 50
     (reason,) = [limit.reason for limit in quality.limits if limit.lack == "speed"]
     assert "a lag of second order without hysteresis 0.5" in reason
+
+
+def test_the_hold_of_an_approach_names_creep_and_is_fitted_as_no_loop(realdata: Path) -> None:
+    recordings = ingest_all([realdata / "capsensor_hold" / "approach_hold_retract.csv.gz"])
+    found = diagnose(recordings)
+    (creep,) = [finding for finding in found.findings if finding.effect == "creep"]
+    assert 1.0 < creep.size.value < 2.0  # per cent of the step, each decade

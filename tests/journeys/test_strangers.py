@@ -75,6 +75,23 @@ def test_phase_lag_alone_is_called_so(tmp_path: Path) -> None:
     assert "single readings" not in done.stdout  # corners of the residual are no outliers
 
 
+def test_a_lag_whose_corners_an_envelope_follows_is_called_lag(tmp_path: Path) -> None:
+    """A servo of 60 rad/s, damping 0.66, asymmetric triangles: an objective's positioner."""
+    field = np.tile(np.concatenate([np.linspace(-1, 1, 500), np.linspace(1, -1, 900)]), 5)
+    w = 60.0 / RATE_Hz  # rad per sample
+    moved, speed, late = -1.0, 0.0, []
+    for command in field.tolist():
+        speed += w * w * (command - moved) - 2 * 0.66 * w * speed
+        moved += speed
+        late.append(moved)
+    sweep = write(tmp_path / "sweep.csv", field, 40 * np.array(late) + noise_um(len(field)))
+    done = piezoid("fit", sweep, "--out", tmp_path / "stage")
+    assert done.returncode == 1
+    assert "phase lag, not hysteresis" in joined(done)
+    axis = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
+    assert len(axis["hysteresis"]["dead_zone_weight"]) <= 5
+
+
 def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
     field = triangles(6, 500)
     late = first_order(10 * LAWS["duhem"](field), 0.02, RATE_Hz, -10.0)
@@ -85,3 +102,63 @@ def test_a_loop_at_one_speed_may_be_lag(tmp_path: Path) -> None:
     assert score <= 50
     page = (tmp_path / "stage/report.html").read_text()
     assert "It holds at the speed of the recordings alone" in page
+
+
+def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    rest = write(tmp_path / "rest.csv", 1e-5 * rng.standard_normal(4000), 5 + noise_um(4000))
+    done = piezoid("fit", rest, "--out", tmp_path / "stage")
+    assert done.returncode == 3
+    assert "never changes but for the noise of its reading" in " ".join(done.stderr.split())
+    done = piezoid("diagnose", rest, "--out", tmp_path / "diagnosis")
+    said = " ".join(done.stdout.split())
+    assert "with the drive at rest" in said
+    assert "hysteresis" not in said
+
+
+def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:
+    field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
+    verdict, score, said = calibrated(
+        tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(2000)
+    )
+    assert "one branch" not in verdict + said
+    assert score > 50
+    looked = piezoid("inspect", tmp_path / "sweep.csv").stdout
+    assert int(re.search(r"(\d+)\s+reversals", looked)[1]) > 500
+
+
+def test_a_diagnosis_of_a_class_that_does_not_apply_says_why_none_was_made(tmp_path: Path) -> None:
+    field = triangles(4, 400)
+    polarised = 2 * LAWS["preisach"](field) - 1
+    sweep = write(tmp_path / "sweep.csv", field, 10 * polarised**2 + noise_um(len(field)))
+    done = piezoid("diagnose", sweep, "--out", tmp_path / "diagnosis")
+    said = " ".join(done.stdout.split())
+    assert "No cause could be tested: not looked for, because" in said
+    assert "butterfly" in said
+
+
+def test_a_model_meets_a_stage_that_moves_less_and_a_walk_that_is_none(tmp_path: Path) -> None:
+    field = np.concatenate([triangles(2, 400), 0.6 * triangles(2, 300) - 0.4])
+    law = LAWS["preisach"]
+    calibrated(tmp_path, field, 10 * law(field) + noise_um(len(field)))
+    model = tmp_path / "stage/model.json"
+    today = write(tmp_path / "less.csv", field, 8.8 * law(field) + noise_um(len(field))[::-1])
+    said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "less"))
+    assert re.search(r"alone changed: the stage moves 1[12]\.\d+ % .* less than", said)
+    walk_um = np.cumsum(np.random.default_rng(3).standard_normal(len(field))) / 2
+    today = write(tmp_path / "walk.csv", field, walk_um)
+    said = joined(piezoid("diagnose", model, today, "--out", tmp_path / "walk"))
+    assert "does not hold" in said
+    assert "e+0" not in said
+
+
+def test_a_model_that_fits_badly_is_no_other_sensitivity(tmp_path: Path) -> None:
+    field = np.concatenate([triangles(2, 400), 0.6 * triangles(2, 300) - 0.4])
+    calibrated(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(len(field)))
+    model = tmp_path / "stage/model.json"
+    again = piezoid("diagnose", model, tmp_path / "sweep.csv", "--out", tmp_path / "again")
+    assert "the model still holds" in joined(again)
+
+
+def joined(done: subprocess.CompletedProcess[str]) -> str:
+    return " ".join(done.stdout.split())

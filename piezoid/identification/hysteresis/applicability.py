@@ -19,6 +19,7 @@ from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import told
+from piezoid.records.sweep import noise_of
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
@@ -32,7 +33,7 @@ AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis mod
 def _loops(piece: Piece) -> tuple[Loop, ...]:
     rows = slice(piece.first, piece.last)
     drive = piece.drive[rows]
-    return loops_of(drive, piece.response[rows], max(6 * white_noise_rms(drive), 0.02))
+    return loops_of(drive, piece.response[rows], max(noise_of(drive), 0.02))
 
 
 def reason_in_loops(pieces: Sequence[Piece]) -> str:

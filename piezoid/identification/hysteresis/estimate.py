@@ -29,6 +29,7 @@ from piezoid.identification.hysteresis.order import (
     attempted,
     bent_shapes,
     choose_shape,
+    without_bends,
 )
 from piezoid.identification.hysteresis.outlying import left_out_of, without_outliers
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
@@ -42,10 +43,9 @@ from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
-from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import told
 from piezoid.records.recording import Recording
-from piezoid.records.sweep import reversals_of
+from piezoid.records.sweep import noise_of, reversals_of
 
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
@@ -94,6 +94,7 @@ def estimate_axis(
     )
     lag = "" if in_loops else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
+    choice = without_bends(choice) if only_lag else choice
     against = lag or only_lag or in_loops or reason_of_error(ready.pieces, choice)
     progress("final fit")
     fitted = _final(ready, choice)
@@ -104,7 +105,11 @@ def estimate_axis(
 def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
     """Return what was never measured, and why no hysteresis was seen where a lag does as well.
 
-    A lag of second order is tried where no speed was varied: only there can it be a loop.
+    A lag of second order is tried where no speed was varied: only there can it be a loop. Its two
+    numbers stand beside hysteresis without an envelope, whose two dozen follow the corners that a
+    lag makes at every turn: 0.20 % for 0.57 of a positioner that is all lag, where the lag leaves
+    0.54. On thirteen published laws a lag leaves from 1.2 (loops of five sizes, Coleman and
+    Hodgdon's) to 24 times what such hysteresis does, and from 0.18 of what no lag leaves.
     """
     scope = scope_of(ready.pieces)
     if not scope.has_one_speed or scope.branches < 2:
@@ -113,16 +118,21 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in ready.pieces)
     plain, late, none = lag_rivals(ready.pieces, ready.settings.longest_lag_s)
     best, plays = min(plain.held_out_rms, late.held_out_rms), choice.best.held_out_rms
+    straight = without_bends(choice).best.held_out_rms
+    envelope = ", an envelope" if choice.best.shape.bends else ""
     left = (
-        f"of the range, plays and a lag leave {100 * plays / height:.2g} %, a lag of second order "
-        f"without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
+        f"of the range, plays{envelope} and a lag leave {100 * plays / height:.2g} %, a lag of "
+        f"second order without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
         f"{told(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay besides "
         f"{100 * late.held_out_rms / height:.2g} %"
     )
     wide = widest_opening(ready.pieces) > WIDE * height
     explains = plain.rises and best < EXPLAINED * none.held_out_rms and best < UNEXPLAINED * height
-    is_lag = wide and explains and best <= AS_GOOD * plays
-    only = f"the loop is phase lag, not hysteresis: {left}" if is_lag else ""
+    is_lag = wide and explains and best <= AS_GOOD * straight
+    bent = (
+        f"; plays without an envelope {100 * straight / height:.2g} %" if straight > plays else ""
+    )
+    only = f"the loop is phase lag, not hysteresis: {left}{bent}" if is_lag else ""
     return scope.limits(f" ({left})"), only
 
 
@@ -172,7 +182,7 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
     """Return the longest lag worth searching: a quarter of the slower branches of the drive."""
     branches = []
     for piece in pieces:
-        turns = reversals_of(piece.drive, max(6 * white_noise_rms(piece.drive), 0.02))
+        turns = reversals_of(piece.drive, max(noise_of(piece.drive), 0.02))
         edges = np.array([piece.first, *turns, piece.last])
         branches.extend((np.diff(edges) / piece.sampling_rate_Hz).tolist())
     least_s = 10.0 / min(piece.sampling_rate_Hz for piece in pieces)

@@ -121,6 +121,13 @@ def choose_shape(
     return Choice(best=best, trials=tuple(trials), kind=_kind_of(pieces))
 
 
+def without_bends(choice: Choice) -> Choice:
+    """Return the choice among the shapes without an envelope."""
+    straight = [trial for trial in choice.trials if not trial.shape.bends]
+    best = _smallest_as_good(straight, choice.kind == IN_SAMPLE)
+    return replace(choice, best=best)
+
+
 def _kind_of(pieces: Sequence[Piece]) -> str:
     """Return what is held out, in the words of ``FitQuality``."""
     if is_untested(pieces):

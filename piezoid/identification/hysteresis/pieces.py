@@ -10,6 +10,7 @@ from piezoid.identification.hysteresis.filters import filter_columns, first_orde
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.operators.chain import Samples
 from piezoid.records.recording import Recording
+from piezoid.records.rest import is_at_rest
 
 MINIMUM_SAMPLES = 20
 
@@ -92,13 +93,18 @@ def scales_of(recordings: Sequence[Recording], axis: str) -> Scales:
     Raises ``ExcitationError`` where the drive or the displacement does not move.
     """
     drives = [recording.voltage_V(axis) for recording in recordings]
+    rests = all(is_at_rest(recording, axis) for recording in recordings)
     low, high = min(float(u.min()) for u in drives), max(float(u.max()) for u in drives)
     spans = [float(np.ptp(recording.displacement_m(axis))) for recording in recordings]
     names = ", ".join(recording.name for recording in recordings)
-    for what, span in (("drive", high - low), ("displacement", max(spans))):
-        if span <= 0.0:
+    noise = " but for the noise of its reading" if high > low else ""
+    for what, never in (
+        (f"drive of axis {axis} never changes{noise}", rests),
+        (f"displacement of axis {axis} never changes", max(spans) <= 0.0),
+    ):
+        if never:
             raise ExcitationError(
-                f"{names}: the {what} of axis {axis} never changes",
+                f"{names}: the {what}",
                 needed="a sweep over the range the stage is used in",
                 remedy="Check which column is which, or record a sweep; drift, hum, other axes "
                 "and noise of a stage at rest are what piezoid diagnose tells.",

@@ -97,9 +97,9 @@ def _about_zero(starts: Sequence[PieceStart], stroke_m: float) -> list[str]:
     moved = [(start, float(np.ptp(start.zero_m))) for start in starts]
     return [
         f"{start.recording}: the zero moves by {told(by_m, 'm')} "
-        f"({50.0 * by_m / stroke_m:.2g} % of the range) during the recording, by drift or creep, "
-        "which the diagnosis tells apart where it can; the fit follows it, the held-out error "
-        "does not."
+        f"({50.0 * by_m / stroke_m:.2g} % of the range) during the recording, by drift, creep or "
+        "memory that the model has not, which the diagnosis tells apart where it can; the fit "
+        "follows it, the held-out error does not."
         for start, by_m in moved
         if by_m > 5e-4 * stroke_m
     ]

@@ -11,8 +11,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
-from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.sweep import reversals_of
+from piezoid.records.sweep import noise_of, reversals_of
 
 LARGE = 0.2  # of the drive's range: a branch that shows a loop
 ONE_LOOP = 3  # branches: from the middle up, down and back
@@ -123,7 +122,7 @@ def scope_of(pieces: Sequence[Piece]) -> Scope:
 def branches_of(piece: Piece) -> list[Branch]:
     """Return the monotone runs of a piece's drive, in their order."""
     drive = piece.drive[piece.first : piece.last]
-    turns = reversals_of(drive, max(6 * white_noise_rms(drive), 0.02))
+    turns = reversals_of(drive, max(noise_of(drive), 0.02))
     found = []
     for first, last in zip((0, *turns), (*turns, len(drive) - 1), strict=True):
         run = drive[first : last + 1]

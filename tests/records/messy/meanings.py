@@ -289,6 +289,15 @@ MEANINGS: tuple[Messy, ...] = (
         kept=EVERY,
     ),
     Messy(
+        name="exchanged.csv",
+        wrong="the headings of drive and displacement exchanged",
+        write=text(lines(names=("time [s]", "position [um]", "voltage [V]"))),
+        problems=frozenset({"leads"}),
+        lines="columns = { time = 1, voltage = 2, displacement = 3 }\n"
+        'units = { time = "s", voltage = "V", displacement = "um" }\n',
+        kept=EVERY,
+    ),
+    Messy(
         name="nanometres.csv",
         wrong="the same run in nanometres, beside the clean file",
         write=text(lines(table=columns() * [1, 1, 1e3], names=(*NAMES[:2], "position [nm]"))),
