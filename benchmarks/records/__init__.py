@@ -1,0 +1,1 @@
+"""Public records: identified here, beside figures published elsewhere."""
