@@ -3,7 +3,7 @@
 #include <math.h>
 
 typedef struct {
-    double m, c, k;
+    double m, c, k, quadratic, cubic;
     double h, beta, gamma, n;
     size_t stops;
     const double *threshold, *weight;
@@ -35,7 +35,8 @@ static double bouc_wen_rate(const mode *of, double s, double v) {
 }
 
 static motion rate(const mode *of, motion at, double force, double slip) {
-    const double spring = of->k * at.y + of->h * at.s + slip;
+    const double bent = at.y * (of->k + at.y * (of->quadratic + at.y * of->cubic));
+    const double spring = bent + of->h * at.s + slip;
     return (motion){at.v, (force - of->c * at.v - spring) / of->m, bouc_wen_rate(of, at.s, at.v)};
 }
 
@@ -43,8 +44,8 @@ static motion along(motion from, motion by, double time) {
     return (motion){from.y + time * by.y, from.v + time * by.v, from.s + time * by.s};
 }
 
-/* One step; force holds f at its begin, middle and end. */
-static motion stepped(const mode *of, motion from, const double *force, const double *e,
+/* One step under the force at its begin, in its middle and at its end. */
+static motion stepped(const mode *of, motion from, const double force[3], const double *e,
                       double h) {
     const motion a = rate(of, from, force[0], slip_force(of, e, 0.0));
     motion at = along(from, a, 0.5 * h);
@@ -59,18 +60,30 @@ static motion stepped(const mode *of, motion from, const double *force, const do
     return along(from, mean, h);
 }
 
-void pk_hysteretic_mode(size_t samples, size_t steps, double step_s, const double *force,
-                        const double *linear, const double *bouc_wen, double limit, size_t stops,
-                        const double *threshold_m, const double *weight, double *state,
-                        double *y_m) {
-    const mode of = {linear[0],   linear[1],   linear[2], bouc_wen[0], bouc_wen[1],
-                     bouc_wen[2], bouc_wen[3], stops,     threshold_m, weight};
+void pk_hysteretic_mode(size_t samples, size_t steps, double step_s, int held, const double *force,
+                        const double *mass_to_cubic, const double *bouc_wen, double limit,
+                        size_t stops, const double *threshold_m, const double *weight,
+                        double *state, double *y_m) {
+    const mode of = {.m = mass_to_cubic[0],
+                     .c = mass_to_cubic[1],
+                     .k = mass_to_cubic[2],
+                     .quadratic = mass_to_cubic[3],
+                     .cubic = mass_to_cubic[4],
+                     .h = bouc_wen[0],
+                     .beta = bouc_wen[1],
+                     .gamma = bouc_wen[2],
+                     .n = bouc_wen[3],
+                     .stops = stops,
+                     .threshold = threshold_m,
+                     .weight = weight};
     motion at = {state[0], state[1], state[2]};
     double *e = state + 3;
     for (size_t k = 0; k < samples; ++k) {
         y_m[k] = at.y;
         for (size_t i = 0; k + 1 < samples && i < steps; ++i) {
-            const motion next = stepped(&of, at, force + 2 * (k * steps + i), e, step_s);
+            const double *now = force + 2 * (k * steps + i);
+            const double pushed[3] = {now[0], now[1], held ? now[1] : now[2]};
+            const motion next = stepped(&of, at, pushed, e, step_s);
             for (size_t j = 0; j < stops; ++j) {
                 e[j] = stopped(e[j], next.y - at.y, threshold_m[j]);
             }

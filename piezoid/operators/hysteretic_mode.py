@@ -1,6 +1,6 @@
 """A mode with a hysteretic restoring force: the memory stands inside the loop of the motion.
 
-    m y'' + c y' + k y + z = f,    z = h s    or    z = sum_i w_i e_i
+    m y'' + c y' + k y + k2 y^2 + k3 y^3 + z = f,    z = h s    or    z = sum_i w_i e_i
     s' = y' (1 - |s|^n (gamma + beta sgn(s y')))         Bouc-Wen
     e_i = stop of y of half-width r_i                    Maxwell slip
 
@@ -55,11 +55,13 @@ Spring = BoucWenSpring | MaxwellSlip
 
 @dataclass(frozen=True, kw_only=True)
 class HystereticMode:
-    """m y'' + c y' + k y + z = f.
+    """m y'' + c y' + k y + k2 y^2 + k3 y^3 + z = f.
 
     mass       m     drive unit s^2 / m
     damping    c     drive unit s / m
     stiffness  k     drive unit / m
+    quadratic  k2    drive unit / m^2
+    cubic      k3    drive unit / m^3
     spring     z
     size_m           of the motion: states and thresholds are counted in it
     """
@@ -67,6 +69,8 @@ class HystereticMode:
     mass: float
     damping: float
     stiffness: float
+    quadratic: float
+    cubic: float
     spring: Spring
     size_m: float
 
@@ -84,13 +88,16 @@ class HystereticMode:
             threshold = np.array(self.spring.threshold)
             weight = np.array(self.spring.stiffness)
         smooth[0] *= self.size_m
+        size = self.size_m ** np.array([1, 1, 1, 2, 3])
+        rigid = [self.mass, self.damping, self.stiffness, self.quadratic, self.cubic]
         y = np.empty(drive.samples)
         KERNELS.pk_hysteretic_mode(
             len(y),
             drive.steps,
             drive.step_s,
+            int(drive.hold == "zero_order"),
             address(drive.values),
-            address(self.size_m * np.array([self.mass, self.damping, self.stiffness])),
+            address(size * np.array(rigid)),
             address(smooth),
             LIMIT,
             len(threshold),
@@ -110,12 +117,14 @@ class FineDrive:
     samples  of the recording
     steps    of the integration, per sample
     step_s   of one of them
+    hold     zero_order: it jumps at each sample
     """
 
     values: Array
     samples: int
     steps: int
     step_s: float
+    hold: Hold
 
 
 TAPS = 32  # samples on each side: 0.4 of the sampling rate passes to 1e-5
@@ -143,4 +152,6 @@ def fine_drive(drive: Array, sampling_rate_Hz: float, steps: int, hold: Hold) ->
         values = resample_poly(longer, finer, 1, window=weight)
         values = values[pad * finer : (pad + len(given) - 1) * finer + 1]
     step_s = 1.0 / (sampling_rate_Hz * steps)
-    return FineDrive(values=contiguous(values), samples=len(given), steps=steps, step_s=step_s)
+    return FineDrive(
+        values=contiguous(values), samples=len(given), steps=steps, step_s=step_s, hold=hold
+    )

@@ -37,7 +37,7 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
     "pk_hysteretic_mode": (
-        *(_SIZE, _SIZE, _DOUBLE),
+        *(_SIZE, _SIZE, _DOUBLE, _INT),
         *[_POINTER] * 3,
         *(_DOUBLE, _SIZE),
         *[_POINTER] * 4,

@@ -1,6 +1,7 @@
 """Starts for a hysteretic mode: its equation of motion, filtered, is linear in what it weighs.
 
-    F f = m F y'' + c F y' + k F y + sum_j w_j F z_j(y) + f0 F 1,   F = 1 / (p^2 + a p + b)
+    F f = m F y'' + c F y' + k F y + k2 F y^2 + k3 F y^3 + sum_j w_j F z_j(y) + f0 F 1
+    F = 1 / (p^2 + a p + b)
 
 F y'' = y - a F y' - b F y needs no derivative of a measured signal. F is taken from the last
 solution, so that the error is close to that of the displacement itself.
@@ -43,6 +44,7 @@ KNEES = tuple(
 )
 DESCENTS = 3  # of the best of them
 KNEE_BOUNDS = (np.array([-20.0, -20.0, 1.0]), np.array([20.0, 20.0, 6.0]))
+NO_SPRING = MaxwellSlip(threshold=(), stiffness=())
 STOPS = 8
 WIDEST = 0.8  # of half the range: a wider play may never move where blocks are left out
 RIDGE = 1e-7  # of a column: far below what noise does to a weight
@@ -172,7 +174,7 @@ def starts(
 
     drive, displacement_m  (samples,)
     chosen                 (samples,)  bool: what may be learnt from
-    returned               linear, maxwell_slip and bouc_wen
+    returned               linear, duffing, maxwell_slip and bouc_wen
     """
     signals = _signals(drive, displacement_m, sampling_rate_Hz, hold, chosen)
     natural, none = _centroid(signals), np.empty((len(signals.motion), 0))
@@ -180,16 +182,20 @@ def starts(
     for _ in range(ROUNDS):
         natural = linear.natural(natural, 0.0)
         linear = signals.solved(natural, none)
+    powers = np.column_stack([signals.motion**2, signals.motion**3])
+    bent = signals.solved(natural, powers)
     threshold = WIDEST * (np.arange(1, STOPS + 1) / STOPS) ** 2
     columns, _ = play_columns(signals.motion, threshold, np.zeros(STOPS))
-    slip = signals.solved(natural, signals.motion[:, None] - columns)
+    stops = signals.motion[:, None] - columns
+    slip = signals.solved(natural, np.column_stack([powers, stops]))
     spring = MaxwellSlip(
-        threshold=tuple(threshold), stiffness=tuple(slip.weights[6:] / signals.size_m)
+        threshold=tuple(threshold), stiffness=tuple(slip.weights[8:] / signals.size_m)
     )
     return {
-        "linear": _start(linear, MaxwellSlip(threshold=(), stiffness=()), signals),
+        "linear": _start(linear, NO_SPRING, signals),
+        "duffing": _start(bent, NO_SPRING, signals),
         "maxwell_slip": _start(slip, spring, signals),
-        "bouc_wen": _bouc_wen(signals, natural),
+        "bouc_wen": _bouc_wen(signals, natural, powers),
     }
 
 
@@ -202,9 +208,15 @@ def _centroid(signals: _Signals) -> tuple[float, float]:
 
 def _start(solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _Signals) -> Start:
     mass, damping, stiffness = solution.weights[:3] / signals.size_m
+    bend = solution.weights[6:8] if len(solution.weights) > 6 else np.zeros(2)
     return Start(
         mode=HystereticMode(
-            mass=abs(mass), damping=damping, stiffness=stiffness, spring=spring,
+            mass=abs(mass),
+            damping=damping,
+            stiffness=stiffness,
+            quadratic=bend[0] / signals.size_m**2,
+            cubic=bend[1] / signals.size_m**3,
+            spring=spring,
             size_m=signals.size_m,
         ),
         bias=float(solution.weights[3]),
@@ -212,8 +224,10 @@ def _start(solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _S
     )  # fmt: skip
 
 
-def _bouc_wen(signals: _Signals, natural: tuple[float, float]) -> Start:
-    without = weighed(signals.known(natural), signals.seen(signals.drive, natural))
+def _bouc_wen(signals: _Signals, natural: tuple[float, float], powers: Array) -> Start:
+    seen = np.column_stack([signals.seen(power, natural) for power in powers.T])
+    known = np.column_stack([signals.known(natural), seen])
+    without = weighed(known, signals.seen(signals.drive, natural))
 
     def at(knee: Array) -> "_Knee":
         return _Knee(signals=signals, natural=natural, without=without, knee=knee)
@@ -224,10 +238,10 @@ def _bouc_wen(signals: _Signals, natural: tuple[float, float]) -> Start:
         minimise(at, one.knee, KNEE_BOUNDS, rule=rule, longest=1.0) for one in tried[:DESCENTS]
     ]
     best = min((one.point for one in reached), key=lambda point: point.cost)
-    solution = signals.solved(natural, best.state[:, None])
+    solution = signals.solved(natural, np.column_stack([powers, best.state]))
     beta, gamma, n = map(float, best.knee)
     spring = BoucWenSpring(
-        stiffness=solution.weights[6] / signals.size_m, beta=beta, gamma=gamma, exponent=n
+        stiffness=solution.weights[8] / signals.size_m, beta=beta, gamma=gamma, exponent=n
     )
     return _start(solution, spring, signals)
 

@@ -1,12 +1,12 @@
 """A recording to one mode with a hysteretic restoring force, by the error of its simulation.
 
-    min  sum_k (y[k] - y_model[k])^2,    m y'' + c y' + k y + z = u - f0,   from an unknown state
+    min  sum_k (y[k] - y_model[k])^2,    m y'' + c y' + k y + k2 y^2 + k3 y^3 + z = u - f0
 
 The form of the force, Bouc-Wen, Maxwell slip or none, is chosen by blocks that were left out. Where
 the drive repeats itself, a block is left out of every period, or it would be known from the others.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +39,23 @@ RULE = Rule(tolerance=1e-6, iterations=40)
 EXPONENT = (1.0, 8.0)
 FAINT = 0.02  # of left-out error: a law must be better by so much than one with fewer numbers
 
-LAWS = {"linear": "none", "maxwell_slip": "Maxwell slip", "bouc_wen": "Bouc-Wen"}
+LAWS = {
+    "linear": "linear",
+    "duffing": "bent, without memory",
+    "maxwell_slip": "Maxwell slip",
+    "bouc_wen": "Bouc-Wen",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RestoringForceModel:
     """One mode with a hysteretic restoring force, as identified from one recording.
 
-        m y'' + c y' + k y + z(y) = u - f0
+        m y'' + c y' + k y + k2 y^2 + k3 y^3 + z(y) = u - f0
 
-    law               ``bouc_wen``, ``maxwell_slip`` or ``linear``: chosen on blocks left out
-    mode              m, c, k and the spring z, per unit of the drive
+    law               ``bouc_wen``, ``maxwell_slip``, ``duffing`` (bent, without memory) or
+                      ``linear``: chosen on blocks left out
+    mode              m, c, k, k2, k3 and the spring z, per unit of the drive
     bias              f0, drive unit
     interval          95 %, by name: mass, damping, stiffness, and those of the spring
     residual_rms_m    on the whole recording
@@ -76,7 +82,7 @@ class RestoringForceModel:
         """
         given = np.asarray(drive, dtype=np.float64) - self.bias
         asked = np.tile(given, PERIODS) if periodic else given
-        steps = steps_of(self.mode, sampling_rate_Hz)
+        steps = self.steps(sampling_rate_Hz)
         fine = fine_drive(asked, sampling_rate_Hz, steps, self.hold)
         state = np.zeros(3 + _stops(self.mode))
         if self.mode.stiffness > 0.0:
@@ -89,6 +95,10 @@ class RestoringForceModel:
                 remedy="Lower the drive, or fit a recording that reaches as far.",
             )
         return np.asarray(y[-len(given) :])
+
+    def steps(self, sampling_rate_Hz: float) -> int:
+        """Return how many steps of the integration a sample takes."""
+        return steps_of(self.mode, sampling_rate_Hz)
 
     @property
     def natural_frequency_Hz(self) -> float:
@@ -114,7 +124,7 @@ def identify_restoring_force(
 ) -> RestoringForceModel:
     """Identify one mode whose spring is hysteretic, for stages that swing about their hysteresis.
 
-        m y'' + c y' + k y + z(y) = u - f0                            [Bouc 1967; Wen 1976; Iwan 1966]
+        m y'' + c y' + k y + k2 y^2 + k3 y^3 + z(y) = u - f0                            [Bouc 1967; Wen 1976; Iwan 1966]
 
     recording  a drive through the resonance, at levels that bring the hysteresis out
     axis       whose; default: the recording's own
@@ -148,7 +158,7 @@ def fit_restoring_force(
     }
     law = _chosen(left_out)
     everything = np.ones(len(drive), dtype=bool)
-    best = _fitted(task, task.starts(everything)[law], everything)
+    best = _fitted(task, law, task.starts(everything)[law], everything)
     residual = displacement_m - best.simulated()
     return RestoringForceModel(
         law=law,
@@ -169,7 +179,7 @@ def simulated_apart(
 
     With it a and b of the mode without hysteresis, p^2 + a p + b.
     """
-    fitted = {law: _fitted(task, start, chosen) for law, start in task.starts(chosen).items()}
+    fitted = {law: _fitted(task, law, start, chosen) for law, start in task.starts(chosen).items()}
     linear = fitted["linear"].mode
     natural = (linear.damping / linear.mass, linear.stiffness / linear.mass)
     return {law: one.simulated() for law, one in fitted.items()}, natural
@@ -198,7 +208,8 @@ def _stops(mode: HystereticMode) -> int:
 
 def _named(mode: HystereticMode) -> dict[str, float]:
     """Return the numbers of a mode by name, in the order in which they are fitted."""
-    found = {"mass": mode.mass, "damping": mode.damping, "stiffness": mode.stiffness}
+    names = ("mass", "damping", "stiffness", "quadratic", "cubic")
+    found = {name: float(getattr(mode, name)) for name in names}
     if isinstance(mode.spring, BoucWenSpring):
         spring = mode.spring
         return found | {
@@ -211,14 +222,20 @@ def _named(mode: HystereticMode) -> dict[str, float]:
 
 
 def _mode(before: HystereticMode, numbers: Array) -> HystereticMode:
-    mass, damping, stiffness, *rest = map(float, numbers)
+    mass, damping, stiffness, quadratic, cubic, *rest = map(float, numbers)
     spring = (
         BoucWenSpring(stiffness=rest[0], beta=rest[1], gamma=rest[2], exponent=rest[3])
         if isinstance(before.spring, BoucWenSpring)
         else MaxwellSlip(threshold=before.spring.threshold, stiffness=tuple(rest))
     )
     return HystereticMode(
-        mass=mass, damping=damping, stiffness=stiffness, spring=spring, size_m=before.size_m
+        mass=mass,
+        damping=damping,
+        stiffness=stiffness,
+        quadratic=quadratic,
+        cubic=cubic,
+        spring=spring,
+        size_m=before.size_m,
     )
 
 
@@ -245,10 +262,7 @@ class _Problem:
         given = numbers * self.scale
         bias, first = given[-4], given[-3:]
         mode = _mode(self.before, given[:-4])
-        shifted = FineDrive(
-            values=self.drive.values - bias, samples=self.drive.samples, steps=self.drive.steps,
-            step_s=self.drive.step_s,
-        )  # fmt: skip
+        shifted = replace(self.drive, values=self.drive.values - bias)
         y, _ = mode.simulated(shifted, np.concatenate([first, np.zeros(_stops(mode))]))
         return np.nan_to_num(y, nan=FAR_M, posinf=FAR_M, neginf=FAR_M)
 
@@ -326,7 +340,7 @@ class _Fitted:
         }
 
 
-def _fitted(task: Task, start: Start, chosen: NDArray[np.bool_]) -> _Fitted:
+def _fitted(task: Task, law: str, start: Start, chosen: NDArray[np.bool_]) -> _Fitted:
     """Search from the start of one law for the least error of its simulation."""
     mode = start.mode
     middle_m = 0.5 * (task.displacement_m.max() + task.displacement_m.min())
@@ -335,8 +349,9 @@ def _fitted(task: Task, start: Start, chosen: NDArray[np.bool_]) -> _Fitted:
     rapid = np.sqrt(stiff / mode.mass)
     scale = np.full(len(numbers), stiff)
     scale[0], scale[1], scale[-1] = mode.mass, np.sqrt(stiff * mode.mass), stiff * mode.size_m
+    scale[3:5] = stiff / mode.size_m ** np.array([1, 2])
     if isinstance(mode.spring, BoucWenSpring):
-        scale[4:7] = 1.0
+        scale[6:9] = 1.0
     steps = steps_of(mode, task.sampling_rate_Hz)
     problem = _Problem(
         task=task,
@@ -351,6 +366,8 @@ def _fitted(task: Task, start: Start, chosen: NDArray[np.bool_]) -> _Fitted:
     lower, upper = np.full((2, len(numbers) + 3), np.inf) * np.array([[-1.0], [1.0]])
     lower[0] = 1e-3
     if isinstance(mode.spring, BoucWenSpring):
-        lower[6], upper[6] = EXPONENT
+        lower[8], upper[8] = EXPONENT
     begin = np.concatenate([numbers / scale, first])
+    if law == "linear":
+        lower[3:5] = upper[3:5] = 0.0
     return _Fitted(problem=problem, minimum=minimise(problem.at, begin, (lower, upper), rule=RULE))

@@ -55,7 +55,7 @@ class HysteresisPlacement:
     place           of the hysteresis, or ``not separable``
     left_out_rms_m  by place, of its better law
     law             by place: ``maxwell_slip`` (plays) or ``bouc_wen``
-    linear_rms_m    left out, of the mode alone
+    without_rms_m   left out, of the mode without hysteresis, linear or bent
     mode_Hz         of the mode alone
     margin          rms of the second over that of the first
     text            the verdict in one sentence; where the recording does not tell, what would
@@ -64,7 +64,7 @@ class HysteresisPlacement:
     place: Place
     left_out_rms_m: dict[str, float]
     law: dict[str, str]
-    linear_rms_m: float
+    without_rms_m: float
     mode_Hz: float
     margin: float
     text: str
@@ -74,7 +74,7 @@ class HysteresisPlacement:
             (NAMES[place], f"{rms:.3g} m with {LAWS[self.law[place]]}")
             for place, rms in sorted(self.left_out_rms_m.items(), key=lambda item: item[1])
         ]
-        linear = ("no hysteresis", f"{self.linear_rms_m:.3g} m")
+        linear = ("no hysteresis", f"{self.without_rms_m:.3g} m")
         return shown("Where the hysteresis stands", [("verdict", self.text), *rows, linear])
 
 
@@ -108,7 +108,7 @@ def placed(
     counted = block > 0  # the first block is judged by what happened before the record
     chosen = ~task.is_left_out
     inside, natural = simulated_apart(task, chosen)
-    linear = inside.pop("linear")
+    without = [inside.pop(law) for law in ("linear", "duffing")]
     cascades = _Cascades.of(task, chosen, natural)
     found = {
         "before": {law: cascades.predicted("before", law) for law in inside},
@@ -116,7 +116,7 @@ def placed(
         "inside": inside,
     }
     judged = task.is_left_out & counted
-    return _verdict(task, found, linear, natural, judged)
+    return _verdict(task, found, without, natural, judged)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -205,14 +205,15 @@ def _normalised(signal: Array) -> Array:
 
 
 def _states(signal: Array, knee: Array) -> Array:
-    """Return the signal, and the plays or the Bouc-Wen state that follow it, (rows, columns)."""
+    """Return the signal, bent as well, and what follows it with memory, (rows, columns)."""
+    powers = np.column_stack([signal, signal**2, signal**3])
     if len(knee):
         beta, gamma, n = map(float, knee)
         state = bouc_wen_states(signal, beta, gamma, n)
-        return np.column_stack([signal, np.nan_to_num(state, nan=np.inf)])
+        return np.column_stack([powers, np.nan_to_num(state, nan=np.inf)])
     threshold = np.arange(1, PLAYS + 1) / (PLAYS + 1)
     columns, _ = play_columns(signal, threshold, np.full(PLAYS, signal[0]))
-    return np.column_stack([signal, columns])
+    return np.column_stack([powers, columns])
 
 
 class _Cascade:
@@ -249,7 +250,7 @@ class _Cascade:
 def _verdict(
     task: Task,
     found: dict[str, dict[str, Array]],
-    linear: Array,
+    without: list[Array],
     natural: tuple[float, float],
     judged: NDArray[np.bool_],
 ) -> HysteresisPlacement:
@@ -263,15 +264,15 @@ def _verdict(
     }
     best = {place: power[place][law[place]] for place in power}
     rms = {place: float(np.sqrt(values.mean())) for place, values in best.items()}
-    linear_m = float(np.sqrt(_block_power(motion_m - linear, judged).mean()))
+    without_m = min(float(np.sqrt(_block_power(motion_m - y, judged).mean())) for y in without)
     first, second, _ = sorted(rms, key=lambda place: rms[place])
     mode_Hz = float(np.sqrt(natural[1]) / (2.0 * np.pi))
     margin = rms[second] / rms[first] if rms[first] > 0.0 else np.inf
     told = f"{rms[first]:.3g} m against {rms[second]:.3g} m {NAMES[second]}"
     place: Place = "not separable"
-    if not rms[first] * (1.0 + FAINT) < linear_m:
+    if not rms[first] * (1.0 + FAINT) < without_m:
         text = (
-            f"A mode without hysteresis predicts as well ({linear_m:.3g} m): not separable on this "
+            f"A mode without hysteresis predicts as well ({without_m:.3g} m): not separable on this "
             f"recording. Drive at a level at which the loops open, through {mode_Hz:.4g} Hz."
         )
     elif margin > MARGIN and _wins(best[first], best[second]):
@@ -283,7 +284,7 @@ def _verdict(
             f"({told}): not separable on this recording. {_experiment(task, mode_Hz)}"
         )
     return HysteresisPlacement(
-        place=place, left_out_rms_m=rms, law=law, linear_rms_m=linear_m, mode_Hz=mode_Hz,
+        place=place, left_out_rms_m=rms, law=law, without_rms_m=without_m, mode_Hz=mode_Hz,
         margin=margin, text=text,
     )  # fmt: skip
 
