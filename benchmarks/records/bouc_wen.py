@@ -56,15 +56,15 @@ class Row:
 
 
 def training(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return force and displacement of the training record."""
+    """Return force (N) and displacement of the training record."""
     with gzip.open(folder / "train_data.csv.gz", "rt", encoding="ascii", newline="") as file:
         rows = [(float(row["u"]), float(row["y"])) for row in csv.DictReader(file)]
-    force_N, motion_m = np.array(rows).T
-    return np.ascontiguousarray(force_N), np.ascontiguousarray(motion_m)
+    force, motion_m = np.array(rows).T
+    return np.ascontiguousarray(force), np.ascontiguousarray(motion_m)
 
 
 def validation(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return force and displacement of ``multisine`` or ``sinesweep``."""
+    """Return force (N) and displacement of ``multisine`` or ``sinesweep``."""
     found = []
     for part in "uy":
         held = loadmat(folder / f"{part}val_{name}.mat")
@@ -73,9 +73,9 @@ def validation(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1]
 
 
-def ours(force_N: np.ndarray, motion_m: np.ndarray) -> RestoringForceModel:
+def ours(force: np.ndarray, motion_m: np.ndarray) -> RestoringForceModel:
     """Identify the mode and its restoring force."""
-    return fit_restoring_force(force_N, motion_m, RATE_HZ, hold="band_limited")
+    return fit_restoring_force(force, motion_m, RATE_HZ, hold="band_limited")
 
 
 def true_equations() -> RestoringForceModel:
@@ -94,18 +94,18 @@ def true_equations() -> RestoringForceModel:
     )  # fmt: skip
 
 
-def linear(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation:
+def linear(force: np.ndarray, motion_m: np.ndarray) -> Simulation:
     """Fit a discrete transfer function of order four by its output error, with scipy."""
     order, size = 4, motion_m.std()
     columns = [np.roll(motion_m, lag) / size for lag in range(1, order + 1)]
-    columns += [np.roll(force_N, lag) for lag in range(order + 1)]
+    columns += [np.roll(force, lag) for lag in range(order + 1)]
     start = np.linalg.lstsq(np.column_stack(columns)[order:], motion_m[order:] / size, rcond=None)
 
     def simulated(x: np.ndarray, u: np.ndarray) -> np.ndarray:
         return size * lfilter(x[order:], np.concatenate([[1.0], -x[:order]]), u)
 
     def error(x: np.ndarray) -> np.ndarray:
-        return np.clip(np.nan_to_num((simulated(x, force_N) - motion_m) / size), -1e3, 1e3)
+        return np.clip(np.nan_to_num((simulated(x, force) - motion_m) / size), -1e3, 1e3)
 
     best = least_squares(error, start[0], x_scale="jac").x
 
@@ -115,7 +115,7 @@ def linear(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation:
     return run
 
 
-def sparse(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
+def sparse(force: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
     """Fit y[k+1] = cubic polynomial of y[k], y[k-1], u[k+1], u[k], u[k-1] with pysindy.
 
     Of four thresholds that one counts whose simulation leaves least of the training record.
@@ -124,8 +124,8 @@ def sparse(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
         import pysindy
     except ImportError:
         return None
-    force, size = force_N.std(), motion_m.std()
-    y, u = motion_m / size, force_N / force
+    force_rms, size = force.std(), motion_m.std()
+    y, u = motion_m / size, force / force_rms
     states, after = np.column_stack([y[1:-1], y[:-2]]), np.column_stack([y[2:], y[1:-1]])
     inputs = np.column_stack([u[2:], u[1:-1], u[:-2]])
 
@@ -140,7 +140,7 @@ def sparse(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
         powers, weights = model.feature_library.powers_[used], weights[used]
 
         def run(drive: np.ndarray, periodic: bool) -> np.ndarray:
-            v = (np.tile(drive, 2) if periodic else drive) / force
+            v = (np.tile(drive, 2) if periodic else drive) / force_rms
             found = np.zeros(len(v))
             for k in range(2, len(v)):
                 known = np.array([found[k - 1], found[k - 2], v[k], v[k - 1], v[k - 2]])
@@ -153,7 +153,7 @@ def sparse(force_N: np.ndarray, motion_m: np.ndarray) -> Simulation | None:
         return run
 
     candidates = [fitted(threshold) for threshold in (1e-3, 3e-3, 1e-2, 3e-2)]
-    return min(candidates, key=lambda run: rms(run(force_N, False) - motion_m))
+    return min(candidates, key=lambda run: rms(run(force, False) - motion_m))
 
 
 def rms(error: np.ndarray) -> float:
@@ -164,7 +164,7 @@ def rms(error: np.ndarray) -> float:
 def report(folder: Path) -> Iterator[str]:
     """Yield the lines of the table."""
     yield PROTOCOL
-    force_N, motion_m = training(folder)
+    force, motion_m = training(folder)
     multisine, sweep = validation(folder, "multisine"), validation(folder, "sinesweep")
 
     def judged(method: str, run: Simulation, training_s: float | None) -> Row:
@@ -179,12 +179,12 @@ def report(folder: Path) -> Iterator[str]:
         return lambda u, periodic: model.simulate(u, RATE_HZ, periodic=periodic)
 
     began = time.perf_counter()
-    model = ours(force_N, motion_m)
+    model = ours(force, motion_m)
     took_s = time.perf_counter() - began
     rows = [judged(f"piezoid, restoring force ({model.law})", of(model), took_s)]
     for method, fit in (("linear, order 4 (scipy)", linear), ("SINDy, cubic (pysindy)", sparse)):
         began = time.perf_counter()
-        run = fit(force_N, motion_m)
+        run = fit(force, motion_m)
         took_s = time.perf_counter() - began
         if run is None:
             yield f"{method}: left out, the package is absent; install the extra 'benchmarks'"

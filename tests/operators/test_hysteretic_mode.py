@@ -102,7 +102,7 @@ def test_without_a_spring_it_is_a_linear_mode() -> None:
     y, end = mode.simulated(fine, np.zeros(3))
     time_s = np.arange(500 * 20) / (20 * RATE_HZ)
     held = np.repeat(given, 20)
-    _, solved, states = lsim(([0.5], [1.0, 6.0, 3e4]), held, time_s, interp=False)
+    _, solved, _ = lsim(([0.5], [1.0, 6.0, 3e4]), held, time_s, interp=False)
     np.testing.assert_allclose(y, solved[::20], atol=1e-6 * np.abs(solved).max())
     assert end[0] == y[-1]
 

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from piezoid.numerics.arrays import Array
@@ -77,7 +78,7 @@ class _Signals:
 
     drive: Array
     motion: Array
-    chosen: Array
+    chosen: NDArray[np.bool_]
     rate_Hz: float
     size_m: float
 
@@ -86,7 +87,7 @@ class _Signals:
         columns = [self.known(natural), *(self.seen(force, natural) for force in forces.T)]
         found = weighed(np.column_stack(columns), self.seen(self.drive, natural))
         mass = found.coefficients[0]
-        error = np.sqrt(np.mean(found.residual**2)) * self.size_m / abs(mass)
+        error = float(np.sqrt(np.mean(found.residual**2))) * self.size_m / abs(float(mass))
         return _Solution(weights=found.coefficients, error=error)
 
     def known(self, natural: tuple[float, float]) -> Array:
@@ -152,7 +153,11 @@ class _Solution:
 
 
 def _signals(
-    drive: Array, displacement_m: Array, sampling_rate_Hz: float, hold: Hold, chosen: Array
+    drive: Array,
+    displacement_m: Array,
+    sampling_rate_Hz: float,
+    hold: Hold,
+    chosen: NDArray[np.bool_],
 ) -> _Signals:
     middle_m = 0.5 * (displacement_m.max() + displacement_m.min())
     size_m = 0.5 * float(np.ptp(displacement_m))
@@ -168,7 +173,11 @@ def _signals(
 
 
 def starts(
-    drive: Array, displacement_m: Array, sampling_rate_Hz: float, hold: Hold, chosen: Array
+    drive: Array,
+    displacement_m: Array,
+    sampling_rate_Hz: float,
+    hold: Hold,
+    chosen: NDArray[np.bool_],
 ) -> dict[str, Start]:
     """Return a start for each form of the restoring force.
 
@@ -202,12 +211,12 @@ def starts(
 def _centroid(signals: _Signals) -> tuple[float, float]:
     """Return a and b of a well-damped filter at the mean frequency of the motion."""
     speed = np.diff(signals.motion) * signals.rate_Hz
-    centre = float(np.sqrt(np.mean(speed**2) / max(np.var(signals.motion), 1e-300)))
+    centre = float(np.sqrt(np.mean(speed**2) / np.var(signals.motion)))
     return 0.5 * centre, centre**2
 
 
 def _start(solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _Signals) -> Start:
-    mass, damping, stiffness = solution.weights[:3] / signals.size_m
+    mass, damping, stiffness = map(float, solution.weights[:3] / signals.size_m)
     bend = solution.weights[6:8] if len(solution.weights) > 6 else np.zeros(2)
     return Start(
         mode=HystereticMode(

@@ -2,8 +2,9 @@
 
     min  sum_k (y[k] - y_model[k])^2,    m y'' + c y' + k y + k2 y^2 + k3 y^3 + z = u - f0
 
-The form of the force, Bouc-Wen, Maxwell slip or none, is chosen by blocks that were left out. Where
-the drive repeats itself, a block is left out of every period, or it would be known from the others.
+The form of the force, Bouc-Wen, Maxwell slip or none, is chosen by blocks that were left out.
+Where the drive repeats itself, a block is left out of every period, or it would be known from the
+others.
 """
 
 from dataclasses import dataclass, replace
@@ -124,15 +125,16 @@ def identify_restoring_force(
 ) -> RestoringForceModel:
     """Identify one mode whose spring is hysteretic, for stages that swing about their hysteresis.
 
-        m y'' + c y' + k y + k2 y^2 + k3 y^3 + z(y) = u - f0                            [Bouc 1967; Wen 1976; Iwan 1966]
+        m y'' + c y' + k y + k2 y^2 + k3 y^3 + z(y) = u - f0      [Bouc 1967; Iwan 1966]
 
     recording  a drive through the resonance, at levels that bring the hysteresis out
     axis       whose; default: the recording's own
     hold       ``zero_order`` where the drive column holds numbers sent to a converter,
                ``band_limited`` where the drive was measured through a filter
 
-    What goes wrong: with hysteresis before or behind the mode this model fits badly and its numbers
-    mean nothing; ask ``place_hysteresis`` first. A slow drive leaves m and c unknown.
+    What goes wrong: with hysteresis before or behind the mode this model fits badly and its
+    numbers mean nothing; ask ``place_hysteresis`` first. A slow drive leaves m and c unknown. The
+    intervals are of noise; the integration adds some 1e-4 of a number.
 
     Raises ``RecordingError`` for recordings with breaks or without a displacement, and
     ``ExcitationError`` for short ones and such as do not move.

@@ -228,7 +228,7 @@ class _Cascade:
 
     @property
     def cost(self) -> float:
-        """Return the sum of squares of the error, in sizes; infinite for a state without bounds."""
+        """Return the sum of squares of the error, in sizes; infinite where a state runs off."""
         return float(self.best.residual @ self.best.residual) if self.is_bounded else np.inf
 
     @property
@@ -272,15 +272,15 @@ def _verdict(
     place: Place = "not separable"
     if not rms[first] * (1.0 + FAINT) < without_m:
         text = (
-            f"A mode without hysteresis predicts as well ({without_m:.3g} m): not separable on this "
-            f"recording. Drive at a level at which the loops open, through {mode_Hz:.4g} Hz."
+            f"A mode without hysteresis predicts as well ({without_m:.3g} m): not separable on "
+            f"this recording. Drive at a level at which the loops open, through {mode_Hz:.4g} Hz."
         )
     elif margin > MARGIN and _wins(best[first], best[second]):
         place = first  # type: ignore[assignment]
         text = f"The hysteresis stands {NAMES[place]}: left-out blocks to {told}."
     else:
         text = (
-            f"{NAMES[first].capitalize()} and {NAMES[second]} predict left-out blocks alike "
+            f"Hysteresis {NAMES[first]} and {NAMES[second]} predict left-out blocks alike "
             f"({told}): not separable on this recording. {_experiment(task, mode_Hz)}"
         )
     return HysteresisPlacement(
@@ -295,7 +295,7 @@ def _block_power(error_m: Array, judged: NDArray[np.bool_]) -> Array:
 
 
 def _wins(first: Array, second: Array) -> bool:
-    """Return whether the logarithms of the errors differ by more than chance does, block by block."""
+    """Return whether the errors of blocks differ, in logarithms, by more than chance does."""
     ratio = np.log(np.maximum(second, 1e-300)) - np.log(np.maximum(first, 1e-300))
     half = student_quantile(0.975, len(ratio) - 1) * ratio.std(ddof=1) / np.sqrt(len(ratio))
     return bool(ratio.mean() > half)
