@@ -130,7 +130,7 @@ def main() -> None:
             took_s = time.perf_counter() - began
             said.append(found.place)
             errors = ", ".join(f"{name} {rms:.2e}" for name, rms in found.left_out_rms_m.items())
-            errors += f", without {found.without_rms_m:.2e}"
+            errors += f", without {found.without_rms_m or np.nan:.2e}"
             print(f"{place} {seed} {law}: {found.place}; {errors} m; {took_s:.1f} s", flush=True)
         told = {name: said.count(name) for name in (*PLACES, "not separable")}
         print(f"{place}: {told[place]} of {len(said)} right; {told}\n", flush=True)

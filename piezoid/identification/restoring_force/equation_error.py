@@ -191,6 +191,7 @@ def starts(
     for _ in range(ROUNDS):
         natural = linear.natural(natural, 0.0)
         linear = signals.solved(natural, none)
+    mass = abs(float(linear.weights[0] / signals.size_m))
     powers = np.column_stack([signals.motion**2, signals.motion**3])
     bent = signals.solved(natural, powers)
     threshold = WIDEST * (np.arange(1, STOPS + 1) / STOPS) ** 2
@@ -201,10 +202,10 @@ def starts(
         threshold=tuple(threshold), stiffness=tuple(slip.weights[8:] / signals.size_m)
     )
     return {
-        "linear": _start(linear, NO_SPRING, signals),
-        "duffing": _start(bent, NO_SPRING, signals),
-        "maxwell_slip": _start(slip, spring, signals),
-        "bouc_wen": _bouc_wen(signals, natural, powers),
+        "linear": _start(linear, NO_SPRING, signals, mass),
+        "duffing": _start(bent, NO_SPRING, signals, mass),
+        "maxwell_slip": _start(slip, spring, signals, mass),
+        "bouc_wen": _bouc_wen(signals, natural, powers, mass),
     }
 
 
@@ -215,12 +216,15 @@ def _centroid(signals: _Signals) -> tuple[float, float]:
     return 0.5 * centre, centre**2
 
 
-def _start(solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _Signals) -> Start:
-    mass, damping, stiffness = map(float, solution.weights[:3] / signals.size_m)
+def _start(
+    solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _Signals, mass: float
+) -> Start:
+    """Return the start of a solution; a mass that is none gives way to that of the linear mode."""
+    found, damping, stiffness = map(float, solution.weights[:3] / signals.size_m)
     bend = solution.weights[6:8] if len(solution.weights) > 6 else np.zeros(2)
     return Start(
         mode=HystereticMode(
-            mass=abs(mass),
+            mass=found if found > 0.0 else mass,
             damping=damping,
             stiffness=stiffness,
             quadratic=bend[0] / signals.size_m**2,
@@ -233,7 +237,9 @@ def _start(solution: _Solution, spring: BoucWenSpring | MaxwellSlip, signals: _S
     )  # fmt: skip
 
 
-def _bouc_wen(signals: _Signals, natural: tuple[float, float], powers: Array) -> Start:
+def _bouc_wen(
+    signals: _Signals, natural: tuple[float, float], powers: Array, mass: float
+) -> Start:
     seen = np.column_stack([signals.seen(power, natural) for power in powers.T])
     known = np.column_stack([signals.known(natural), seen])
     without = weighed(known, signals.seen(signals.drive, natural))
@@ -252,7 +258,7 @@ def _bouc_wen(signals: _Signals, natural: tuple[float, float], powers: Array) ->
     spring = BoucWenSpring(
         stiffness=solution.weights[8] / signals.size_m, beta=beta, gamma=gamma, exponent=n
     )
-    return _start(solution, spring, signals)
+    return _start(solution, spring, signals, mass)
 
 
 class _Knee:

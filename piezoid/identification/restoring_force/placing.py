@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from piezoid.errors import ExcitationError
 from piezoid.identification.restoring_force.equation_error import second_order, weighed
 from piezoid.identification.restoring_force.fit import FAINT, LAWS, simulated_apart
 from piezoid.identification.restoring_force.task import BLOCKS, Task, drive_and_motion, task_of
@@ -44,6 +45,8 @@ TUNING = (np.log(1e-2), np.log(1e2))  # of the mode against the start, in logari
 DIFFERENCE = 1e-5
 RULE = Rule(tolerance=1e-4, iterations=15)
 FARTHEST = 10.0  # sizes of the drive; an unbounded state fits what it saw, and nothing else
+# Of rms errors. On six development stages of each kind right places led by 1.49 to 21 and the
+# one wrong one by 1.10.
 MARGIN = 1.1
 SHARE = 0.1  # of the drive's power about the mode
 
@@ -56,7 +59,7 @@ class HysteresisPlacement:
     left_out_rms_m  by place, of its better law
     law             by place: ``maxwell_slip`` (plays) or ``bouc_wen``
     without_rms_m   left out, of the mode without hysteresis, linear or bent
-    mode_Hz         of the mode alone
+    mode_Hz         of the mode alone; None, like the errors, where no mode shows
     margin          rms of the second over that of the first
     text            the verdict in one sentence; where the recording does not tell, what would
     """
@@ -64,8 +67,8 @@ class HysteresisPlacement:
     place: Place
     left_out_rms_m: dict[str, float]
     law: dict[str, str]
-    without_rms_m: float
-    mode_Hz: float
+    without_rms_m: float | None
+    mode_Hz: float | None
     margin: float
     text: str
 
@@ -74,8 +77,9 @@ class HysteresisPlacement:
             (NAMES[place], f"{rms:.3g} m with {LAWS[self.law[place]]}")
             for place, rms in sorted(self.left_out_rms_m.items(), key=lambda item: item[1])
         ]
-        linear = ("no hysteresis", f"{self.without_rms_m:.3g} m")
-        return shown("Where the hysteresis stands", [("verdict", self.text), *rows, linear])
+        if self.without_rms_m is not None:
+            rows.append(("no hysteresis", f"{self.without_rms_m:.3g} m"))
+        return shown("Where the hysteresis stands", [("verdict", self.text), *rows])
 
 
 def place_hysteresis(
@@ -107,7 +111,13 @@ def placed(
     block = np.arange(len(drive)) * BLOCKS // len(drive)
     counted = block > 0  # the first block is judged by what happened before the record
     chosen = ~task.is_left_out
-    inside, natural = simulated_apart(task, chosen)
+    try:
+        inside, natural = simulated_apart(task, chosen)
+    except ExcitationError as refused:
+        return HysteresisPlacement(
+            place="not separable", left_out_rms_m={}, law={}, without_rms_m=None, mode_Hz=None,
+            margin=1.0, text=f"Not separable on this recording: {refused.found}. {refused.remedy}",
+        )  # fmt: skip
     without = [inside.pop(law) for law in ("linear", "duffing")]
     cascades = _Cascades.of(task, chosen, natural)
     found = {
@@ -268,7 +278,7 @@ def _verdict(
     first, second, _ = sorted(rms, key=lambda place: rms[place])
     mode_Hz = float(np.sqrt(natural[1]) / (2.0 * np.pi))
     margin = rms[second] / rms[first] if rms[first] > 0.0 else np.inf
-    told = f"{rms[first]:.3g} m against {rms[second]:.3g} m {NAMES[second]}"
+    told = f"{rms[first]:.3g} m against {rms[second]:.3g} m"
     place: Place = "not separable"
     if not rms[first] * (1.0 + FAINT) < without_m:
         text = (
@@ -277,7 +287,7 @@ def _verdict(
         )
     elif margin > MARGIN and _wins(best[first], best[second]):
         place = first  # type: ignore[assignment]
-        text = f"The hysteresis stands {NAMES[place]}: left-out blocks to {told}."
+        text = f"The hysteresis stands {NAMES[place]}: left-out blocks to {told} {NAMES[second]}."
     else:
         text = (
             f"Hysteresis {NAMES[first]} and {NAMES[second]} predict left-out blocks alike "

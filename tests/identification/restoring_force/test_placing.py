@@ -39,8 +39,28 @@ def test_far_below_the_mode_no_place_can_be_told_and_an_experiment_is_named() ->
     strain = sum(preisach.TRUTH.draw(np.random.default_rng(2)).respond(drive, np.array([0.0])))
     found = piezoid.place_hysteresis(recorded(drive, strain), hold="band_limited")
     assert found.place == "not separable"
-    assert "not separable on this recording" in found.text
-    assert "Record a random-phase multisine from" in found.text or "record a random" in found.text
+    assert "ot separable on this recording" in found.text
+    assert "ecord a random-phase multisine from" in found.text
+
+
+def test_where_two_places_predict_alike_a_better_experiment_is_named() -> None:
+    recording, _ = stage("inside", 9101)
+    found = piezoid.place_hysteresis(recording, hold="band_limited")
+    assert found.place == "not separable"
+    assert found.margin < 1.1
+    assert "predict left-out blocks alike" in found.text
+    assert f"from {0.1 * found.mode_Hz:.3g} to {3.0 * found.mode_Hz:.3g} Hz" in found.text
+
+
+def test_a_recording_without_a_mode_is_told_so_and_what_to_record() -> None:
+    drive = multisine(np.random.default_rng(3), 0.1)
+    line = recorded(drive, 0.5 * drive)
+    found = piezoid.place_hysteresis(line)
+    assert found.place == "not separable"
+    assert found.text.startswith("Not separable on this recording: a straight line predicts")
+    assert found.text in found._repr_html_().replace("&#x27;", "'")
+    with pytest.raises(piezoid.PiezoidError, match="does no better; a recording in which the mo"):
+        piezoid.identify_restoring_force(line)
 
 
 def test_a_mode_without_hysteresis_is_said_to_have_none() -> None:
