@@ -40,6 +40,7 @@ _PUBLIC = {
     "Design": "piezoid.design.design",
     "Diagnosis": "piezoid.diagnosis.diagnosis",
     "Finding": "piezoid.diagnosis.diagnosis",
+    "HysteresisPlacement": "piezoid.identification.restoring_force.placing",
     "Lab": "piezoid.records.lab",
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
@@ -48,9 +49,12 @@ _PUBLIC = {
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
     "Recording": "piezoid.records.recording",
+    "RestoringForceModel": "piezoid.identification.restoring_force.fit",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
+    "identify_restoring_force": "piezoid.identification.restoring_force.fit",
     "load": "piezoid.sealed_files",
+    "place_hysteresis": "piezoid.identification.restoring_force.placing",
     "save": "piezoid.sealed_files",
 }
 
@@ -64,6 +68,14 @@ if TYPE_CHECKING:
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
+    from piezoid.identification.restoring_force.fit import (
+        RestoringForceModel,
+        identify_restoring_force,
+    )
+    from piezoid.identification.restoring_force.placing import (
+        HysteresisPlacement,
+        place_hysteresis,
+    )
     from piezoid.records.collection import Collection
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Channel, Quantity, Recording
@@ -97,6 +109,7 @@ __all__ = (
     "Design",
     "Diagnosis",
     "Finding",
+    "HysteresisPlacement",
     "Lab",
     "LoopDesign",
     "LoopRecord",
@@ -105,6 +118,7 @@ __all__ = (
     "Plan",
     "Quantity",
     "Recording",
+    "RestoringForceModel",
     "Shipping",
     "Verification",
     "VirtualStage",
@@ -114,7 +128,9 @@ __all__ = (
     "diagnose",
     "export",
     "fit",
+    "identify_restoring_force",
     "load",
+    "place_hysteresis",
     "plan",
     "read",
     "read_lab",

@@ -12,12 +12,29 @@ import piezoid
 
 VERBS = {
     *("calibrate", "design", "diagnose", "export", "fit", "load", "plan", "read", "read_lab"),
-    *("report", "save", "simulate", "verify"),
+    *("identify_restoring_force", "place_hysteresis", "report", "save", "simulate", "verify"),
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),
-    *("Comparison", "Design", "Diagnosis", "Finding", "Lab", "LoopDesign", "LoopRecord"),
-    *("ParameterFile", "PiezoidError", "Plan", "Quantity", "Recording", "Shipping"),
+    *(
+        "Comparison",
+        "Design",
+        "Diagnosis",
+        "Finding",
+        "HysteresisPlacement",
+        "Lab",
+        "LoopDesign",
+        "LoopRecord",
+    ),
+    *(
+        "ParameterFile",
+        "PiezoidError",
+        "Plan",
+        "Quantity",
+        "Recording",
+        "RestoringForceModel",
+        "Shipping",
+    ),
     *("Verification", "VirtualStage"),
 }
 
