@@ -103,7 +103,7 @@ def test_a_sweep_through_the_resonance_alone_excites_it(rng: np.random.Generator
 def test_a_small_sweep_behind_a_slow_loop_excites_dynamics(rng: np.random.Generator) -> None:
     time_s = np.arange(10000) / RATE_Hz
     loop = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * time_s)
-    sweep = swept(5.0, 1500.0, 0.6)
+    sweep = swept(5.0, 1500.0, 0.3)
     both = recorded(np.concatenate([loop, sweep]), rng, "both.csv")
     assert len(excites_dynamics([both], "x")) == 1
     dynamics = fit_axis_dynamics(axis_model(), [both]).dynamics
