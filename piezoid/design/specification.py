@@ -20,6 +20,9 @@ _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
 
 _SMALLEST, _LARGEST = 1e-30, 1e30  # beyond these nothing on a bench is
+# The attenuation's template begins at a thousandth of the bandwidth: where that lies above Nyquist
+# it asks nothing, and any bandwidth is "met" (1e30 Hz was). Controllers are faster than 2 kHz.
+_FASTEST_Hz = 1e6
 _LARGEST_dB = 1000.0
 _LARGEST_rms = 1000.0  # a kilometre, or a current that changes beyond all numbers
 _LAST_HARMONIC, _MOST_HARMONICS = 999, 8
@@ -187,6 +190,8 @@ def _asked(default: Specification, table: dict[str, Any], place: str) -> Specifi
             values[key] = _harmonics(value, place)
         elif not _is_number(value):
             raise _unusable(place, f"{key} is {short(value)}", "a number in SI units")
+        elif key in ("bandwidth_Hz", "scan_frequency_Hz") and value > _FASTEST_Hz:
+            raise _unusable(place, f"{key} is {short(value)}", f"at most {_FASTEST_Hz:.0e} Hz")
         elif key.endswith("_rms") and value > _LARGEST_rms:
             raise _unusable(place, f"{key} is {short(value)}", f"at most {_LARGEST_rms:.0f}")
     try:

@@ -82,6 +82,53 @@ def test_a_slow_triangle_does_not_count_as_exciting_dynamics(rng: np.random.Gene
     assert fit_axis_dynamics(axis_model(), [slow]).remarks == ()
 
 
+def swept(low_Hz: float, high_Hz: float, amplitude_V: float, samples: int = 30000) -> Array:
+    """A linear sweep about 5 V."""
+    time_s = np.arange(samples) / RATE_Hz
+    rate = (high_Hz - low_Hz) / time_s[-1]
+    return 5.0 + amplitude_V * np.sin(2 * np.pi * (low_Hz + 0.5 * rate * time_s) * time_s)
+
+
+def test_a_sweep_through_the_resonance_alone_excites_it(rng: np.random.Generator) -> None:
+    narrow = recorded(swept(180.0, 900.0, 2.0), rng, "narrow.csv")
+    found = excites_dynamics([narrow], "x")
+    assert [recording.name for recording, _ in found] == ["narrow.csv"]
+    assert found[0][1] == pytest.approx(900.0, rel=0.3)
+    dynamics = fit_axis_dynamics(axis_model(), [narrow]).dynamics
+    assert dynamics is not None
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.01)
+
+
+def test_a_small_sweep_behind_a_slow_loop_excites_dynamics(rng: np.random.Generator) -> None:
+    time_s = np.arange(10000) / RATE_Hz
+    loop = 5.0 - 4.5 * np.sin(2 * np.pi * 1.5 * time_s)
+    sweep = swept(5.0, 1500.0, 0.3)
+    both = recorded(np.concatenate([loop, sweep]), rng, "both.csv")
+    assert len(excites_dynamics([both], "x")) == 1
+    dynamics = fit_axis_dynamics(axis_model(), [both]).dynamics
+    assert dynamics is not None
+    strongest = int(np.abs(dynamics.mode_gain_m_per_V[:, 0, 0]).argmax())
+    assert dynamics.mode_frequency_Hz[strongest] == pytest.approx(MODE_Hz, rel=0.02)
+
+
+@pytest.mark.parametrize("levels", [12, 40])
+def test_neither_stairs_nor_a_noisy_slow_drive_nor_one_fast_sine_are_sweeps(
+    levels: int, rng: np.random.Generator
+) -> None:
+    time_s = np.arange(30000) / RATE_Hz
+    climb = 1.0 - np.abs(1.0 - np.arange(30000) / 15000.0)
+    slow = 5.0 + 4.0 * np.sin(2 * np.pi * 2.0 * time_s)
+    drives = {
+        "stairs": 10.0 * np.round(levels * climb) / levels,
+        "monitored": slow + 0.02 * rng.standard_normal(30000),
+        "sine": 5.0 + 4.0 * np.sin(2 * np.pi * 120.0 * time_s),
+        "triangle": 10.0 * np.abs(2.0 * ((20.0 * time_s) % 1.0) - 1.0),
+    }
+    for name, drive in drives.items():
+        assert excites_dynamics([recorded(drive, rng, name)], "x") == (), name
+
+
 def test_where_noise_covers_everything_it_is_said_that_nothing_was_fitted(
     chirped: Recording, rng: np.random.Generator
 ) -> None:
