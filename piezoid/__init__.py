@@ -37,6 +37,7 @@ _PUBLIC = {
     "Channel": "piezoid.records.recording",
     "Collection": "piezoid.records.collection",
     "Comparison": "piezoid.identification.prediction",
+    "CoupledStage": "piezoid.identification.coupled.coupled_stage",
     "Design": "piezoid.design.design",
     "Diagnosis": "piezoid.diagnosis.diagnosis",
     "Finding": "piezoid.diagnosis.diagnosis",
@@ -44,12 +45,14 @@ _PUBLIC = {
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
     "ParameterFile": "piezoid.export.parameter_file",
+    "PeriodicData": "piezoid.identification.dynamics.periodic_data",
     "PiezoidError": "piezoid.errors",
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
     "Recording": "piezoid.records.recording",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
+    "fit_coupled": "piezoid.identification.coupled.fit_coupled",
     "load": "piezoid.sealed_files",
     "save": "piezoid.sealed_files",
 }
@@ -62,6 +65,9 @@ if TYPE_CHECKING:
     from piezoid.errors import PiezoidError
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.coupled.coupled_stage import CoupledStage
+    from piezoid.identification.coupled.fit_coupled import fit_coupled
+    from piezoid.identification.dynamics.periodic_data import PeriodicData
     from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
     from piezoid.records.collection import Collection
@@ -94,6 +100,7 @@ __all__ = (
     "Channel",
     "Collection",
     "Comparison",
+    "CoupledStage",
     "Design",
     "Diagnosis",
     "Finding",
@@ -101,6 +108,7 @@ __all__ = (
     "LoopDesign",
     "LoopRecord",
     "ParameterFile",
+    "PeriodicData",
     "PiezoidError",
     "Plan",
     "Quantity",
@@ -114,6 +122,7 @@ __all__ = (
     "diagnose",
     "export",
     "fit",
+    "fit_coupled",
     "load",
     "plan",
     "read",

@@ -11,13 +11,22 @@ import pytest
 import piezoid
 
 VERBS = {
-    *("calibrate", "design", "diagnose", "export", "fit", "load", "plan", "read", "read_lab"),
-    *("report", "save", "simulate", "verify"),
+    *("calibrate", "design", "diagnose", "export", "fit", "fit_coupled", "load", "plan", "read"),
+    *("read_lab", "report", "save", "simulate", "verify"),
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),
-    *("Comparison", "Design", "Diagnosis", "Finding", "Lab", "LoopDesign", "LoopRecord"),
-    *("ParameterFile", "PiezoidError", "Plan", "Quantity", "Recording", "Shipping"),
+    *("Comparison", "CoupledStage", "Design", "Diagnosis", "Finding", "Lab", "LoopDesign"),
+    *(
+        "LoopRecord",
+        "ParameterFile",
+        "PeriodicData",
+        "PiezoidError",
+        "Plan",
+        "Quantity",
+        "Recording",
+        "Shipping",
+    ),
     *("Verification", "VirtualStage"),
 }
 

@@ -1,0 +1,41 @@
+"""Identify public records and print the result beside what others have published.
+
+    python -m benchmarks.records [--data FOLDER] [NAME ...]
+
+FOLDER holds a folder for each record; a record whose folder is absent is named and passed over.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from benchmarks.records import steering_mirror
+
+RECORDS = (steering_mirror,)
+DATA = Path(__file__).resolve().parents[3] / "shared" / "realdata"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table of every record that is there."""
+    names = [record.NAME for record in RECORDS]
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.records", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(names))
+    parser.add_argument("--data", type=Path, default=DATA, metavar="FOLDER")
+    given = parser.parse_args(arguments)
+    unknown = sorted(set(given.names) - set(names))
+    if unknown:
+        parser.error(f"no record {', '.join(unknown)}; there are {', '.join(names)}")
+    for record in RECORDS:
+        if given.names and record.NAME not in given.names:
+            continue
+        folder = given.data / record.FOLDER
+        if not folder.is_dir():
+            print(f"{record.NAME}: skipped, {folder} is absent. Name its parent with --data.")
+            continue
+        for line in record.report(folder):
+            print(line, flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
