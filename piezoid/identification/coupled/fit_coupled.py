@@ -2,7 +2,7 @@
 
     min sum_r w_r |Y_r - e^(-s delay) G(s, l) (U_r + phi_r)|^2
 
-over all excited lines. Residues are linear and eliminated [Golub & Pereyra 2003]; poles, delay and
+over all excited lines. Residues are linear and eliminated [Golub & Pereyra 1973]; poles, delay and
 the coefficients of hysteresis are searched for. Starts: vector fitting for the largest level, its
 poles for the smallest, a straight line between them. The weight w_r of a record is one over what
 the linear fit left of it: what is disturbed counts less.
@@ -58,7 +58,7 @@ def fit_coupled(
     intervals  fit again without each realisation, for the jackknife; about as long again
 
     Y = e^(-s delay) G(s, level) (U + phi), as of ``CoupledStage``; residues by least squares, the
-    rest by Gauss-Newton with the residues eliminated [Golub & Pereyra 2003]. Distortion counts as
+    rest by Gauss-Newton with the residues eliminated [Golub & Pereyra 1973]. Distortion counts as
     noise that comes anew with each realisation [Pintelon & Schoukens 2012].
 
     Raises ``ExcitationError`` for records that differ in more than their level, or for too few

@@ -3,7 +3,7 @@
     r_r = sqrt(w_r) (e^(j w delay) Y_r - G(s, l) (U_r + phi_r)),   G linear in its residues
 
 Residues of all outputs meet the same rows, so one matrix of (columns x inputs) is factored for all
-of them. Source: Golub & Pereyra, Inverse Problems 19 (2003), in Kaufman's form. What goes wrong: a
+of them. In the form of Kaufman [Golub & Pereyra 1973]. What goes wrong: a
 pole that no residue needs goes anywhere within its bounds.
 """
 
