@@ -39,6 +39,7 @@ from piezoid.numerics.levenberg_marquardt import Rule
 LAGS_PER_DECADE = 1.3  # real poles below the first mode: a ladder for creep
 SMOOTHED = 5  # lines the start is averaged over: single ones give poles of noise
 LEAST_DAMPING = 0.003  # of a start: below, a pole follows noise
+ANOTHER = 0.02  # relative distance of modes: levels of 1 to 3 move one by up to half as much
 ROUNDS = 2  # of terms from elongations, elongations from the fit
 LINEAR, WITH_TERMS, LEFT_OUT = (
     Rule(tolerance=2e-3, iterations=12),
@@ -140,7 +141,7 @@ def _level(data: PeriodicData) -> Level:
 
 def _linear_fit(data: Sequence[PeriodicData], modes: int) -> tuple[Problem, Numbers, Array]:
     levels = tuple(_level(one) for one in data)
-    shapes = _start(levels[-1], modes)
+    shapes = _starts(levels, modes)
     count, low = shapes.shape[1], float(levels[-1].frequency_Hz[0])
     first = float(np.exp(shapes[0].min()))
     ladder = max(1, round(LAGS_PER_DECADE * np.log10(max(first / low, 1.01))))
@@ -185,6 +186,19 @@ def _line(low: Array, high: Array) -> Array:
     """Return middle and half difference; a mode whose partner moved away stays where it was."""
     apart = np.where(np.abs(high - low) < 0.5, high - low, 0.0)
     return np.stack([high - apart / 2, apart / 2])
+
+
+def _starts(levels: Sequence[Level], modes: int) -> Array:
+    """Return those of the largest level, and what other levels show and it does not.
+
+    A weak mode beside a strong one is found at one level and missed at another.
+    """
+    found = _start(levels[-1], modes)
+    for level in levels[-2::-1]:
+        other = _start(level, modes)
+        apart = np.abs(other[0][:, None] - found[0]).min(axis=1)
+        found = np.concatenate([found, other[:, apart > ANOTHER]], axis=1)
+    return found[:, np.argsort(found[0])]
 
 
 def _start(level: Level, modes: int) -> Array:
