@@ -56,7 +56,7 @@ def fit_coupled(
     levels     periodic records with the same lines, inputs and outputs, one for each level; more
                realisations than inputs in each
     modes      pairs of poles that the start may have; those that follow noise are left out of it
-    intervals  fit again without each realisation, for the jackknife; about as long again
+    intervals  fit again without each realisation, for the jackknife; about twice as long again
 
     Y = e^(-s delay) G(s, level) (U + phi), as of ``CoupledStage``; residues by least squares, the
     rest by Gauss-Newton with the residues eliminated [Golub & Pereyra 1973]. Distortion counts as
