@@ -37,6 +37,7 @@ _PUBLIC = {
     "Channel": "piezoid.records.recording",
     "Collection": "piezoid.records.collection",
     "Comparison": "piezoid.identification.prediction",
+    "CoupledStage": "piezoid.identification.coupled.coupled_stage",
     "Design": "piezoid.design.design",
     "Diagnosis": "piezoid.diagnosis.diagnosis",
     "Finding": "piezoid.diagnosis.diagnosis",
@@ -45,6 +46,7 @@ _PUBLIC = {
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
     "ParameterFile": "piezoid.export.parameter_file",
+    "PeriodicData": "piezoid.identification.dynamics.periodic_data",
     "PiezoidError": "piezoid.errors",
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
@@ -52,6 +54,7 @@ _PUBLIC = {
     "RestoringForceModel": "piezoid.identification.restoring_force.fit",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
+    "fit_coupled": "piezoid.identification.coupled.fit_coupled",
     "identify_restoring_force": "piezoid.identification.restoring_force.fit",
     "load": "piezoid.sealed_files",
     "place_hysteresis": "piezoid.identification.restoring_force.placing",
@@ -66,6 +69,9 @@ if TYPE_CHECKING:
     from piezoid.errors import PiezoidError
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.coupled.coupled_stage import CoupledStage
+    from piezoid.identification.coupled.fit_coupled import fit_coupled
+    from piezoid.identification.dynamics.periodic_data import PeriodicData
     from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
     from piezoid.identification.restoring_force.fit import (
@@ -106,6 +112,7 @@ __all__ = (
     "Channel",
     "Collection",
     "Comparison",
+    "CoupledStage",
     "Design",
     "Diagnosis",
     "Finding",
@@ -114,6 +121,7 @@ __all__ = (
     "LoopDesign",
     "LoopRecord",
     "ParameterFile",
+    "PeriodicData",
     "PiezoidError",
     "Plan",
     "Quantity",
@@ -128,6 +136,7 @@ __all__ = (
     "diagnose",
     "export",
     "fit",
+    "fit_coupled",
     "identify_restoring_force",
     "load",
     "place_hysteresis",

@@ -9,9 +9,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from benchmarks.records import bouc_wen
+from benchmarks.records import bouc_wen, steering_mirror
 
-RECORDS = (bouc_wen,)
+RECORDS = (bouc_wen, steering_mirror)
 DATA = Path(__file__).resolve().parents[3] / "shared" / "realdata"
 
 

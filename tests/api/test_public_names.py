@@ -11,31 +11,16 @@ import pytest
 import piezoid
 
 VERBS = {
-    *("calibrate", "design", "diagnose", "export", "fit", "load", "plan", "read", "read_lab"),
-    *("identify_restoring_force", "place_hysteresis", "report", "save", "simulate", "verify"),
+    *("calibrate", "design", "diagnose", "export", "fit", "fit_coupled", "load", "plan", "read"),
+    *("identify_restoring_force", "place_hysteresis", "read_lab", "report", "save", "simulate"),
+    "verify",
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),
-    *(
-        "Comparison",
-        "Design",
-        "Diagnosis",
-        "Finding",
-        "HysteresisPlacement",
-        "Lab",
-        "LoopDesign",
-        "LoopRecord",
-    ),
-    *(
-        "ParameterFile",
-        "PiezoidError",
-        "Plan",
-        "Quantity",
-        "Recording",
-        "RestoringForceModel",
-        "Shipping",
-    ),
-    *("Verification", "VirtualStage"),
+    *("Comparison", "CoupledStage", "Design", "Diagnosis", "Finding", "HysteresisPlacement"),
+    *("Lab", "LoopDesign", "LoopRecord", "ParameterFile", "PeriodicData", "PiezoidError", "Plan"),
+    *("Quantity", "Recording", "RestoringForceModel", "Shipping", "Verification"),
+    "VirtualStage",
 }
 
 

@@ -1,0 +1,165 @@
+"""Two piezos, two displacements, modes that soften with the level, hysteresis: all known."""
+
+import numpy as np
+import pytest
+
+import piezoid
+from piezoid.errors import ExcitationError, IdentificationError
+
+RATE_HZ, SAMPLES, REALISATIONS = 1000.0, 2048, 5
+LINES = np.arange(1, 820)
+LOW_V, HIGH_V = 0.1, 0.3
+MODE_HZ, DAMPING = np.array([60.0, 140.0, 230.0]), np.array([0.02, 0.015, 0.02])
+SOFTER = np.array([-0.012, 0.0, -0.006])  # from 0.1 to 0.3 V
+GAIN = 1e-6 * np.array([[[2, 1], [1, 2]], [[2, -1], [-2, 1]], [[0.5, 0.4], [0.4, -0.6]]])
+PLAY_V, WEIGHT = (0.03, 0.1, 0.25), (0.10, 0.08, 0.06)
+FINE = 8
+NOISE_M = 2e-9
+
+
+def shift(level_V: float) -> np.ndarray:
+    """Half the change at the ends, a straight line in the logarithm between."""
+    return SOFTER * np.log(level_V / np.sqrt(LOW_V * HIGH_V)) / np.log(HIGH_V / LOW_V)
+
+
+def play(signal: np.ndarray, half_width: float) -> np.ndarray:
+    state, out = 0.0, np.empty(len(signal))
+    for _ in range(2):
+        for k, value in enumerate(signal):
+            state = max(value - half_width, min(value + half_width, state))
+            out[k] = state
+    return out
+
+
+def hysteretic(drive: np.ndarray) -> np.ndarray:
+    spectrum = np.fft.rfft(drive)
+    fine = np.fft.irfft(FINE * spectrum, FINE * SAMPLES)
+    added = sum(w * play(fine, r) for r, w in zip(PLAY_V, WEIGHT, strict=True))
+    return spectrum + np.fft.rfft(added)[: len(spectrum)] / FINE
+
+
+def displacement(drive: np.ndarray, level_V: float) -> np.ndarray:
+    f = np.arange(SAMPLES // 2 + 1) * RATE_HZ / SAMPLES
+    s, w = 2j * np.pi * f[:, None], 2 * np.pi * MODE_HZ * np.exp(shift(level_V))
+    modes = w**2 / (s**2 + 2 * DAMPING * w * s + w**2)
+    response = (
+        np.einsum("fm,moi->foi", modes, GAIN) * np.exp(-2j * np.pi * f * 2e-4)[:, None, None]
+    )
+    driven = np.stack([hysteretic(column) for column in drive.T], axis=1)
+    driven[0], driven[LINES[-1] + 1 :] = 0.0, 0.0
+    return np.fft.irfft(np.einsum("foi,fi->fo", response, driven), SAMPLES, axis=0)
+
+
+def multisine(level_V: float, rng: np.random.Generator) -> np.ndarray:
+    spectrum = np.zeros((SAMPLES // 2 + 1, 2), dtype=complex)
+    spectrum[LINES] = np.exp(2j * np.pi * rng.random((len(LINES), 2)))
+    drive = np.fft.irfft(spectrum, SAMPLES, axis=0)
+    return drive * level_V / drive.std()
+
+
+def record(level_V: float, seed: int, realisations: int = REALISATIONS) -> piezoid.PeriodicData:
+    rng = np.random.default_rng(seed)
+    drives = np.stack([multisine(level_V, rng) for _ in range(realisations)], axis=2)
+    moved = np.stack([displacement(drives[:, :, r], level_V) for r in range(realisations)], axis=2)
+    noisy = moved[..., None] + NOISE_M * rng.standard_normal((*moved.shape, 2))
+    return piezoid.PeriodicData(
+        sampling_rate_Hz=RATE_HZ,
+        inputs=("a", "b"),
+        outputs=("x", "y"),
+        voltage_V=np.repeat(drives[..., None], 2, axis=3),
+        displacement_m=noisy,
+    )
+
+
+def error(model: piezoid.CoupledStage, data: piezoid.PeriodicData) -> float:
+    left, size = 0.0, 0.0
+    for r in range(data.voltage_V.shape[2]):
+        found = model.simulate(data.voltage_V[:, :, r, 0], periodic=True)
+        moved = data.displacement_m[:, :, r].mean(axis=2)
+        left += np.sum((moved - moved.mean(axis=0) - found) ** 2)
+        size += np.sum(moved**2)
+    return float(np.sqrt(left / size))
+
+
+@pytest.fixture(scope="module")
+def levels() -> list[piezoid.PeriodicData]:
+    return [record(LOW_V, 1), record(HIGH_V, 2)]
+
+
+@pytest.fixture(scope="module")
+def model(levels: list[piezoid.PeriodicData]) -> piezoid.CoupledStage:
+    return piezoid.fit_coupled(levels, modes=3)
+
+
+def test_modes_and_how_they_move_with_the_level_are_found(model: piezoid.CoupledStage) -> None:
+    near = [int(np.argmin(np.abs(model.mode_frequency_Hz(0.17) - f))) for f in MODE_HZ]
+    true_Hz = MODE_HZ * np.exp(shift(LOW_V))
+    np.testing.assert_allclose(model.mode_frequency_Hz(LOW_V)[near], true_Hz, rtol=2e-3)
+    np.testing.assert_allclose(model.mode_damping(HIGH_V)[near], DAMPING, rtol=0.05)
+    change = model.frequency_change()[near]
+    np.testing.assert_allclose(change[:, 0], np.expm1(SOFTER), atol=1.5e-3)
+
+
+def test_intervals_are_finite_and_hold_the_estimate(model: piezoid.CoupledStage) -> None:
+    interval = model.mode_frequency_interval_Hz(HIGH_V)
+    found = model.mode_frequency_Hz(HIGH_V)
+    assert (interval[:, 0] < found).all()
+    assert (found < interval[:, 1]).all()
+    assert (interval[:, 1] < 1.05 * interval[:, 0]).any()
+
+
+def test_unseen_drives_are_followed_from_the_drive_alone(model: piezoid.CoupledStage) -> None:
+    for level_V, seed in ((LOW_V, 11), (HIGH_V, 12)):
+        assert error(model, record(level_V, seed, realisations=2)) < 0.01
+
+
+def test_a_level_between_those_of_the_data_is_followed(model: piezoid.CoupledStage) -> None:
+    assert error(model, record(0.2, 13, realisations=2)) < 0.01
+
+
+def test_one_level_alone_can_be_fitted(levels: list[piezoid.PeriodicData]) -> None:
+    alone = piezoid.fit_coupled(levels[1:], modes=3, intervals=False)
+    assert error(alone, record(HIGH_V, 14, realisations=1)) < 0.01
+    assert np.isinf(alone.frequency_change()[:, 2]).all()
+
+
+def test_from_rest_the_answer_settles_into_the_steady_one(model: piezoid.CoupledStage) -> None:
+    drive = multisine(HIGH_V, np.random.default_rng(5))
+    steady = model.simulate(drive, periodic=True)
+    began = model.simulate(np.tile(drive, (4, 1)))[3 * SAMPLES :]
+    assert np.std(began - steady) < 0.02 * np.std(steady)
+
+
+def test_the_same_records_give_the_same_model(
+    levels: list[piezoid.PeriodicData], model: piezoid.CoupledStage
+) -> None:
+    again = piezoid.fit_coupled(levels[::-1], modes=3, intervals=False)
+    np.testing.assert_array_equal(again.residue_m_per_V, model.residue_m_per_V)
+
+
+def test_levels_outside_the_data_are_refused(model: piezoid.CoupledStage) -> None:
+    with pytest.raises(IdentificationError, match=r"a drive of 0\.5 V rms; one from 0\.1 to 0\.3"):
+        model.response([10.0], 0.5)
+    with pytest.raises(IdentificationError, match="0\\.0333"):
+        model.simulate(multisine(LOW_V / 3, np.random.default_rng(1)), periodic=True)
+
+
+def test_a_drive_of_another_width_is_refused(model: piezoid.CoupledStage) -> None:
+    with pytest.raises(IdentificationError, match="2, one for each of a, b"):
+        model.simulate(np.ones((100, 3)))
+
+
+def test_records_that_cannot_answer_are_refused(levels: list[piezoid.PeriodicData]) -> None:
+    with pytest.raises(ExcitationError, match="2 realisations for 2 drives"):
+        piezoid.fit_coupled([levels[0].select([0, 1])])
+    other = piezoid.PeriodicData(
+        sampling_rate_Hz=2 * RATE_HZ,
+        inputs=("a", "b"),
+        outputs=("x", "y"),
+        voltage_V=levels[0].voltage_V,
+        displacement_m=levels[0].displacement_m,
+    )
+    with pytest.raises(ExcitationError, match="the same drives, sensors, rate"):
+        piezoid.fit_coupled([levels[0], other])
+    with pytest.raises(ExcitationError, match="no record"):
+        piezoid.fit_coupled([])
