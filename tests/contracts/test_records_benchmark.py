@@ -14,7 +14,8 @@ def test_a_record_that_is_absent_is_named_and_passed_over(
 ) -> None:
     assert main(["--data", str(tmp_path)]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        f"{record.NAME}: skipped, {tmp_path / record.FOLDER} is absent. Name its parent with --data."
+        f"{record.NAME}: skipped, {tmp_path / record.FOLDER} is absent. "
+        "Name its parent with --data."
         for record in RECORDS
     ]
 
