@@ -68,15 +68,13 @@ def _left_out(trace: Trace) -> str:
 def opened(
     page: Page, axis: AxisModel, trace: Trace, *, canvas_size: tuple[int, int] | None = None
 ) -> Figure:
-    """Draw the loop without its straight line; small for the first screen, with a short name."""
-    named = "loop, line removed" if canvas_size else "the loop without its straight line"
-    where = "" if canvas_size else f", axis {axis.axis}"
+    """Draw the loop without its straight line; small for the first screen."""
     return _figure(
         page,
         trace,
         "displacement minus straight line",
         (trace.line_residual_m, trace.modelled_m - trace.line_m),
-        f"{trace.recording.name}{where}: {named}",
+        f"{trace.recording.name}, axis {axis.axis}: the loop without its straight line",
         f"The straight line leaves {told(rms(trace.line_residual_m), 'm')} rms, the model "
         f"{told(rms(trace.residual_m), 'm')} rms.",
         LOOK_OPENED,
