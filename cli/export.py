@@ -14,9 +14,18 @@ def export(
     lab: Annotated[
         Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
     ] = None,
+    target: Annotated[
+        list[str] | None,
+        typer.Option(help="Beside the bundle: fmu, library. May be given more than once."),
+    ] = None,
     quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
+
+    --target fmu adds fmu/: each axis as co-simulation units of FMI 2.0 and 3.0, for Simulink,
+    OpenModelica and FMPy. --target library adds library/: a shared library for LabVIEW, MATLAB,
+    EPICS, Rust and Python. Both hold the same source as the bundle. Those not asked for are
+    removed: they would be of another design.
 
     The controller is run against the identified stage first. An axis that fails there does not
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
@@ -25,6 +34,8 @@ def export(
     [bold]Example[/bold]
 
     piezoid export stage42/ && cc -std=c99 stage42/bundle/*.c -o controller
+
+    piezoid export stage42/ --target fmu --target library
     """
     from json import loads
 
@@ -32,12 +43,14 @@ def export(
     from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
+    from piezoid.export.targets import TARGETS, known_targets, written_for
     from piezoid.identification.store import read_model
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
 
+    targets = known_targets(target or ())
     content = content_of(stage / "design.json")
     design = design_from_json(content, str(stage / "design.json"))
     model_content = content_of(stage / "model.json")
@@ -56,11 +69,13 @@ def export(
         )
     contents = failed_files(failed_of(found))
     file = found.parameters
-    if file is not None:
+    beside = None if file is None else written_for(file, targets)
+    if file is not None and beside is not None:
+        contents |= beside.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
     contents["verification.json"] = found.verification.to_json()
-    add_to_folder(stage, contents, gone=("params.json", "bundle", REFUSED))
+    add_to_folder(stage, contents, gone=("params.json", *TARGETS, REFUSED))
     unshipped = found.reasons if file is None else file.unshipped
     if not quiet:
         for axis in () if file is None else file.axes:
@@ -68,7 +83,10 @@ def export(
             say(f"axis {axis.axis}: {axis.method}{others}")
         show_unshipped(unshipped)
         if file is not None:
-            say(f"exported: {stage / 'params.json'}, {stage / 'bundle'}")
+            folders = dict.fromkeys(("bundle", *targets))
+            say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
+        for note in () if beside is None else beside.notes:
+            say(note)
     if unshipped:
         raise typer.Exit(1)
 

@@ -65,6 +65,28 @@ def called(*arguments):
     return CliRunner().invoke(APP, [str(argument) for argument in arguments])
 
 
+def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_for_them(folder):
+    done = called("export", folder, "--target", "library", "--target", "fmu")
+    assert done.exit_code == 0, done.output
+    assert {path.name for path in (folder / "fmu").iterdir()} == {
+        "x_controller_fmi2.fmu",
+        "x_controller_fmi3.fmu",
+    }
+    assert (folder / "library" / "example.py").is_file()
+    plain = (folder / "bundle" / "piezo_params.h").read_bytes()
+    assert (folder / "library" / "piezo_params.h").read_bytes() == plain
+    assert called("export", folder).exit_code == 0
+    assert not (folder / "fmu").exists()
+    assert not (folder / "library").exists()
+
+
+def test_an_unknown_target_is_refused_before_anything_is_written(folder):
+    done = called("export", folder, "--target", "simulink")
+    assert done.exit_code != 0
+    assert "no target 'simulink'" in str(done.exception)
+    assert not (folder / "params.json").exists()
+
+
 def test_a_designed_folder_is_exported_and_verified(folder):
     assert called("export", folder).exit_code == 0
     names = {path.name for path in (folder / "bundle").iterdir()}

@@ -1,0 +1,225 @@
+"""What is written beside the bundle: opened by the tools that people own, compared bit for bit."""
+
+import csv
+import ctypes
+import io
+import re
+import shutil
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.golden import SAMPLES, golden_csv
+from piezoid.export.targets import TARGETS, known_targets, written_for
+from tests.export.stage import stage
+from tests.runtime.compiler import found, run
+
+FMU_NAMES = [f"fmu/{axis}_controller_fmi{v}.fmu" for axis in "xyz" for v in (2, 3)]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    found("cc", "gcc", "clang")
+    folder = tmp_path_factory.mktemp("made")
+    for name, content in written_for(stage(), TARGETS).files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+    return folder
+
+
+def golden(axis):
+    rows = [row for row in csv.DictReader(io.StringIO(golden_csv(stage()))) if row["axis"] == axis]
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def test_the_same_parameters_give_the_same_bytes_for_every_target():
+    first, again = (written_for(stage(), TARGETS).files for _ in range(2))
+    assert dict(first) == dict(again)
+
+
+def test_an_unknown_target_is_answered_with_those_there_are():
+    with pytest.raises(ParameterFileError, match="no target 'simulink'; one of bundle, fmu, lib"):
+        known_targets(["fmu", "simulink"])
+
+
+def test_the_bundle_alone_adds_nothing():
+    assert not written_for(stage(), known_targets(["bundle"])).files
+
+
+def test_without_a_compiler_the_sources_are_written_and_a_note_says_what_is_missing(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    done = written_for(stage(), TARGETS)
+    assert {name for name in done.files if name.endswith(".fmu")} == set(FMU_NAMES)
+    inside = zipfile.ZipFile(io.BytesIO(done.files[FMU_NAMES[0]])).namelist()
+    assert not [name for name in inside if name.startswith("binaries/")]
+    assert "sources/piezoid_runtime.c" in inside
+    assert "library/piezoid_controller.c" in done.files
+    assert "library/libpiezoid_controller.so" not in done.files
+    assert len(done.notes) == 3
+    assert all("no C compiler" in note for note in done.notes)
+
+
+def test_the_example_plays_the_golden_table_through_the_library(made):
+    assert run(sys.executable, str(made / "library" / "example.py")) == (
+        f"{3 * SAMPLES} samples, 0 differ\n"
+    )
+
+
+def test_the_example_notices_another_answer(made, tmp_path):
+    folder = shutil.copytree(made / "library", tmp_path / "library")
+    table = (folder / "golden.csv").read_text().splitlines()
+    cells = table[500].split(",")
+    cells[3] = repr(float(np.nextafter(float(cells[3]), 99)))
+    (folder / "golden.csv").write_text("\n".join([*table[:500], ",".join(cells), *table[501:]]))
+    with pytest.raises(AssertionError, match="1 differ"):
+        run(sys.executable, str(folder / "example.py"))
+
+
+def test_a_wrong_handle_axis_or_array_is_refused_and_nothing_is_written(made):
+    library = ctypes.CDLL(str(made / "library" / "libpiezoid_controller.so"))
+    library.pz_open.argtypes = (ctypes.c_int32, ctypes.c_double, ctypes.c_double)
+    library.pz_rate_Hz.restype = ctypes.c_double
+    one, word = (ctypes.c_double * 1)(7.0), (ctypes.c_uint32 * 1)(7)
+    assert library.pz_axes() == 3
+    assert library.pz_rate_Hz(0) == 20e3
+    assert library.pz_rate_Hz(3) == 0
+    for axis in (-1, 3):
+        assert library.pz_open(axis, 0.0, 0.0) == -1
+    handle = library.pz_open(0, 0.0, 0.0)
+    assert handle > 0
+    assert library.pz_step(handle, -1, one, one, one, word) == -4
+    assert library.pz_step(handle, 1, one, None, one, word) == -4
+    assert library.pz_close(handle) == 0
+    renewed = library.pz_open(0, 0.0, 0.0)
+    for wrong in (handle, 0, -5, 2**31 - 1, renewed + 1):
+        assert library.pz_step(wrong, 1, one, one, one, word) == -3
+        assert library.pz_reset(wrong) == -3
+        assert library.pz_close(wrong) == -3
+    assert (one[0], word[0]) == (7.0, 7)
+    others = [library.pz_open(1, 0.0, 0.0) for _ in range(63)]
+    assert min(others) > 0
+    assert library.pz_open(1, 0.0, 0.0) == -2
+    for opened in (renewed, *others):
+        assert library.pz_close(opened) == 0
+
+
+def test_the_library_shows_no_name_but_those_of_its_header(made):
+    listed = run(
+        found("nm"), "-D", "--defined-only", str(made / "library/libpiezoid_controller.so")
+    )
+    shown = {line.split()[-1] for line in listed.splitlines()}
+    header = (made / "library" / "piezoid_controller.h").read_text()
+    assert shown == set(re.findall(r"^PZ_PUBLIC \w+ (\w+)\(", header, flags=re.M))
+
+
+def test_a_library_for_windows_shows_the_same_names(made):
+    found("x86_64-w64-mingw32-gcc")
+    listed = run(
+        found("x86_64-w64-mingw32-objdump"), "-p", str(made / "library/piezoid_controller.dll")
+    )
+    shown = set(re.findall(r"\bpz_\w+", listed.split("[Ordinal/Name Pointer] Table")[1]))
+    header = (made / "library" / "piezoid_controller.h").read_text()
+    assert shown == set(re.findall(r"^PZ_PUBLIC \w+ (\w+)\(", header, flags=re.M))
+    needed = set(re.findall(r"DLL Name: (\S+)", listed))
+    assert needed <= {"KERNEL32.dll", "msvcrt.dll"}
+
+
+@pytest.mark.parametrize("name", FMU_NAMES)
+def test_fmpy_has_no_finding(made, name):
+    validation = pytest.importorskip("fmpy.validation")
+    assert validation.validate_fmu(str(made / name)) == []
+
+
+@pytest.mark.parametrize("name", FMU_NAMES)
+@pytest.mark.parametrize("samples_a_step", [1, 7])
+def test_the_golden_answers_come_out_of_the_unit_bit_for_bit(made, name, samples_a_step):
+    fmpy = pytest.importorskip("fmpy")
+    place = "xyz".index(name.split("/")[1][0])
+    table = golden(str(place))
+    rate_Hz = float(stage().axes[place].values["sampling_rate_Hz"])
+    stride = samples_a_step
+    if stride > 1:  # inputs are held for a step: only such a table can be compared
+        from piezoid.runtime.controller import Controller
+
+        held = np.arange(SAMPLES) // stride * stride
+        table = {column: values[held] for column, values in table.items()}
+        controller = Controller(stage().axes[place].values)
+        controller.start(0.0, float(table["measured"][0]))
+        answered = controller.run(table["reference"], table["measured"])
+        table |= {"voltage_double_V": answered.voltage_V, "status_double": answered.status}
+    unit = "A" if place == 2 else "m"
+    steps = SAMPLES // stride
+    described = fmpy.read_model_description(str(made / name))
+    variables = {v.name: v for v in described.modelVariables}
+    assert variables[f"reference_{unit}"].unit == unit
+    assert variables["voltage_V"].unit == "V"
+    folder = fmpy.extract(str(made / name))
+    slave = fmpy.instantiate_fmu(folder, described, fmi_type="CoSimulation")
+    try:
+        voltage_V, status = played(slave, variables, unit, table, rate_Hz, stride, steps)
+    finally:
+        slave.terminate()
+        slave.freeInstance()
+        shutil.rmtree(folder, ignore_errors=True)
+    last = np.arange(1, steps + 1) * stride - 1
+    np.testing.assert_array_equal(voltage_V, table["voltage_double_V"][last])
+    np.testing.assert_array_equal(status, table["status_double"][last])
+
+
+def played(slave, variables, unit, table, rate_Hz, stride, steps):
+    """Master of one unit: set, step, get; time is summed up, as simulators do."""
+    inputs = [variables[f"{name}_{unit}"].valueReference for name in ("reference", "measured")]
+    voltage, status = (variables[name].valueReference for name in ("voltage_V", "status"))
+    is_second = hasattr(slave, "setReal")
+    put = slave.setReal if is_second else slave.setFloat64
+    get = slave.getReal if is_second else slave.getFloat64
+    count = slave.getInteger if is_second else slave.getUInt32
+    if is_second:
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+    else:
+        slave.enterInitializationMode(startTime=0.0)
+    slave.exitInitializationMode()
+    now_s, answers = 0.0, []
+    for step in range(steps):
+        put(inputs, [float(table[name][step * stride]) for name in ("reference", "measured")])
+        slave.doStep(currentCommunicationPoint=now_s, communicationStepSize=stride / rate_Hz)
+        now_s += stride / rate_Hz
+        answers.append((get([voltage])[0], count([status])[0]))
+    return np.array(answers).T
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_simulator_can_run_the_unit_from_its_description_alone(made, version):
+    fmpy = pytest.importorskip("fmpy")
+    done = fmpy.simulate_fmu(
+        str(made / f"fmu/x_controller_fmi{version}.fmu"), start_values={"reference_m": 1e-5}
+    )
+    assert len(done["voltage_V"]) == SAMPLES + 1
+    assert done["voltage_V"][0] == 0
+    assert done["voltage_V"][-1] > 1
+    assert np.isfinite(done["voltage_V"]).all()
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_a_description_of_another_unit_is_refused(made, version, tmp_path):
+    fmpy = pytest.importorskip("fmpy")
+    folder = fmpy.extract(str(made / f"fmu/x_controller_fmi{version}.fmu"), tmp_path / "x")
+    described = fmpy.read_model_description(folder)
+    described.guid = described.instantiationToken = "of another"
+    with pytest.raises(Exception, match=r"[Ff]ailed to instantiate"):
+        fmpy.instantiate_fmu(folder, described, fmi_type="CoSimulation")
+
+
+@pytest.mark.parametrize("version", [2, 3])
+def test_the_sources_inside_compile_with_every_warning(made, version, tmp_path):
+    with zipfile.ZipFile(made / f"fmu/x_controller_fmi{version}.fmu") as unit:
+        unit.extractall(tmp_path)
+    strict = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
+    source = tmp_path / "sources" / f"fmu{version}.c"
+    run(found("cc", "gcc", "clang"), *strict, "-c", str(source), "-o", str(tmp_path / "unit.o"))
