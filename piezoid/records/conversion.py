@@ -67,7 +67,7 @@ def converted(
         if gain_V_per_m is None:
             raise UnitError(
                 f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
-                needed="the sensor's gain is needed to know it in metres",
+                needed="the sensor's gain, to know it in metres",
                 remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
             )
         values = values / gain_V_per_m

@@ -163,7 +163,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     if table.independent and (entry is None or not entry.columns):
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
-            needed="a recording needs its columns as functions of time",
+            needed="columns as functions of time",
             remedy="Use it where a table is asked for (a tunnelling current against height), or "
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
@@ -342,7 +342,7 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
     if rate_Hz is None:
         raise UnitError(
             f"{table.name}: no column is a time and the file states no sampling rate",
-            needed="one of the two is needed to know when each row was recorded",
+            needed="one of the two, to know when each row was recorded",
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
             f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
         )
