@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Json, Quiet
 from piezoid_cli.response_lines import response_lines
-from piezoid_cli.terminal import hand_over, plain
+from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -21,7 +22,8 @@ _LONGEST = 600  # a damaged file's heading fills a hundred screens
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Recordings in any format piezoid reads.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Show the channels, units, clock, noise and problems of recordings.
 
@@ -33,6 +35,8 @@ def inspect(
     piezoid inspect sweep.csv check.csv
 
     piezoid inspect *.csv --lab lab.toml --json > understood.json
+
+    piezoid inspect night/*.csv --quiet && echo all of them can be read
     """
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
@@ -40,6 +44,10 @@ def inspect(
     inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
         hand_over(_json(inspections))
+    elif quiet:
+        for one in inspections:
+            if one.refusal:
+                say(f"no recording: {one.refusal}", err=True)
     else:
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
