@@ -48,13 +48,13 @@ def figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
         replace(
             loops.opened(page, axis, worst, canvas_size=LOOP),
             link=link,
-            seen_as=f"{worst.recording.name}: the loop, line removed",
+            seen_as=f"{worst.recording.name}: loop",
         ),
         replace(
             residual,
             link=link,
             span=span,
-            seen_as=f"{worst.recording.name}: what the model leaves",
+            seen_as=f"{worst.recording.name}: residual",
         ),
     )
 

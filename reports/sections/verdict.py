@@ -121,11 +121,11 @@ def _how_well(page: Page, good: list[AxisModel], wrong: list[AxisModel]) -> str:
     worst = max(good, key=_held_out_percent)
     quality = worst.quality
     alone = len(good) + len(wrong) == 1
-    whose = "On data" if alone else f"On data of axis {worst.axis}"
     seen = "it was not fitted to" if quality.is_tested else "it was fitted to"
+    whose = "" if alone else f" of axis {worst.axis}{_least_known(good)}"
     return (
-        f"{whose} {seen}{_least_known(good)}, it misses the measured "
-        f"displacement by {told(quality.held_out_rms_m, 'm')} rms, "
+        f"On data {seen}, the model misses the measured displacement{whose} by "
+        f"{told(quality.held_out_rms_m, 'm')} rms, "
         f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
         f"{told(quality.noise_rms_m, 'm')} rms{_not_counted(page, good)}."
@@ -181,7 +181,7 @@ def _held_out_percent(axis: AxisModel) -> float:
 
 
 def _least_known(good: list[AxisModel]) -> str:
-    return ", its worst axis" if len(good) > 1 else ""
+    return ", its worst," if len(good) > 1 else ""
 
 
 def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:
