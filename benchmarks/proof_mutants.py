@@ -44,7 +44,7 @@ LATERAL: tuple[Slip, ...] = (
     ("convert", "clamp(wanted, p->voltage_minimum_V, p->voltage_maximum_V)", "wanted"),
     ("convert", "s->command_V = command", "s->command_V = wanted"),
     ("convert", "to_code(p, command)", "to_code(p, wanted)"),
-    ("start_lateral", "i < p->play_count", "i <= PZ_MAX_PLAYS"),
+    ("recall", "i < p->play_count", "i <= PZ_MAX_PLAYS"),
     ("start_lateral", "clamp(s->measured, p->reference_minimum_m, p->reference_maximum_m)",
      "s->measured"),
     ("take_reference", "clamp(reference, p->reference_minimum_m, p->reference_maximum_m)",

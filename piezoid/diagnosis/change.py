@@ -210,7 +210,10 @@ def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
     measured_m = recording.displacement_m(model.axis)
     error_m = measured_m - simulate_recording(model, recording)
     parts = [part for part in recording.pieces if np.isfinite(error_m[part]).all()]
-    out = [part.start + k for part in parts for k in outlying(error_m[part]).tolist()]
+    drive_V = recording.voltage_V(model.axis)
+    out = [
+        part.start + k for part in parts for k in outlying(error_m[part], drive_V[part]).tolist()
+    ]
     if not out:
         return recording
     place = np.arange(recording.samples)

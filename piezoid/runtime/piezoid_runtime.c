@@ -15,6 +15,7 @@
 #define ONE PZ_REAL(1)
 #define MOST_DOUBLED 10   /* times that a retract's samples, at most 1e6, are doubled */
 #define REPEATED 2        /* unchanged readings after which an extension learns nothing any more */
+#define HALVINGS 64       /* of the drive's range: more than a double has bits */
 #define READY 0x507A1D01u /* in state->ready: pz_start has accepted the parameters */
 
 enum { CONTROLS = 0, APPROACHES = 1, LATCHED = 2 }; /* state->mode */
@@ -671,16 +672,53 @@ static void rest_lateral(pz_state *s, const pz_parameters *p, pz_real y) {
     filter_rest(p->command_section, p->command_section_count, s->command_filter, moved);
 }
 
-static void start_lateral(pz_state *s, const pz_parameters *p, pz_real measured) {
+/* The memory of a stage that came to rest at `u` straight from `extreme`. */
+static void recall(const pz_parameters *p, pz_real *z, pz_real extreme, pz_real u) {
     for (int32_t i = 0; i < p->play_count; ++i) {
-        s->play_V[i] = p->play_memory_V[i];
+        z[i] = p->play_memory_V[i];
     }
-    remember(p, s);
-    const pz_real model =
-        (pz_real)p->polarity * static_displacement(p, s) + p->displacement_offset_m;
-    s->measured = is_finite(measured)
-                      ? clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m)
-                      : model;
+    play_follow(p, z, extreme);
+    play_follow(p, z, u);
+}
+
+/* Of all extremes the drive reaches, the one from which the model comes to rest at y: the farther
+ * it went, the more of the way stays. Halved until it is known to the last bit; a rest that no
+ * extreme explains leaves the one nearest to it, and the difference to the bias. */
+static void recall_rest(pz_state *s, const pz_parameters *p, pz_real u, pz_real y) {
+    pz_real crept = ONE; /* over the static displacement */
+    for (int32_t i = 0; i < p->relaxation_count; ++i) {
+        crept += p->relaxation_share[i];
+    }
+    if (!(crept > ZERO)) {
+        return;
+    }
+    const pz_real wanted = psi(p, y / crept, 1);
+    const int above = wanted > play_sum(p, s->play_V);
+    const pz_real end_V = above ? p->voltage_maximum_V : p->voltage_minimum_V;
+    pz_real near_V = u;
+    pz_real far_V = envelope(p, end_V - p->voltage_offset_V, 0);
+    for (int32_t i = 0; i < HALVINGS; ++i) {
+        const pz_real middle_V = PZ_REAL(0.5) * near_V + PZ_REAL(0.5) * far_V;
+        recall(p, s->play_V, middle_V, u);
+        if ((wanted > play_sum(p, s->play_V)) == above) {
+            near_V = middle_V;
+        } else {
+            far_V = middle_V;
+        }
+    }
+}
+
+static void start_lateral(pz_state *s, const pz_parameters *p, pz_real measured) {
+    const pz_real u = envelope(p, s->voltage_V - p->voltage_offset_V, 0);
+    recall(p, s->play_V, u, u);
+    if (is_finite(measured)) {
+        s->measured = clamp(measured, p->displacement_minimum_m, p->displacement_maximum_m);
+        if (has_plays(p)) {
+            recall_rest(s, p, u, centred(p, s->measured));
+        }
+    } else {
+        s->measured = (pz_real)p->polarity * static_displacement(p, s) + p->displacement_offset_m;
+    }
     s->reference_m = clamp(s->measured, p->reference_minimum_m, p->reference_maximum_m);
     rest_lateral(s, p, centred(p, s->measured));
 }

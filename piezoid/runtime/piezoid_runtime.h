@@ -332,8 +332,11 @@ int32_t pz_check(const pz_parameters *parameters);
 /* Set `state` to rest so that the next step with reference == measured returns voltage_V (clipped
  * and rounded as the converter does). Checks first and answers as pz_check; a refused state makes
  * pz_step return the voltage nearest 0 inside the limits, and say NOT_STARTED.
- * Creep counts as having come to rest. Without feedback (none, mpi) references are from here on
- * relative to what the sensor shows now; with NaN for `measured` they are the model's own.
+ * Creep counts as having come to rest. The memory of the hysteresis is set so that the model rests
+ * where the sensor shows: as if the stage had come straight from the one extreme, within the
+ * limits of the voltage, that explains it. What no extreme explains is taken for a shift of the
+ * sensor's zero: without feedback (none, mpi) references count from it. With NaN for `measured`
+ * memory and references are the model's own.
  *   voltage_V  V       what the converter puts out now; not finite: nearest 0 inside the limits
  *   measured   m or A  what the sensor shows now; not finite: what the model says */
 int32_t pz_start(pz_state *state, const pz_parameters *parameters, pz_real voltage_V,

@@ -1,7 +1,7 @@
 """Plant and compiled runtime together, sample by sample, from a parameter file's numbers."""
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -70,6 +70,11 @@ class LoopRecord:
     def rms_error(self) -> float:
         """Root of the mean squared error."""
         return float(np.sqrt(np.mean(self.error**2)))
+
+    def after(self, samples: int) -> "LoopRecord":
+        """Return the record without its first samples."""
+        names = ("reference", "position", "measured", "voltage_V", "status", "driven")
+        return replace(self, **{name: getattr(self, name)[samples:] for name in names})
 
     def to_frame(self) -> "DataFrame":
         """Return a pandas DataFrame, a row for each sample; positions in m (junction: A)."""

@@ -25,7 +25,8 @@ class Hysteresis:
 
     operator       rising with the drive
     history_V      where the drive turned before every run, before it came to rest; none: the axis
-                   is de-poled, as a controller that knows nothing of it takes it to be
+                   is de-poled
+    pasts_V        histories it may as well have had, for what depends on them
     polarity       -1 where the displacement falls as the drive rises
     discrepancy    a second hysteresis beside it; None: the operator is all
     low_V, high_V  the drive is clipped to them
@@ -36,6 +37,7 @@ class Hysteresis:
     operator: ModifiedPrandtlIshlinskii
     polarity: int = 1
     history_V: tuple[float, ...] = ()
+    pasts_V: tuple[tuple[float, ...], ...] = ()
     discrepancy: Discrepancy | None = None
     low_V: float = -np.inf
     high_V: float = np.inf
@@ -196,6 +198,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
     front_Hz = _poles_Hz(loop.front)
     low_V, high_V = loop.drive_range_V
     time_s, strain_m = loop.activation
+    pasts_V = _pasts_V(model)
     readings = [e for e in model.extensions if isinstance(e, PeriodicError)]
     return AxisPlant(
         axis=model.axis,
@@ -204,7 +207,8 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         response=Hysteresis(
             operator=model.hysteresis,
             polarity=model.polarity,
-            history_V=_before(model),
+            history_V=pasts_V[0],
+            pasts_V=pasts_V,
             discrepancy=model.discrepancy,
             low_V=low_V,
             high_V=high_V,
@@ -275,15 +279,26 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
     return replace(plant, response=changed, label=label)
 
 
-def _before(model: AxisModel) -> tuple[float, float]:
-    """Return a loop over half of the recorded range: stages are moved before they are used.
+def with_pasts(plant: AxisPlant) -> tuple[AxisPlant, ...]:
+    """Return the plant as each of its possible pasts left it; itself where it has but one."""
+    response = plant.response
+    if not isinstance(response, Hysteresis) or not response.pasts_V:
+        return (plant,)
+    return tuple(
+        replace(plant, response=replace(response, history_V=past_V)) for past_V in response.pasts_V
+    )
 
-    An inverse without feedback starts from a memory that is not the stage's; a plant that starts
-    where the inverse does shows an error that no stage has.
+
+def _pasts_V(model: AxisModel) -> tuple[tuple[float, ...], ...]:
+    """Return how a stage was driven before it came to rest: over all of its range, then to rest
+    from its upper end at once, or from its lower end after a turn at a quarter of the range.
+
+    The first reading tells a controller of a past with one extreme; of turns within turns it
+    cannot. A stage that starts where the inverse does shows an error that no stage has.
     """
     low_V, high_V = model.voltage_V
     quarter_V = 0.25 * (high_V - low_V)
-    return high_V - quarter_V, low_V + quarter_V
+    return (high_V, low_V, high_V - quarter_V), (low_V, high_V)
 
 
 def _poles_Hz(declared: ContinuousSystem) -> tuple[float, ...]:

@@ -15,7 +15,7 @@ from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.over_surface import judge_tips, run_tips
-from piezoid.verification.plant import AxisPlant
+from piezoid.verification.plant import AxisPlant, with_pasts
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS, Scenario
 from piezoid.verification.tip_trials import TIP_TRIALS, TipTrial, judge_trials
@@ -139,43 +139,49 @@ def _tracked(
 def _run(bench: Bench, scenario: Scenario) -> None:
     """Run what ships, the other methods where they are compared, and the tip over a surface."""
     path = scenario.path(bench.rate_Hz)
-    records = _lateral(bench, path) if bench.lateral else {}
-    if records:
-        _judge(bench, scenario, path, records)
+    records: dict[str, LoopRecord] = {}
+    if scenario.is_compared and bench.lateral:
+        records = _compare(bench, scenario, path)
+    elif bench.lateral:
+        records = _lateral(bench, path)
+        _judge(bench, scenario, records, _tracked(bench, scenario, path, records))
     if scenario.kind == "spiral":
         judge_tips(bench, scenario, path, records)
 
 
 def _judge(
-    bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
+    bench: Bench,
+    scenario: Scenario,
+    records: Mapping[str, LoopRecord],
+    found: Tracking,
 ) -> None:
     if scenario.kind == "steps":  # which may use all the drive there is
         for record in records.values():
             bench.verdicts.extend(criteria.settling(scenario.name, record, bench.limits))
         return
     bench.verdicts.append(criteria.reserve(scenario.name, list(records.values())))
-    found = _tracked(bench, scenario, path, records)
     if scenario.frequency_Hz <= bench.limits.judged_Hz:
         limit = bench.limits.aligned_percent
         bench.verdicts.append(criteria.shape(scenario.name, found, bench.radius_m, limit))
-    if scenario.is_compared:
-        _compare(bench, scenario, path, found, records)
 
 
-def _compare(
-    bench: Bench,
-    scenario: Scenario,
-    path: Path,
-    shipped: Tracking,
-    records: Mapping[str, LoopRecord],
-) -> None:
-    first, *others = bench.methods()
-    found = {first: shipped}
-    _trace(bench, scenario, path, records, first, shipped)
-    for method in others:
-        records = _lateral(bench, path, method)
-        found[method] = _tracked(bench, scenario, path, records)
-        _trace(bench, scenario, path, records, method, found[method])
+def _compare(bench: Bench, scenario: Scenario, path: Path) -> dict[str, LoopRecord]:
+    """Run every method from every past, and keep the worst: what ships is judged by it too.
+
+    Returns the records of what ships.
+    """
+    pasts = _pasts(bench)
+    found: dict[str, Tracking] = {}
+    shipped: dict[str, LoopRecord] = {}
+    for method in bench.methods():
+        runs = [_lateral(bench, path, method, plants) for plants in pasts]
+        tracked = [_tracked(bench, scenario, path, records) for records in runs]
+        worst = max(range(len(runs)), key=lambda k: tracked[k].rms_m)
+        found[method] = tracked[worst]
+        _trace(bench, scenario, path, runs[worst], method, found[method])
+        if not shipped:
+            shipped = runs[worst]
+            _judge(bench, scenario, shipped, found[method])
     for method, numbers in found.items():
         bench.comparison.append(
             ComparisonRow(
@@ -196,8 +202,17 @@ def _compare(
                 pitch_error=numbers.pitch_error,
             )
         )
+    first = bench.methods()[0]
     if "none" in found and first != "none":
-        bench.verdicts.append(criteria.against_none(scenario.name, shipped, found["none"]))
+        bench.verdicts.append(criteria.against_none(scenario.name, found[first], found["none"]))
+    return shipped
+
+
+def _pasts(bench: Bench) -> list[dict[str, AxisPlant]]:
+    """Return all plants by axis, as each past left them; each axis has as many as the most."""
+    by_axis = {name: with_pasts(plant) for name, plant in bench.plants.items()}
+    count = max(len(pasts) for pasts in by_axis.values())
+    return [{name: p[k % len(p)] for name, p in by_axis.items()} for k in range(count)]
 
 
 def _trace(

@@ -56,6 +56,35 @@ def test_with_a_good_model_the_combination_is_never_worse_than_the_observer_alon
             assert aligned_m < found["dob", f] < found["none", f]
 
 
+def at_20_Hz(response):
+    """Errors of every method at 20 Hz, the plant having this response."""
+    file = ParameterFile(name="one axis", axes=(stage().axis("x"),))
+    found = verify(file, [lateral(response=response)], scenarios=QUICK[:1], trials=())
+    return {row.method: row for row in found.comparison}
+
+
+def test_the_figures_foretell_stages_with_any_past(rng):
+    """Nobody knows how a stage was driven before it came to rest; its figures allow for it."""
+    known = PLANTS[0].response
+    turned = ((10.0, -10.0, 5.0), (-10.0, 10.0))
+    own = at_20_Hz(replace(known, history_V=turned[0], pasts_V=turned))
+    ratios = {method: [] for method in own}
+    for _ in range(12):
+        past_V = tuple(rng.uniform(-10.0, 10.0, 3).tolist())
+        for method, row in at_20_Hz(replace(known, history_V=past_V)).items():
+            ratios[method].append(row.rms_m / own[method].rms_m)
+    for method, found in ratios.items():
+        assert max(found) < 2.0, method
+        assert np.median(found) > 0.25, method
+
+
+def test_a_path_is_judged_from_where_the_stage_was_led_to(whole):
+    """No sample of the comparison shows the jump from rest to the path."""
+    for row in whole.comparison:
+        if row.method == "mpi_dob" and row.frequency_Hz <= 20.0:
+            assert row.max_m < 8.0 * row.rms_m
+
+
 def test_the_record_returns_exactly_and_a_changed_bit_is_refused(whole):
     content = whole.to_json()
     assert verification_from_json(content).to_json() == content

@@ -37,7 +37,13 @@ from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
 from piezoid.identification.hysteresis.scope import scope_of
-from piezoid.identification.hysteresis.search import Fitted, Settings, continued, search
+from piezoid.identification.hysteresis.search import (
+    Fitted,
+    Settings,
+    continued,
+    search,
+    searched_from,
+)
 from piezoid.identification.hysteresis.sensor_noise import sensor_noise
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
@@ -78,7 +84,8 @@ def estimate_axis(
 ) -> AxisModel:
     """Fit one axis: convex start, Gauss-Newton, order by held-out error, uncertainty, verdict.
 
-    recordings  of this axis, each with its own memory and zero
+    recordings  of this axis, each with its own memory and zero; their order changes nothing but
+                that of ``starts``
     axis        name
     rig         poles the laboratory declares
     orders      (plays, dead zones per side) to choose from
@@ -87,7 +94,8 @@ def estimate_axis(
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
-    ready = _prepare(recordings, axis, rig, progress)
+    ordered = by_name(recordings)
+    ready = _prepare(ordered, axis, rig, progress)
     choosing, tried, in_loops = _choosing(ready, orders)
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
@@ -98,8 +106,18 @@ def estimate_axis(
     against = lag or only_lag or in_loops or reason_of_error(ready.pieces, choice)
     progress("final fit")
     fitted = _final(ready, choice)
-    found = _axis_model(recordings, axis, rig, ready, choice, fitted, against)
-    return replace(found, quality=replace(found.quality, limits=limits))
+    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against)
+    given = [recording.name for recording in recordings]
+    starts = tuple(sorted(found.starts, key=lambda start: given.index(start.recording)))
+    return replace(found, starts=starts, quality=replace(found.quality, limits=limits))
+
+
+def by_name(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    """Return recordings in the one order in which they are fitted.
+
+    Which are left out together follows from it, and in the last digit every sum over rows.
+    """
+    return tuple(sorted(recordings, key=lambda recording: recording.name))
 
 
 def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[Limit, ...], str]:
@@ -143,7 +161,7 @@ def bent_trials(
 
     For another process: they are a third of the choice and need nothing of the rest of it.
     """
-    ready = _prepare(recordings, axis, rig, lambda _: None)
+    ready = _prepare(by_name(recordings), axis, rig, lambda _: None)
     choosing, tried, _ = _choosing(ready, orders)
     return tuple(attempted(ready.pieces, shape, choosing) for shape in bent_shapes(tried))
 
@@ -190,8 +208,18 @@ def longest_lag_s(pieces: Sequence[Piece]) -> float:
 
 
 def _final(ready: Prepared, choice: Choice) -> Fitted:
-    settings = replace(ready.settings, rows=FINAL_ROWS)
-    fitted = search(ready.pieces, choice.best.shape, settings)
+    """Search over all rows; from the folds' operators as well where that ends above the error they
+    left on rows unseen: there is a better place then.
+    """
+    settings, best = replace(ready.settings, rows=FINAL_ROWS), choice.best
+    fitted = search(ready.pieces, best.shape, settings)
+    if fitted.minimum.rms > best.held_out_rms:
+        begun = (
+            searched_from(ready.pieces, operator, best.shape.lag, settings)
+            for operator in best.fitted
+        )
+        better = min((fitted, *begun), key=lambda found: found.minimum.rms)
+        fitted = replace(better, kkt_gap=fitted.kkt_gap)
     fitted = simplified(fitted, iterations=settings.iterations)
     if fitted.task.stride == 1:
         return fitted

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.coordinates import Scaled, Shape
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.hysteresis.search import (
@@ -50,23 +50,29 @@ class Trial:
 
     shape     what was fitted
     residual  (rows,)  on rows the fits of all folds did not see, scaled units
-    lag_s     fitted lag, of the last fold
+    fitted    the operator of each fold, scaled units
     """
 
     shape: Shape
     residual: Array
-    lag_s: float
+    fitted: tuple[Scaled, ...]
 
     @property
     def held_out_rms(self) -> float:
         """Return the rms of the residual."""
         return float(np.sqrt(np.mean(self.residual**2)))
 
+    @property
+    def lag_s(self) -> float:
+        """Return the fitted lag of the last fold."""
+        return self.fitted[-1].lag_s
+
     @classmethod
-    def of(cls, shape: Shape, folds: Sequence[tuple[Array, float]]) -> "Trial":
-        """Return the trial whose folds left these residuals and found these lags."""
+    def of(cls, shape: Shape, folds: Sequence[tuple[Array, Scaled]]) -> "Trial":
+        """Return the trial whose folds left these residuals and found these operators."""
         residuals = [residual for residual, _ in folds]
-        return cls(shape=shape, residual=np.concatenate(residuals), lag_s=folds[-1][1])
+        fitted = tuple(operator for _, operator in folds)
+        return cls(shape=shape, residual=np.concatenate(residuals), fitted=fitted)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,8 +223,8 @@ def attempt(
     """
     room = within**2 * sum(_unseen_rows(*fold) for fold in folds_of(pieces)) * (1.0 + ROUNDED)
     found = []
-    for residual, lag_s in _folded(pieces, shape, settings):
-        found.append((residual, lag_s))
+    for residual, operator in _folded(pieces, shape, settings):
+        found.append((residual, operator))
         room -= float(residual @ residual)
         if room < 0.0:
             return None
@@ -228,11 +234,11 @@ def attempt(
 
 def _folded(
     pieces: Sequence[Piece], shape: Shape, settings: Settings
-) -> Iterator[tuple[Array, float]]:
+) -> Iterator[tuple[Array, Scaled]]:
     """Fit a shape to every fold's training part and look at the part it did not see."""
     for training, testing in folds_of(pieces):
         fitted = search(training, shape, settings)
-        yield _unseen(fitted, training, testing), fitted.operator.lag_s
+        yield _unseen(fitted, training, testing), fitted.operator
 
 
 def _recordings(pieces: Sequence[Piece]) -> int:

@@ -4,7 +4,9 @@
 
 What a rough fit does not follow is smooth beside a single wrong reading, so the residual tells it
 where the response itself is steep. Where many neighbours stand out as far, it rings: ``local`` is
-the 70 % quantile of |d| around. [Hampel 1974]
+the 70 % quantile of |d| around. Behind a turn of the drive a rough fit errs by the same every
+time: there ``local`` is at least that quantile of |d| at as many samples behind the other turns.
+[Hampel 1974]
 """
 
 from collections.abc import Sequence
@@ -16,6 +18,7 @@ from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.search import Fitted, continued
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Samples
+from piezoid.records.sweep import noise_of, reversals_of
 
 FAR = 8.0  # times: one of 1e15 normal residuals
 WIDTH = 9  # samples of the median, of which four may be wrong
@@ -23,6 +26,8 @@ AROUND = 10  # samples on either side that say whether it rings
 RINGING = 0.7  # of these
 STEEP = 0.8  # of its distance from the median: less is a corner
 SOLE = 0.9  # of a pair's, for a corner is three quarters
+BEFORE, BEHIND = 2, 8  # samples about a turn in which a law bends as a rough fit does not
+TURNS = 3  # so many say what is usual there
 PASSES = 3  # one of two beside each other may hide the other
 MOST = 0.1  # of a piece: more are no outliers
 
@@ -49,7 +54,7 @@ def left_out_of(before: Sequence[Piece], after: Sequence[Piece]) -> tuple[str, .
 
 
 def _without(piece: Piece, error: Array) -> Piece:
-    out = outlying(error)
+    out = outlying(error, piece.drive)
     out = out[(out >= piece.first) & (out < piece.last)]
     if not len(out):
         return piece
@@ -61,18 +66,43 @@ def _without(piece: Piece, error: Array) -> Piece:
     )
 
 
-def outlying(error: Array) -> Samples:
-    """Return which samples of a residual stand out of their neighbours, increasing."""
+def outlying(error: Array, drive: Array) -> Samples:
+    """Return which samples of a residual stand out of their neighbours, increasing.
+
+    error, drive  (samples,)  any unit
+    """
+    lag = _behind_turns(drive)
     good = np.arange(len(error))
     for _ in range(PASSES):
-        fresh = _standing_out(error[good]) if len(good) > 4 * WIDTH else good[:0]
+        fresh = _standing_out(error[good], lag[good]) if len(good) > 4 * WIDTH else good[:0]
         if not len(fresh):
             break
         good = np.delete(good, fresh)
     return np.setdiff1d(np.arange(len(error)), good)
 
 
-def _standing_out(error: Array) -> Samples:
+def _behind_turns(drive: Array) -> Samples:
+    """Return how many samples each lies behind a turn; ``BEHIND`` + 1 for those behind none."""
+    turns = np.array([0, *reversals_of(drive, noise_of(drive))])
+    lag = np.full(len(drive), BEHIND + 1)
+    if len(turns) > TURNS:
+        for behind in (*range(-BEFORE, 0), *range(BEHIND, -1, -1)):
+            place = turns + behind
+            lag[place[(place >= 0) & (place < len(drive))]] = behind
+    return lag
+
+
+def _usual(apart: Array, lag: Samples) -> Array:
+    """Return what is usual as many samples behind a turn, 0 elsewhere, (samples,)."""
+    usual = np.zeros(len(apart))
+    for behind in range(-BEFORE, BEHIND + 1):
+        there = lag == behind
+        if np.count_nonzero(there) > TURNS:
+            usual[there] = np.quantile(apart[there], RINGING)
+    return usual
+
+
+def _standing_out(error: Array, lag: Samples) -> Samples:
     reach = WIDTH // 2
     padded = np.pad(error, reach, mode="reflect", reflect_type="odd")
     apart = np.abs(
@@ -84,7 +114,7 @@ def _standing_out(error: Array) -> Samples:
         return np.zeros(0, dtype=np.intp)
     near = [apart[max(k - AROUND, 0) : k + AROUND + 1] for k in far.tolist()]
     local = np.array([np.quantile(values, RINGING) for values in near])
-    far = far[apart[far] > FAR * local]
+    far = far[apart[far] > FAR * np.maximum(local, _usual(apart, lag)[far])]
     return np.asarray(far[_steep(error, far) > STEEP * apart[far]])
 
 

@@ -92,6 +92,18 @@ def search(pieces: Sequence[Piece], shape: Shape, settings: Settings) -> Fitted:
     )
 
 
+def searched_from(
+    pieces: Sequence[Piece], operator: Scaled, lag: str, settings: Settings
+) -> Fitted:
+    """Fit the shape of an operator from there: zeros and memory first, then all of it."""
+    task = task_for(pieces, operator, lag, settings)
+    held = replace(task, held=tuple(task.coordinates.slices))
+    begun = minimise(
+        vector_of(operator, task.coordinates), held, iterations=settings.iterations // 3
+    )
+    return _searched(Fitted(task=task, minimum=begun, kkt_gap=0.0), settings)
+
+
 def _searched(begun: Fitted, settings: Settings) -> Fitted:
     minimum = minimise(begun.minimum.theta, begun.task, iterations=settings.iterations)
     return replace(begun, minimum=minimum)

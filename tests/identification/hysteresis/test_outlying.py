@@ -1,0 +1,42 @@
+"""Single readings that stand out of a rough fit: sparks, and not the corners of a law."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.identification.hysteresis.estimate import estimate_axis
+from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.numerics.arrays import Array
+from piezoid_datasets.virtual_lab.truths import ZOO
+from tests.laws import recorded, triangles
+
+SIZES = (1.0, 0.8, 0.6, 0.9, 0.5, 1.0)
+FIELD = np.concatenate([size * (triangles(1, 200) + 1.0) - 1.0 for size in SIZES])
+NO_POLES = Rig(amplifier_bandwidth_Hz=None, sensor_bandwidth_Hz=None)
+BENT = ("dahl", "generalised_bouc_wen", "coleman_hodgdon", "wall_pinning")
+
+
+def said_of(folder: Path, reading_um: Array) -> str:
+    recording = recorded(folder, FIELD, reading_um)
+    found = estimate_axis([recording], "x", NO_POLES, orders=((4, 1),))
+    return " ".join(remark for remark in found.verdict.remarks if "single readings" in remark)
+
+
+def clean_um(law: str) -> Array:
+    ceramic = next(truth for truth in ZOO if truth.name == law).draw(np.random.default_rng(77))
+    moved_um = 30 * sum(ceramic.respond(FIELD, np.array([1.0, -1.0])))
+    return np.asarray(moved_um + 0.01 * np.random.default_rng(9).standard_normal(len(FIELD)))
+
+
+@pytest.mark.parametrize("law", BENT)
+def test_what_a_law_does_behind_every_turn_is_no_single_reading(law: str, tmp_path: Path) -> None:
+    assert said_of(tmp_path, clean_um(law)) == ""
+
+
+@pytest.mark.parametrize("law", BENT)
+def test_sparks_of_a_hundredth_of_the_range_are_left_out(law: str, tmp_path: Path) -> None:
+    reading_um = clean_um(law)
+    reading_um[57::113] += 0.8  # in the middle of branches, and three samples behind a turn
+    reading_um[803] -= 0.8
+    assert "12 single readings" in said_of(tmp_path, reading_um)
