@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Quiet
+from piezoid_cli.progress import shown
 from piezoid_cli.terminal import doing, hand_over, one_line, plain
 
 if TYPE_CHECKING:
@@ -29,7 +32,7 @@ def batch(
     force: Annotated[
         bool, typer.Option("--force", help="Do stages again whose files have changed.")
     ] = False,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print batch.json itself.")
     ] = False,
@@ -69,7 +72,7 @@ def _all(
     plan: "Plan",
     out: Path,
     scheduler: str,
-    count: int | None,
+    processes: int | None,
     retries: int,
     ended: "Callable[[FleetStage], None]",
 ) -> "list[FleetStage]":
@@ -81,7 +84,7 @@ def _all(
     stages = list(plan.finished)
     if not plan.waiting:
         return stages
-    with cluster(scheduler, count) as client:
+    with cluster(scheduler, processes) as client:
         for done in results(client, plan.waiting, retries):
             keep(out, done)
             stages.append(done.stage)
@@ -124,9 +127,13 @@ def _bar(plan: "Plan", *, quiet: bool) -> "Iterator[Callable[[FleetStage], None]
         doing(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         Remaining(),
     )  # fmt: skip
-    hidden = quiet or not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
-        whole = len(plan.waiting) + len(plan.finished)
+    whole = len(plan.waiting) + len(plan.finished)
+    if quiet or not console.is_terminal:
+        with shown(quiet=quiet) as told:
+            numbers = count(len(plan.finished) + 1)
+            yield lambda stage: told(f"{next(numbers)} of {whole} stages done: {stage.name}")
+        return
+    with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("stages", total=whole, completed=len(plan.finished))
         yield lambda stage: progress.update(task, advance=1, description=one_line(stage.name))
 

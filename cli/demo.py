@@ -5,10 +5,12 @@ from typing import Annotated
 
 import typer
 
+from piezoid_cli.options import Force, Json, Quiet
+
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("piezoid-demo"),
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    force: Force = False,
     processes: Annotated[
         int | None,
         typer.Option(
@@ -16,7 +18,8 @@ def demo(
             min=1,
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Calibrate the bundled three-axis stage: `piezoid fit` on recordings that come with piezoid.
 
@@ -42,5 +45,5 @@ def demo(
         stream=False,
         processes=processes,
         quiet=quiet,
-        json=False,
+        json=json,
     )

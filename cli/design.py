@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import plain, say
+from piezoid_cli.options import Quiet
+from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -26,7 +27,10 @@ def design(
     lab: Annotated[
         Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
     ] = None,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="For scripts: print design.json itself.")
+    ] = False,
 ) -> None:
     """Design the controllers of a stage: write design.json and design.html beside model.json.
 
@@ -38,6 +42,8 @@ def design(
     piezoid design stage42/
 
     piezoid design stage42/ --rate 20000 --spec design.toml
+
+    piezoid design stage42/ --json | jq .axes[].loops[].bandwidth_Hz
     """
     from json import loads
 
@@ -52,7 +58,7 @@ def design(
     content = content_of(stage / "model.json")
     model = read_model(content, str(stage / "model.json"))
     asked = None if spec is None else Asked(text=text_of(spec), place=spec.name)
-    with shown(quiet=quiet) as told:
+    with shown(quiet=quiet or json) as told:
         found = design_stage(
             model,
             model_digest=loads(content)["digest"],
@@ -62,8 +68,11 @@ def design(
             progress=told,
         )
     page = render_design(model, found)
-    add_to_folder(stage, {"design.json": found.to_json(), "design.html": page.encode()})
-    if not quiet:
+    written = found.to_json()
+    add_to_folder(stage, {"design.json": written, "design.html": page.encode()})
+    if json:
+        hand_over(written)
+    elif not quiet:
         show(found)
         show_unshipped(found.refused)
         say(f"design: {stage / 'design.json'}, {stage / 'design.html'}")

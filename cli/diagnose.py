@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Force, Quiet
 from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ def diagnose(
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
     axis: Annotated[str | None, typer.Option(help="Which axis; default: the first.")] = None,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    force: Force = False,
+    quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print diagnosis.json itself.")
     ] = False,

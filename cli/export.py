@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import plain, say
+from piezoid_cli.options import Json, Quiet
+from piezoid_cli.terminal import hand_over_record, plain, say
 
 
 def export(
@@ -18,7 +19,8 @@ def export(
         list[str] | None,
         typer.Option(help="Beside the bundle: fmu, library. May be given more than once."),
     ] = None,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
 
@@ -31,11 +33,13 @@ def export(
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
     keeps no other back.
 
-    [bold]Example[/bold]
+    [bold]Examples[/bold]
 
     piezoid export stage42/ && cc -std=c99 stage42/bundle/*.c -o controller
 
     piezoid export stage42/ --target fmu --target library
+
+    piezoid export stage42/ --json | jq .methods
     """
     from json import loads
 
@@ -58,7 +62,7 @@ def export(
     same_model(model_content, design.model_digest, "design.json", "piezoid design")
     digest = loads(content)["digest"]
     declared = lab_of(stage, lab)
-    with shown(quiet=quiet) as told:
+    with shown(quiet=quiet or json) as told:
         found = shipped(
             model,
             design,
@@ -77,7 +81,15 @@ def export(
     contents["verification.json"] = found.verification.to_json()
     add_to_folder(stage, contents, gone=("params.json", *TARGETS, REFUSED))
     unshipped = found.reasons if file is None else file.unshipped
-    if not quiet:
+    if json:
+        hand_over_record(
+            "exported",
+            methods={axis.axis: axis.method for axis in (() if file is None else file.axes)},
+            unshipped=dict(unshipped),
+            files=sorted(contents),
+            notes=[] if beside is None else list(beside.notes),
+        )
+    elif not quiet:
         for axis in () if file is None else file.axes:
             others = f", to compare {', '.join(axis.methods[1:])}" if axis.alternatives else ""
             say(f"axis {axis.axis}: {axis.method}{others}")

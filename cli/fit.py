@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from piezoid_cli.options import Force, Json, Quiet
 from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def fit(
     files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
     out: Annotated[Path, typer.Option(help="Folder for the results.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
+    force: Force = False,
     stream: Annotated[
         bool,
         typer.Option(
@@ -39,8 +40,8 @@ def fit(
             min=1,
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Do all of it: fit a stage, diagnose it, design its controllers, verify what ships.
 

@@ -5,14 +5,18 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.terminal import say
+from piezoid_cli.options import Json, Quiet
+from piezoid_cli.terminal import hand_over_record, say
 
 
 def init(
     files: Annotated[list[Path], typer.Argument(help="Recordings of one stage, any number.")],
     out: Annotated[Path, typer.Option(help="The file to write.")] = Path("lab.toml"),
-    force: Annotated[bool, typer.Option(help="Replace the file if it is there.")] = False,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace the file if it is there.")
+    ] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Write a commented lab.toml from recordings, after showing what was understood.
 
@@ -27,6 +31,8 @@ def init(
     piezoid init sweep.csv check.csv
 
     piezoid init data/*.csv --out data/lab.toml
+
+    piezoid init data/*.csv --out data/lab.toml --json | jq .incomplete[]
     """
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab_draft import draft_lab
@@ -35,14 +41,16 @@ def init(
     from piezoid_cli.progress import shown
 
     check_free_file(out, force=force)
-    with shown(quiet=quiet) as told:
+    with shown(quiet=quiet or json) as told:
         told("reading recordings")
         inspections = inspect_files(files)
         draft = draft_lab(files, out.parent)
-    if not quiet:
+    if not (quiet or json):
         show(inspections)
     write_file(out, draft.text.encode())
-    if not quiet:
+    if json:
+        hand_over_record("drafted", file=str(out), incomplete=list(draft.incomplete))
+    elif not quiet:
         say(f"written: {out}; complete what you know, then pass it with --lab {out}")
     if draft.incomplete:
         names = ", ".join(draft.incomplete)

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Json, Quiet
 from piezoid_cli.response_lines import response_lines
-from piezoid_cli.terminal import hand_over, plain
+from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -15,13 +16,19 @@ if TYPE_CHECKING:
 
 # Only these take a prefix: a unit of the file may have its own, and kilo-nanonewtons are none.
 _TAKE_PREFIX = ("s", "V", "m", "A", "K", "Hz")
+HEADINGS = ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state")
+_LABEL, _MEANING = 1, 2  # of words
+_ALWAYS = 6  # of them; the others are left out where no column has anything to say
+_GAP, _NARROW = 2, 24  # characters: between columns, and of both columns of words at least
+_EXACT = 1e-10  # of a column's range: what ten digits in a file round off is no noise
 _LONGEST = 600  # a damaged file's heading fills a hundred screens
 
 
 def inspect(
     files: Annotated[list[Path], typer.Argument(help="Recordings in any format piezoid reads.")],
     lab: Annotated[Path | None, typer.Option(help="lab.toml: rig, columns and units.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")] = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Show the channels, units, clock, noise and problems of recordings.
 
@@ -33,6 +40,8 @@ def inspect(
     piezoid inspect sweep.csv check.csv
 
     piezoid inspect *.csv --lab lab.toml --json > understood.json
+
+    piezoid inspect night/*.csv --quiet && echo all of them can be read
     """
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab import read_lab
@@ -40,6 +49,10 @@ def inspect(
     inspections = inspect_files(files, None if lab is None else read_lab(lab))
     if json:
         hand_over(_json(inspections))
+    elif quiet:
+        for one in inspections:
+            if one.refusal:
+                say(f"no recording: {one.refusal}", err=True)
     else:
         show(inspections)
     if any(inspection.refusal for inspection in inspections):
@@ -60,17 +73,17 @@ def show(inspections: "tuple[Inspection, ...]") -> None:
 
     console = Console(soft_wrap=False)
     for inspection in inspections:
-        for part in _parts(inspection):
+        for part in _parts(inspection, console.width):
             console.print(part)
         console.print()
 
 
-def _parts(inspection: "Inspection") -> "list[RenderableType]":
+def _parts(inspection: "Inspection", width: int) -> "list[RenderableType]":
     """Return what is shown of one file; all of it as text, since names in files are not markup."""
 
     parts: list[RenderableType] = [plain(_headline(inspection), style="bold")]
     if inspection.columns:
-        parts.append(_table(inspection.columns))
+        parts.append(_table(inspection.columns, width))
     if inspection.axis is not None:
         parts.append(plain(_clock_line(inspection)))
     if inspection.response is not None:
@@ -104,26 +117,57 @@ def _clock_line(inspection: "Inspection") -> str:
     return line
 
 
-def _table(columns: "tuple[ColumnSummary, ...]") -> "RenderableType":
+def _table(columns: "tuple[ColumnSummary, ...]", width: int) -> "RenderableType":
+    """Return a row for each column; no word is broken where the terminal has room for it.
+
+    width  of the terminal, characters
+    """
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 1))
-    for name in ("#", "column", "is", "unit", "from", "to", "noise rms", "step", "state"):
-        table.add_column(name, overflow="fold")
-    for column in columns:
-        cells = (
+    rows = [_cells(column) for column in columns]
+    kept = [k for k, name in enumerate(HEADINGS) if k < _ALWAYS or any(row[k] for row in rows)]
+    cells = [HEADINGS, *rows]
+    numbers = [k for k in kept if k not in (_LABEL, _MEANING)]
+    spent = sum(max(len(row[k]) for row in cells) for k in numbers) + _GAP * len(kept)
+    room = width - spent
+    longest = {k: max(len(w) for row in cells for w in row[k].split()) for k in (_LABEL, _MEANING)}
+    meaning = min(longest[_MEANING], room // 2)
+    least = {_LABEL: min(longest[_LABEL], room - meaning), _MEANING: meaning}
+    fits = room >= _NARROW  # else everything folds: what is cut off is worse than what is broken
+    table = Table(box=None, pad_edge=False, padding=(0, _GAP, 0, 0))
+    for k in kept:
+        width_of = least.get(k) if fits else None
+        whole = fits and k in numbers
+        table.add_column(HEADINGS[k], overflow="fold", no_wrap=whole, min_width=width_of)
+    for row in rows:
+        table.add_row(*(plain(row[k]) for k in kept))
+    return table
+
+
+def _cells(column: "ColumnSummary") -> tuple[str, ...]:
+    is_clock = column.meaning == "time"  # whose noise and steps are the line below the table
+    return tuple(
+        _cut(cell)
+        for cell in (
             str(column.number),
             column.label,
             column.meaning,
             column.unit,
             _quantity(column.minimum, column.si_unit),
             _quantity(column.maximum, column.si_unit),
-            _quantity(column.noise_rms, column.si_unit),
-            _quantity(column.step or None, column.si_unit),
+            "" if is_clock else _quantity(_noise(column), column.si_unit),
+            "" if is_clock else _quantity(column.step or None, column.si_unit),
             _state(column),
         )
-        table.add_row(*(plain(_cut(cell)) for cell in cells))
-    return table
+    )
+
+
+def _noise(column: "ColumnSummary") -> float | None:
+    """Return the noise of a column; None where it is but rounding, of a computed ramp say."""
+    found, low, high = column.noise_rms, column.minimum, column.maximum
+    if found is None or low is None or high is None:
+        return found
+    return found if found > _EXACT * (high - low) else None
 
 
 def _cut(said: str) -> str:

@@ -23,12 +23,14 @@ from piezoid_cli.fit import fit
 from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
 from piezoid_cli.plan import plan
+from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
 from piezoid_cli.terminal import one_line, plain
 from piezoid_cli.verify import verify
 
 _OURS = "This is a mistake of ours; run the same command with --debug and send us what it prints."
+ASKS_FOR_ALL = ("-v", "--verbose")
 INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 
 # What is wrong with the words behind a verb; the package names only one kind of it.
@@ -47,6 +49,20 @@ class Verbs(TyperGroup):
         except _UsageError as error:
             error.message = one_line(error.message)
             raise
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the verb; name all of them where there is none of that name."""
+        from difflib import get_close_matches
+
+        if args and not args[0].startswith("-") and args[0] not in self.commands:
+            near = get_close_matches(args[0], self.commands, n=1)
+            remedy = f"Did you mean {near[0]}?" if near else "See piezoid --help."
+            raise _UsageError(
+                f"there is no verb {args[0]!r}. Needed: one of {', '.join(self.commands)}. "
+                f"{remedy}",
+                ctx,
+            )
+        return super().resolve_command(ctx, args)
 
 
 app = typer.Typer(
@@ -91,7 +107,9 @@ def piezoid(
     Every verb has examples in its own help, as in: piezoid fit --help
 
     Exit status: 0 done, 1 a verdict failed, 2 usage, 3 data or file unusable, 4 no solution,
-    130 interrupted. With --debug anywhere, an error shows its traceback.
+    130 interrupted. With -v anywhere, every stage of the work is told as it begins, with its
+    time; without a terminal, one line at most every ten seconds. With --debug anywhere, an error
+    shows its traceback.
     """
 
 
@@ -104,7 +122,9 @@ class Interrupted(BaseException):
 
 def main() -> None:
     """Run the command line; errors end as one message and an exit status."""
-    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    arguments = [word for word in sys.argv[1:] if word not in ("--debug", *ASKS_FOR_ALL)]
+    if set(sys.argv[1:]) & set(ASKS_FOR_ALL):
+        EVERYTHING.set(True)
     signal.signal(signal.SIGINT, _interrupt)
     try:
         app(arguments)
@@ -112,7 +132,7 @@ def main() -> None:
         sys.stderr.write("interrupted: nothing is left half written\n")
         sys.exit(INTERRUPTED)
     except Exception as error:
-        if len(arguments) < len(sys.argv) - 1:
+        if "--debug" in sys.argv[1:]:
             raise
         sys.exit(_told(error))
 
@@ -141,7 +161,10 @@ def _told(error: Exception) -> int:
 
 def _about_disk(error: OSError) -> str:
     place = error.filename or "a file"
-    return f"{place}: {error.strerror or error}; the disk must let us read and write there."
+    return (
+        f"{place}: {error.strerror or error}. Needed: a place where this command may read and "
+        "write. Check the name, the permissions and the space that is left."
+    )
 
 
 if __name__ == "__main__":

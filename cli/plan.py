@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Force, Quiet
 from piezoid_cli.terminal import hand_over, plain
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ def plan(
         float | None, typer.Option(help="Converters' samples per second.", min=0.0)
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of what a drive leaves to chance.")] = 0,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    force: Force = False,
+    quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print plan.json itself.")
     ] = False,

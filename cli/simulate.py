@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import say
+from piezoid_cli.options import Force, Json, Quiet
+from piezoid_cli.terminal import hand_over_record, say
 
 if TYPE_CHECKING:
     from piezoid_datasets.virtual_lab.campaign import Campaign
@@ -29,7 +30,10 @@ def simulate(
         typer.Option(help="Play this drive. Repeatable; chosen to fit the effects if not given."),
     ] = None,
     careless: Annotated[
-        bool, typer.Option(help="Do not cycle the drive before recording: unknown memory.")
+        bool,
+        typer.Option(
+            "--careless", help="Do not cycle the drive before recording: unknown memory."
+        ),
     ] = False,
     junction: Annotated[
         float | None,
@@ -38,8 +42,9 @@ def simulate(
             metavar="SECONDS",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option(help="Replace what the folder holds.")] = False,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    force: Force = False,
+    quiet: Quiet = False,
+    json: Json = False,
 ) -> None:
     """Record a virtual stage: CSV files, a lab.toml, and apart from them the truth.
 
@@ -51,7 +56,7 @@ def simulate(
 
     piezoid simulate --out virtual/ --seed 7 --effect creep --effect slew_limit=0.6
 
-    piezoid simulate --out tip/ --seed 7 --junction 4
+    piezoid simulate --out tip/ --seed 7 --junction 4 --json
     """
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
@@ -62,23 +67,31 @@ def simulate(
     if junction is not None:
         if effect or truth or recording or careless:
             raise typer.BadParameter("--junction records a tip: nothing is hidden in a stage then")
-        _write_junction(seed, junction, out, force=force, quiet=quiet)
-        return
-    sizes = dict(_sized(text) for text in effect or ())
-    with shown(quiet=quiet) as told:
-        told("recording the virtual stage")
-        try:
-            campaign = draw_campaign(
-                seed, effects=sizes, truth=truth, plans=recording, careless=careless
-            )
-        except ValueError as error:
-            raise typer.BadParameter(str(error)) from error
-        write_folder(out, campaign_files(campaign), force=force)
-    if not quiet:
-        _show(campaign, out)
+        files = _write_junction(seed, junction, out, force=force, quiet=quiet or json)
+        lines = [str(out / name) for name in files]
+    else:
+        sizes = dict(_sized(text) for text in effect or ())
+        with shown(quiet=quiet or json) as told:
+            told("recording the virtual stage")
+            try:
+                campaign = draw_campaign(
+                    seed, effects=sizes, truth=truth, plans=recording, careless=careless
+                )
+            except ValueError as error:
+                raise typer.BadParameter(str(error)) from error
+            files = campaign_files(campaign)
+            write_folder(out, files, force=force)
+        lines = _lines(campaign, out)
+    if json:
+        hand_over_record("simulated", seed=seed, files=list(files))
+    elif not quiet:
+        for line in lines:
+            say(line)
 
 
-def _write_junction(seed: int, seconds: float, out: Path, *, force: bool, quiet: bool) -> None:
+def _write_junction(
+    seed: int, seconds: float, out: Path, *, force: bool, quiet: bool
+) -> dict[str, bytes]:
     from piezoid_cli.output_folder import write_folder
     from piezoid_cli.progress import shown
     from piezoid_datasets.virtual_lab.junction_campaign import (
@@ -94,9 +107,7 @@ def _write_junction(seed: int, seconds: float, out: Path, *, force: bool, quiet:
             raise typer.BadParameter(str(error)) from error
         files = junction_files(campaign)
         write_folder(out, files, force=force)
-    if not quiet:
-        for name in files:
-            say(str(out / name))
+    return files
 
 
 def _sized(text: str) -> tuple[str, float | None]:
@@ -113,12 +124,13 @@ def _sized(text: str) -> tuple[str, float | None]:
         ) from None
 
 
-def _show(campaign: "Campaign", out: Path) -> None:
+def _lines(campaign: "Campaign", out: Path) -> list[str]:
+    lines = []
     for rows in campaign.recordings:
         run = rows.run
-        say(
+        lines.append(
             f"{out / 'recordings' / run.name}.csv: {len(rows.time_s)} rows at "
             f"{run.sampling_rate_Hz:g} Hz"
         )
     hidden = ", ".join(found.name for found in campaign.answer.effects) or "nothing"
-    say(f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}")
+    return [*lines, f"{out / 'truth' / 'truth.json'}: {campaign.answer.truth}, hiding {hidden}"]

@@ -10,6 +10,13 @@ if TYPE_CHECKING:
     from piezoid.records.lab import Lab
 
 LAB = "lab.toml"
+WRITTEN_BY = {
+    "model.json": "piezoid fit RECORDINGS --out {}",
+    "diagnosis.json": "piezoid fit RECORDINGS --out {}",
+    "design.json": "piezoid design {}",
+    "params.json": "piezoid export {}",
+    "verification.json": "piezoid verify {}",
+}
 _MOST_bytes = 1 << 27  # a hundred times what a stage of many recordings takes
 
 
@@ -17,7 +24,10 @@ def content_of(place: Path) -> bytes:
     """Return what a file of ours holds; ``OSError`` for a pipe or a device, which never ends."""
     from piezoid.records.readers.source import regular_size
 
-    size = regular_size(place)
+    try:
+        size = regular_size(place)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise _missing(place) from error
     if size > _MOST_bytes:
         raise ParameterFileError(
             f"{place} has {size} bytes",
@@ -26,6 +36,29 @@ def content_of(place: Path) -> bytes:
         )
     with place.open("rb") as stream:
         return stream.read(size)
+
+
+def _missing(place: Path) -> ParameterFileError:
+    """Say which is not there, the folder or the file in it, and which verb would write it."""
+    folder = place.parent
+    if place.name not in WRITTEN_BY:
+        return ParameterFileError(
+            f"there is no file {place}",
+            needed="a file that can be read",
+            remedy="Check its name.",
+        )
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "is not there"
+        return ParameterFileError(
+            f"{folder} {what}",
+            needed="the folder of a stage, as `piezoid fit` writes it",
+            remedy="Check its name, or make it: piezoid fit RECORDINGS --out FOLDER",
+        )
+    return ParameterFileError(
+        f"{folder} holds no {place.name}",
+        needed="the folder of a stage that has come so far",
+        remedy=f"Run `{WRITTEN_BY[place.name].format(folder)}` first.",
+    )
 
 
 def same_model(model_content: bytes, digest: str, place: str, verb: str) -> None:

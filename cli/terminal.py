@@ -38,6 +38,17 @@ def hand_over(content: str | bytes) -> None:
     typer.echo(content, nl=isinstance(content, str))
 
 
+def hand_over_record(schema: str, **entries: object) -> None:
+    """Print what a verb did as JSON, under a schema as files of ours have one.
+
+    schema  its name, such as ``exported``
+    """
+    from json import dumps
+
+    content = {"schema": f"piezoid.{schema}/1", **entries}
+    hand_over(dumps(content, indent=1, allow_nan=False))
+
+
 def doing() -> "TextColumn":
     """Return the column of a progress bar that says what is being done."""
     from rich.progress import TextColumn

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from piezoid_cli.options import Quiet
 from piezoid_cli.terminal import hand_over, plain, say
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ def verify(
         Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
-    quiet: Annotated[bool, typer.Option(help="Print nothing but errors.")] = False,
+    quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print verification.json itself.")
     ] = False,

@@ -39,8 +39,8 @@ def _said(part: str) -> str:
 class PiezoidError(Exception):
     """An answer piezoid cannot give, said in three parts.
 
-    found    str  what was found, with its number, unit and place
-    needed   str  what was needed instead
+    found    str  what was found, with its number, unit and place; a sentence without its stop
+    needed   str  what was needed instead: a thing, named, never a clause
     remedy   str  what to do next, a whole sentence
     numbers  the values behind the message, for whoever catches it
     """
@@ -49,7 +49,8 @@ class PiezoidError(Exception):
 
     def __init__(self, found: str, *, needed: str, remedy: str, **numbers: object) -> None:
         self.found, self.needed, self.remedy = map(_said, (found, needed, remedy))
-        super().__init__(f"{self.found}; {self.needed}. {self.remedy}")
+        # Two sentences and a label: what is needed may be a thing, several, or a range.
+        super().__init__(f"{self.found}. Needed: {self.needed}. {self.remedy}")
         self.numbers = numbers
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -51,7 +51,7 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
     if match is None:
         raise ParameterFileError(
             f"{place}: no digest found",
-            needed=f"a sealed file of schema {schema} carries one",
+            needed=f"the one that every sealed file of schema {schema} carries",
             remedy="Write the file again with piezoid; it cannot be edited by hand.",
         )
     blank = content[: match.start(1)] + _ZEROS.encode() + content[match.end(1) :]
@@ -60,7 +60,7 @@ def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:
         raise ParameterFileError(
             f"{place}: the content's digest is {expected[:12]}..., the file says "
             f"{match.group(1).decode()[:12]}...",
-            needed="the file must be byte for byte what piezoid wrote",
+            needed="the file, byte for byte as piezoid wrote it",
             remedy="Take the original, or write it again from the recordings.",
         )
     try:
@@ -88,7 +88,7 @@ def _of_schema(record: Any, schema: str, place: str) -> dict[str, Any]:
     if found != schema:
         raise ParameterFileError(
             f"{place}: the schema is {found!r}",
-            needed=f"this version of piezoid reads {schema!r}",
+            needed=f"schema {schema!r}, which this version of piezoid reads",
             remedy="Write the file again from the recordings with this version.",
         )
     return dict(record)

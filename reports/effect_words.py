@@ -2,6 +2,9 @@
 
 from collections.abc import Mapping
 
+from piezoid.diagnosis.diagnosis import Finding
+from piezoid_reports.quantities import significant
+
 CONTROL: Mapping[str, str] = {
     "something_else": "No model of a controller has it. What is in the reading alone the loop "
     "will follow, so find out first whether the stage moves.",
@@ -46,3 +49,18 @@ CONTROL: Mapping[str, str] = {
 def words(effect: str) -> str:
     """Return an effect's name as it is said."""
     return effect.replace("_", " ")
+
+
+def size_of(finding: Finding) -> str:
+    """Return the one size of a finding, with the interval that its acceptance allows.
+
+    A cause that was accepted is there: an interval of its size that reaches down to zero bounds it
+    from above alone, and is told so.
+    """
+    size = finding.size
+    low, high = size.ci95
+    if low <= 0.0 < high:
+        return f"{significant(size.value)} {size.unit} (95 %: at most {significant(high)})"
+    return (
+        f"{significant(size.value)} {size.unit} (95 %: {significant(low)} to {significant(high)})"
+    )

@@ -45,8 +45,17 @@ def figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
     residual = residual_over_time.after(worst, axis, size=RESIDUAL)
     span = float(worst.time_s[-1]) / residual.x.scale.factor
     return (
-        replace(loops.opened(page, axis, worst, canvas_size=LOOP), link=link),
-        replace(residual, link=link, span=span),
+        replace(
+            loops.opened(page, axis, worst, canvas_size=LOOP),
+            link=link,
+            seen_as=f"{worst.recording.name}: loop",
+        ),
+        replace(
+            residual,
+            link=link,
+            span=span,
+            seen_as=f"{worst.recording.name}: residual",
+        ),
     )
 
 

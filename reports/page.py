@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from piezoid.calibration.since import Since
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -42,6 +43,7 @@ class Page:
     verification  of what ships, where it was run
     unshipped     by axis, why it does not ship beside the others
     lab           what the laboratory declared
+    since         an earlier calibration beside this one, where it was named
     files         sealed files of the folder by name, for the chain of digests
     """
 
@@ -60,6 +62,7 @@ class Page:
     unshipped: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
     lab: Lab | None = None
+    since: Since | None = None
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:
@@ -161,6 +164,7 @@ class Figure:
     layers   bottom first
     flicker  roles that may be shown in turn, or empty
     is_small  drawn for the first screen: no buttons, the caption for listeners alone
+    seen_as   title where there is little room, or empty; who hears the page is told ``title``
     link     figures of the same name show the same stretch of time, or empty
     span     of the record that is linked, in the unit of x; 0 where x is no time
     """
@@ -176,6 +180,7 @@ class Figure:
     width: int = Canvas.width
     height: int = Canvas.height
     is_small: bool = False
+    seen_as: str = ""
     link: str = ""
     span: float = 0.0
 

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from piezoid.calibration.since import Since
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -54,6 +55,7 @@ def render(
     unshipped: Mapping[str, str] = MappingProxyType({}),
     files: Mapping[str, bytes] = MappingProxyType({}),
     lab: Lab | None = None,
+    since: Since | None = None,
 ) -> str:
     """Return report.html.
 
@@ -69,6 +71,7 @@ def render(
     unshipped   by axis, why it does not ship beside the others
     files       of the folder the page belongs to, for their digests
     lab         what the laboratory declared
+    since       an earlier calibration beside this one
     """
     page = Page(
         model=model,
@@ -85,6 +88,7 @@ def render(
         unshipped=unshipped,
         files=files,
         lab=lab,
+        since=since,
     )
     return _written(page, SECTIONS if model.axes else OF_STAGE)
 

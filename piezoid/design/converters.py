@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from piezoid.records.lab import Lab
+from piezoid.records.which_voltage import command_range_V
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +33,7 @@ def converters_of(lab: Lab, axis: str) -> Converters:
     declared = lab.acquisition
     reach_V = declared.input_range_V
     return Converters(
-        command_V=_common(reach_V, _amplified(lab, axis)),
+        command_V=command_range_V(lab, axis),
         command_step_V=_step_V(reach_V, declared.dac_bits),
         reading_V=reach_V,
         reading_step_V=_step_V(reach_V, declared.adc_bits),
@@ -52,22 +53,3 @@ def _slew_V_per_s(lab: Lab, axis: str) -> float | None:
     if amplifier.slew_V_per_s is None or amplifier.gain_V_per_V is None:
         return None
     return float(amplifier.slew_V_per_s / abs(amplifier.gain_V_per_V))
-
-
-def _amplified(lab: Lab, axis: str) -> tuple[float, float] | None:
-    """Return the commands at which the amplifier reaches its ends."""
-    amplifier = lab.amplifier_of(axis)
-    low_V, high_V, gain = amplifier.output_min_V, amplifier.output_max_V, amplifier.gain_V_per_V
-    if low_V is None or high_V is None or gain is None:
-        return None
-    ends_V = sorted((low_V / gain, high_V / gain))
-    return ends_V[0], ends_V[1]
-
-
-def _common(
-    first: tuple[float, float] | None, second: tuple[float, float] | None
-) -> tuple[float, float] | None:
-    known = [pair for pair in (first, second) if pair is not None]
-    if not known:
-        return None
-    return max(pair[0] for pair in known), min(pair[1] for pair in known)

@@ -88,7 +88,7 @@ def refuse(
         )
     raise TemplateError(
         f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}",
-        needed="every member of the plant family must meet every limit",
+        needed="a controller with which every member of the plant family meets every limit",
         remedy=remedy,
         axis=axis,
         template=worst.template,

@@ -148,7 +148,7 @@ def missing_line(lab: Lab, line: str, meaning: str, table: str = "[tunnelling]")
     """Return the error of a fact about the tip that lab.toml does not hold."""
     return LabFileError(
         f"{lab.place}: {table} does not say {line.split(' ')[0]}, {meaning}",
-        needed="what keeps a tip from the surface is declared, never guessed",
+        needed="a declaration: what keeps a tip from the surface is never guessed",
         remedy=f"Write, with your own number, `{line}` under {table}.",
     )
 

@@ -15,8 +15,8 @@ from piezoid.design.vertical import design_vertical
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
+from piezoid.records.which_voltage import passes, scale_of_output
 
-_ROUNDED = 1e-6  # of a range: a recorded voltage may pass a converter's end by its own rounding
 _SLOWEST_Hz, _FASTEST_Hz = 1.0, 1e7  # of the runtime
 
 
@@ -214,14 +214,16 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
     if converters.command_V is None:
         return stepped
     low_V, high_V = converters.command_V
-    slack_V = _ROUNDED * (high_V - low_V)
-    if default.voltage_min_V < low_V - slack_V or default.voltage_max_V > high_V + slack_V:
+    if passes((default.voltage_min_V, default.voltage_max_V), converters.command_V):
         raise LabFileError(
             f"axis {name}: its drive was recorded from {default.voltage_min_V:.6g} to "
             f"{default.voltage_max_V:.6g} V, converter and amplifier take commands from "
             f"{low_V:.6g} to {high_V:.6g} V",
-            needed="recordings of the voltage at the converter",
-            remedy=f"Correct input_range_V or [amplifier] in {lab.place}, or record the command.",
+            needed="recordings of the controller's output, the command in front of the amplifier, "
+            "not of the high voltage at the ceramic",
+            remedy="If they were taken behind the amplifier, write "
+            f"{scale_of_output(lab, name)} into their [[recording]] and fit again; else correct "
+            f"input_range_V or [amplifier] in {lab.place}.",
         )
     return replace(
         stepped,

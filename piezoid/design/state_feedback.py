@@ -64,7 +64,7 @@ def placement_form(A: Array, B: Array) -> PlacementForm:
         raise DesignError(
             f"a part of the state cannot be moved: link {int(np.abs(links).argmin())} of the "
             f"chain from the input is {np.abs(links).min():.1e}",
-            needed="every state must answer the input, and be seen in the output",
+            needed="states that all answer the input and are all seen in the output",
             remedy="Reduce the model's order; two poles or a pole and a zero nearly coincide.",
         )
     return PlacementForm(form=form, links=links, Q=Q, reflect=reflect, basis=basis)

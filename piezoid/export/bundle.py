@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
+from textwrap import fill
 from types import MappingProxyType
 
 from piezoid.export.c_header import c_header
@@ -10,6 +11,7 @@ from piezoid.export.golden import SAMPLES, golden_csv
 from piezoid.export.inert import inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.provenance import digest_of_bytes
+from piezoid.records.which_voltage import WHICH_VOLTAGE
 from piezoid.runtime.library import library
 
 SHIPPED = ("piezoid_runtime.h", "piezoid_runtime.c", "example_main.c")
@@ -30,6 +32,8 @@ _README = """\
 must say that 0 samples differ. Add `-DPZ_REAL_FLOAT` for a target of single precision.
 With `-ffp-contract=off` every IEEE machine gives these bits; a compiler that contracts products
 and sums may choose a neighbouring converter code here and there.
+
+{which_voltage}
 
 Nothing is allocated, printed or kept by the controller; there is one `pz_state` per axis, and it
 is yours. `piezoid_runtime.h` says beside each call what it does, what it costs, and when it may
@@ -83,6 +87,7 @@ def bundle(file: ParameterFile) -> Bundle:
         "README.md": _README.format(
             name=inert(file.name),
             samples=SAMPLES,
+            which_voltage=fill(WHICH_VOLTAGE, 98),
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
             unshipped=_unshipped(file),
             digest=digest,

@@ -264,7 +264,7 @@ def _jitter_problem(
 def _no_clock(name: str, found: str, needed: str) -> RecordingError:
     return RecordingError(
         f"{name}: {found}",
-        needed=f"needed are {needed}",
+        needed=needed,
         remedy="Record with a hardware clock, or state sampling_rate_Hz for this file in lab.toml "
         "and name no time column if the samples are known to be uniform.",
     )

@@ -61,13 +61,13 @@ def converted(
     values = column.values * unit.factor + unit.offset
     if is_counted(unit):
         if _said(entry.scale, quantity, axis) is None:
-            raise _counts_without_scale(table, lab, column, quantity, axis)
+            raise _counts_without_scale(table, lab, column, quantity)
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
         if gain_V_per_m is None:
             raise UnitError(
                 f"{table.name}: {column.place} is a displacement of axis {axis} in volts",
-                needed="the sensor's gain is needed to know it in metres",
+                needed="the sensor's gain, to know it in metres",
                 remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
             )
         values = values / gain_V_per_m
@@ -85,7 +85,7 @@ def is_counted(unit: Unit) -> bool:
 
 
 def _counts_without_scale(
-    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
+    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None
 ) -> UnitError:
     """Return the refusal of counts, with the scale where lab.toml tells it."""
     name = _name_of(quantity)
@@ -94,12 +94,10 @@ def _counts_without_scale(
     acquisition = lab.acquisition
     if quantity is Quantity.VOLTAGE and acquisition.dac_bits and acquisition.input_range_V:
         low_V, high_V = acquisition.input_range_V
-        gain = lab.amplifier_of(axis).gain_V_per_V or 1.0
-        example = f"{gain * (high_V - low_V) / 2**acquisition.dac_bits:.9g}"
+        example = f"{(high_V - low_V) / 2**acquisition.dac_bits:.9g}"
         because = (
             f"if the {high_V - low_V:g} V of input_range_V are the {acquisition.dac_bits} bits of "
-            f"the converter, and the amplifier makes {gain:g} V of one; offset = {{ {name} = ... "
-            "} adds the volts of count 0"
+            f"the converter; offset = {{ {name} = ... }} adds the volts of count 0"
         )
     return UnitError(
         f"{table.name}: {column.place} is a {name} in counts",

@@ -148,7 +148,7 @@ def _one(table: RawTable, entry: RecordingEntry) -> Recording:
             needed="one rate where one recording is asked for",
             remedy="Make a recording of each stretch.",
         )
-    return with_remarks(ingest_table(*parts[0]))
+    return with_remarks(ingest_table(*parts[0]), Lab())
 
 
 def _table(name: str, columns: tuple[Column, ...]) -> RawTable:

@@ -34,6 +34,7 @@ from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import refused_as_recording
 from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
+from piezoid.records.which_voltage import beyond_the_controller
 
 Rows = NDArray[np.intp]
 
@@ -93,7 +94,7 @@ def ingest_parts(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> tup
     if is_response(table, entry):
         raise refused_as_recording(table)
     parts = parts_of(table, lab, entry)
-    return tuple(with_remarks(ingest_table(*part)) for part in parts)
+    return tuple(with_remarks(ingest_table(*part), lab) for part in parts)
 
 
 def parts_of(
@@ -153,9 +154,10 @@ def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEn
     )
 
 
-def with_remarks(recording: Recording) -> Recording:
+def with_remarks(recording: Recording, lab: Lab) -> Recording:
     """Return a recording with what is remarkable about drive and response together."""
-    return replace(recording, problems=(*recording.problems, *remarks_on(recording)))
+    said = (*remarks_on(recording), *beyond_the_controller(recording, lab))
+    return replace(recording, problems=(*recording.problems, *said))
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
@@ -163,7 +165,7 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
     if table.independent and (entry is None or not entry.columns):
         raise RecordingError(
             f"{table.name}: a {table.format} table over {table.independent!r}, not over time",
-            needed="a recording needs its columns as functions of time",
+            needed="columns as functions of time",
             remedy="Use it where a table is asked for (a tunnelling current against height), or "
             "name its columns and sampling_rate_Hz in lab.toml if they are samples in time.",
         )
@@ -342,7 +344,7 @@ def _stated_clock(table: RawTable, lab: Lab, declared_Hz: float | None) -> Clock
     if rate_Hz is None:
         raise UnitError(
             f"{table.name}: no column is a time and the file states no sampling rate",
-            needed="one of the two is needed to know when each row was recorded",
+            needed="one of the two, to know when each row was recorded",
             remedy="Write into lab.toml 'sampling_rate_Hz = ...' under [acquisition] or under the "
             f"file's own entry, or name its time column:\n\n{lab_block(table)}\n",
         )

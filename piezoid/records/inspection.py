@@ -194,7 +194,7 @@ def _inspect_table(
     table: RawTable, lab: Lab, entry: RecordingEntry | None
 ) -> tuple[Inspection, Recording | None]:
     try:
-        recording = with_remarks(ingest_table(table, lab, entry))
+        recording = with_remarks(ingest_table(table, lab, entry), lab)
     except PiezoidError as error:
         return _refused(table, error), None
     said = RecordingEntry(file=table.name) if entry is None else entry

@@ -81,6 +81,6 @@ def refusal(path: Path, found: str, needed: str) -> LabFileError:
     """Return the error of a lab.toml, naming the file."""
     return LabFileError(
         f"{path.name}: {found}",
-        needed=f"needed is {needed}",
+        needed=needed,
         remedy="Correct it; every table and name is listed in the documentation of lab.toml.",
     )

@@ -10,6 +10,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
@@ -26,14 +27,17 @@ from piezoid.records.response_columns import is_response, response_block
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import Column, RawTable
 from piezoid.records.units import unit_of
+from piezoid.records.which_voltage import WHICH_VOLTAGE
 
-HEAD = """\
+HEAD = f"""\
 # What this laboratory knows about its rig, written by `piezoid init` from the recordings below.
 # Lines that begin with # are not read. Everything is optional: complete what you know, remove
 # the #, and pass the file with --lab. All units are SI and end the names.
 
 [rig]
 # name = "stage 42"              # heads the report
+
+{fill(WHICH_VOLTAGE, 98, initial_indent="# ", subsequent_indent="# ")}
 
 [amplifier]                      # between the controller's output and the piezo
 # gain_V_per_V = 15

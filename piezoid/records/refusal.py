@@ -25,7 +25,7 @@ def refuse(table: RawTable, found: str) -> UnitError:
     seen += [f"and {more} more columns"] if more > 0 else []
     return UnitError(
         f"{table.name}: {found} (seen: {'; '.join(seen)})",
-        needed="every column that is read needs one meaning, one axis and one unit",
+        needed="one meaning, one axis and one unit for every column that is read",
         remedy="Write into lab.toml, with the headings or numbers (from 1) and units of your "
         f"columns:\n\n{lab_block(table)}\n",
         columns=tuple(column.label for column in table.columns),

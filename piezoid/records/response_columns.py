@@ -230,7 +230,7 @@ def check_names(lab: Lab, entry: RecordingEntry) -> None:
     if said:
         raise LabFileError(
             f"{lab.place}: [[recording]] {entry.file!r} has {', '.join(said)}",
-            needed="a frequency response has no time and no offset",
+            needed="columns of a frequency response, which has no time and no offset",
             remedy="Leave it out.",
         )
 

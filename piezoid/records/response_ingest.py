@@ -203,7 +203,7 @@ def _sensor_gain(held: _File, axis: str, column: Column, unit: ResponseUnit) -> 
     if gain_V_per_m is None:
         raise UnitError(
             f"{held.table.name}: {column.place} is a response of axis {axis} in {unit.symbol}",
-            needed="the sensor's gain is needed to know it in metres per volt",
+            needed="the sensor's gain, to know it in metres per volt",
             remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
         )
     return gain_V_per_m

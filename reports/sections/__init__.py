@@ -18,6 +18,7 @@ from piezoid_reports.sections import (
     provenance,
     residual_over_drive,
     residual_over_time,
+    since,
     tunnelling,
     tunnelling_loop,
     uncertainty,
@@ -29,6 +30,7 @@ Render = Callable[[Page], Section | None]
 
 SECTIONS: tuple[Render, ...] = (
     verdict.render,
+    since.render,
     measures.render,
     motion.render,
     loops.render,
@@ -52,6 +54,7 @@ SECTIONS: tuple[Render, ...] = (
 # What a stage without a single fitted axis still has to say, for example of its tunnelling tip.
 OF_STAGE: tuple[Render, ...] = (
     verdict.render,
+    since.render,
     tunnelling.render,
     tunnelling_loop.render,
     design.render,

@@ -4,7 +4,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.something_else import NAME
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of
-from piezoid_reports.effect_words import CONTROL, words
+from piezoid_reports.effect_words import CONTROL, size_of, words
 from piezoid_reports.not_found import last_sentences, tables
 from piezoid_reports.page import Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
@@ -91,21 +91,6 @@ def _in_it_already(found: Diagnosis) -> str:
     return f" Part of the plain simulation already: {said}."
 
 
-def _size(finding: Finding) -> str:
-    """Return the one size of a finding, with the interval that its acceptance allows.
-
-    A cause that was accepted is there: an interval of its size that reaches down to zero bounds it
-    from above alone, and is told so.
-    """
-    size = finding.size
-    low, high = size.ci95
-    if low <= 0.0 < high:
-        return f"{significant(size.value)} {size.unit} (95 %: at most {significant(high)})"
-    return (
-        f"{significant(size.value)} {size.unit} (95 %: {significant(low)} to {significant(high)})"
-    )
-
-
 def _gain(finding: Finding) -> str:
     """Return what a finding takes off the error, or why it is named where it takes off nothing."""
     if finding.held_out_gain >= LEAST_GAIN:
@@ -127,7 +112,7 @@ def _gains(found: Diagnosis) -> Table:
                 _gain(f),
                 told(f.held_out_rms_before_m, "m"),
                 told(f.held_out_rms_after_m, "m"),
-                _size(f),
+                size_of(f),
                 significant(f.p_value, 2),
             )
             for f in found.findings

@@ -1,6 +1,7 @@
 """The tunnelling junction: current over height in logarithmic scale, barrier, both directions."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -73,7 +74,10 @@ def small_figures(
     for law, direction in () if junction is None else _laws(junction, page):
         curves = [c for c in curves_of(page.sweeps) if c.direction is direction]
         if curves:
-            return _curve(law, curves, curve), _residual(law, curves, residual)
+            return (
+                replace(_curve(law, curves, curve), seen_as="Current over height"),
+                replace(_residual(law, curves, residual), seen_as="Left by the gap law"),
+            )
     return ()
 
 

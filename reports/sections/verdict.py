@@ -7,6 +7,7 @@ from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Said, Section
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.score import judgement_of, line_rms_m, score_of
+from piezoid_reports.sections import since
 from piezoid_reports.traces import Trace
 from piezoid_reports.weaknesses import Weakness, weaknesses_of
 from piezoid_reports.what_is_left import named
@@ -26,7 +27,7 @@ def render(page: Page) -> Section:
         title="Verdict",
         lead="",
         parts=(
-            Said(sentences=sentences(page), tone=worst),
+            Said(sentences=(*sentences(page), *_since(page)), tone=worst),
             Cards(cards=(*(_card(page, axis) for axis in page.axes), *tip_cards(page))),
         ),
     )
@@ -64,6 +65,11 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
         ("Limits", f"{_how_well(page, good, wrong)} {limits}"),
         ("Next", then),
     )
+
+
+def _since(page: Page) -> tuple[tuple[str, str], ...]:
+    """Return what changed since an earlier calibration, where one was named."""
+    return () if page.since is None else (("Since", since.sentence(page.since)),)
 
 
 def _ships(page: Page) -> str:
@@ -115,11 +121,11 @@ def _how_well(page: Page, good: list[AxisModel], wrong: list[AxisModel]) -> str:
     worst = max(good, key=_held_out_percent)
     quality = worst.quality
     alone = len(good) + len(wrong) == 1
-    whose = "On data" if alone else f"On data of axis {worst.axis}"
     seen = "it was not fitted to" if quality.is_tested else "it was fitted to"
+    whose = "" if alone else f" of axis {worst.axis}{_least_known(good)}"
     return (
-        f"{whose} {seen}{_least_known(good)} ({quality.held_out_words}), it misses the measured "
-        f"displacement by {told(quality.held_out_rms_m, 'm')} rms, "
+        f"On data {seen}, the model misses the measured displacement{whose} by "
+        f"{told(quality.held_out_rms_m, 'm')} rms, "
         f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
         f"{told(quality.noise_rms_m, 'm')} rms{_not_counted(page, good)}."
@@ -175,7 +181,7 @@ def _held_out_percent(axis: AxisModel) -> float:
 
 
 def _least_known(good: list[AxisModel]) -> str:
-    return ", its worst axis" if len(good) > 1 else ""
+    return ", its worst," if len(good) > 1 else ""
 
 
 def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:

@@ -146,7 +146,7 @@ def test_pictures_go_where_they_are_asked_to(design) -> None:
 
 def test_unknown_kinds_and_foreign_axes_are_refused() -> None:
     sweep, model = fitted()
-    with pytest.raises(PictureError, match="kind 'spiral'; one of loop, time"):
+    with pytest.raises(PictureError, match=r"kind 'spiral'\. Needed: one of loop, time"):
         sweep.plot("spiral")
     with pytest.raises(PictureError, match="ax is of type str"):
         model.plot(ax="here")

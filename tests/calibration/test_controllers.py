@@ -80,7 +80,7 @@ def test_a_refusal_of_any_step_is_told_and_nothing_ships(
     monkeypatch: pytest.MonkeyPatch, broken: str, kind: type[PiezoidError]
 ) -> None:
     found = controller(monkeypatch, broken, kind("9 N", needed="8 N", remedy="Push less."))
-    assert found.reason == "9 N; 8 N. Push less."
+    assert found.reason == "9 N. Needed: 8 N. Push less."
     assert not found.stumbled
     assert (found.parameters, found.verification) == (None, None)
 

@@ -62,3 +62,11 @@ def test_no_number_of_threads_from_outside_is_kept() -> None:
         [sys.executable, "-c", code], env=outside, capture_output=True, text=True, check=True
     )
     assert done.stdout == "1\n"
+
+
+def test_a_verb_that_is_not_there_is_answered_with_those_that_are() -> None:
+    shown = CliRunner(env={"COLUMNS": "300"}).invoke(app, ["fitt"])
+    assert shown.exit_code == 2
+    assert "there is no verb 'fitt'. Needed: one of inspect, init, fit" in shown.output
+    assert "Did you mean fit?" in shown.output
+    assert "See piezoid --help." in CliRunner().invoke(app, ["qqq"]).output

@@ -151,7 +151,7 @@ def test_a_refusal_is_the_first_in_order_with_its_message_its_status_and_its_num
     ]
     with pytest.raises(TemplateError) as raised:
         run(*jobs, processes=processes)
-    assert str(raised.value) == "missed by 3 dB; 9 \\x1b dB. Ask for less."
+    assert str(raised.value) == "missed by 3 dB. Needed: 9 \\x1b dB. Ask for less."
     assert raised.value.exit_status == 4
     assert raised.value.numbers == {"excess_dB": 3.0}
     assert (raised.value.needed, raised.value.remedy) == ("9 \\x1b dB", "Ask for less.")
@@ -176,7 +176,7 @@ def test_an_error_said_elsewhere_is_said_here_word_for_word() -> None:
         pickle.dumps(ExcitationError("x" * 3000 + "\x07", needed="9 V", remedy="Drive more."))
     )
     assert isinstance(found, ExcitationError)
-    assert str(found) == f"{'x' * 2000} ...; 9 V. Drive more."
+    assert str(found) == f"{'x' * 2000} .... Needed: 9 V. Drive more."
 
 
 INTERRUPTED = """

@@ -28,7 +28,7 @@ def test_a_file_larger_than_any_of_ours_is_refused_by_its_size(
     monkeypatch.setattr(stage_files, "_MOST_bytes", 100)
     assert content_of(place) == b"x" * 100
     monkeypatch.setattr(stage_files, "_MOST_bytes", 99)
-    with pytest.raises(ParameterFileError, match=r"model\.json has 100 bytes; at most 99"):
+    with pytest.raises(ParameterFileError, match=r"model\.json has 100 bytes. Needed: at most 99"):
         content_of(place)
 
 
@@ -39,3 +39,34 @@ def test_a_text_by_hand_may_begin_with_a_mark_and_must_be_text(tmp_path: Path) -
     place.write_bytes(b"\xff\xfe")
     with pytest.raises(LabFileError, match="text in UTF-8"):
         text_of(place)
+
+
+@pytest.mark.parametrize(
+    ("name", "verb"),
+    [
+        ("model.json", "piezoid fit RECORDINGS --out"),
+        ("diagnosis.json", "piezoid fit RECORDINGS --out"),
+        ("design.json", "piezoid design"),
+        ("params.json", "piezoid export"),
+        ("verification.json", "piezoid verify"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_verb_that_writes_it(
+    tmp_path: Path, name: str, verb: str
+) -> None:
+    with pytest.raises(ParameterFileError) as found:
+        content_of(tmp_path / name)
+    assert str(found.value).startswith(f"{tmp_path} holds no {name}. Needed: ")
+    assert f"Run `{verb} {tmp_path}` first." in str(found.value)
+
+
+def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "page.html").write_text("")
+    with pytest.raises(ParameterFileError, match="nowhere is not there"):
+        content_of(tmp_path / "nowhere" / "model.json")
+    with pytest.raises(ParameterFileError, match=r"page\.html is a file"):
+        content_of(tmp_path / "page.html" / "model.json")
+    with pytest.raises(ParameterFileError, match=r"there is no file .*limits\.toml"):
+        text_of(tmp_path / "limits.toml")

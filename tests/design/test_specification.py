@@ -98,9 +98,9 @@ def test_a_table_changes_what_it_names_and_adds_templates():
     [
         ("[w]\nbandwidth_Hz = 1", r"\[w\] is not an axis.*one of x"),
         ("[x]\nbandwith_Hz = 1", "unknown key 'bandwith_Hz'.*bandwidth_Hz"),
-        ("[x]\nbandwidth_Hz = '1 kHz'", "'1 kHz'; a number in SI units"),
+        ("[x]\nbandwidth_Hz = '1 kHz'", "'1 kHz'. Needed: a number in SI units"),
         ("[x]\nbandwidth_Hz = -1", "expected > 0"),
-        ("[x]\nbandwidth_Hz = 1e30", "bandwidth_Hz is 1e\\+30; at most 1e\\+06 Hz"),
+        ("[x]\nbandwidth_Hz = 1e30", "bandwidth_Hz is 1e\\+30. Needed: at most 1e\\+06 Hz"),
         ("[x]\nscan_frequency_Hz = 1e8", "at most 1e\\+06 Hz"),
         ("[x]\nmodulus_margin = 2", "between 0 and 1"),
         ("[x]\nvoltage_min_V = 20", "cross"),

@@ -15,6 +15,7 @@ from piezoid.export.c_header import c_header
 from piezoid.export.golden import SAMPLES, golden_csv
 from piezoid.export.inert import inert
 from piezoid.export.parameter_file import AxisParameters, digest_of
+from piezoid.records.which_voltage import WHICH_VOLTAGE
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import library
 from tests.export.stage import lateral, stage
@@ -200,7 +201,8 @@ def test_the_golden_table_visits_faults_and_stays_inside_the_limits():
     assert np.ptp(table[:SAMPLES, 3]) > 5
 
 
-def test_the_readme_counts_the_states_bytes():
+def test_the_readme_says_which_voltage_is_meant_and_counts_the_states_bytes():
     readme = bundle(stage()).files["README.md"].decode()
     assert f"{library('float').state_size} (float)" in readme
+    assert WHICH_VOLTAGE in readme.replace("\n", " ")
     assert ctypes.sizeof(ctypes.c_float) == library("float").code.pz_size_of_real()

@@ -171,10 +171,10 @@ WRONG = {
     "negative": (changed(0, -5.0), "1 frequencies are negative, the first is -5 Hz at line 42"),
     "empty": (changed(1, np.nan), "hold no number, the first is line 42"),
     "zero": (changed(1, 0.0), "is zero in 1 rows, the first is line 42"),
-    "below zero": (changed(1, -3.0), "is -3 at line 42; a magnitude above zero"),
+    "below zero": (changed(1, -3.0), "is -3 at line 42. Needed: a magnitude above zero"),
     "radians called degrees": (
         [FREQUENCY_Hz, SIZE_um, np.angle(G)],
-        "obviously other units; .* rad would fit",
+        r"obviously other units\. .*rad would fit",
     ),
 }
 
@@ -223,7 +223,7 @@ def test_a_time_beside_a_frequency_is_refused_until_lab_toml_decides(tmp_path: P
     path = write_csv(
         tmp_path / "a.csv", f"time [s],{SORTED}", time_s, FREQUENCY_Hz, SIZE_um, ANGLE_deg
     )
-    with pytest.raises(RecordingError, match="in one file; one of the two"):
+    with pytest.raises(RecordingError, match=r"in one file\. Needed: one of the two"):
         collect([path])
     columns = '{ frequency = "f [Hz]", magnitude = "gain [um/V]", phase = "phase [deg]" }'
     assert_true(only(path, lab_of(tmp_path, f'file = "a.csv"\ncolumns = {columns}\n')))

@@ -245,7 +245,7 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
-    with pytest.raises(RecordingError, match=r"scale = \{ voltage = 0\.00457763672 \}"):
+    with pytest.raises(RecordingError, match=r"scale = \{ voltage = 0\.000305175781 \}"):
         ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
 
 

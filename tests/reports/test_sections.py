@@ -11,6 +11,7 @@ from piezoid_reports.sections import (
     design,
     diagnosis,
     dynamics,
+    since,
     tunnelling,
     tunnelling_loop,
     verification,
@@ -79,6 +80,7 @@ def test_the_certificate_states_its_conditions() -> None:
 
 
 ABOUT_MORE_THAN_AXES = {
+    since.render,
     dynamics.render,
     tunnelling.render,
     tunnelling_loop.render,

@@ -28,9 +28,8 @@ def _verdict(page: str) -> str:
 def test_the_sentences_say_what_holds_what_limits_and_what_to_do_next(page: str) -> None:
     verdict = _verdict(page).replace("\u202f", " ")
     assert re.match(
-        r"The hysteresis model applies to axes x and y\. On data of axis x it was not fitted to, "
-        r"its worst axis \(whole recordings left out of the fit [^)]*\), "
-        r"it misses the measured displacement by ",
+        r"The hysteresis model applies to axes x and y\. On data it was not fitted to, the model "
+        r"misses the measured displacement of axis x, its worst, by ",
         verdict,
     )
     assert "30.0 nm rms, 0.125 % of the 24.0 µm range" in verdict
@@ -108,7 +107,7 @@ def test_the_third_sentence_is_about_the_axis_of_the_second() -> None:
     quality = replace(worse.quality, held_out_rms_m=4 * worse.quality.held_out_rms_m)
     worse = replace(worse, quality=quality)
     page = render(stage_model(better, worse), [recording(), recording("up.csv", "y")])
-    assert "On data of axis y it was not fitted to, its worst axis" in _verdict(page)
+    assert "misses the measured displacement of axis y, its worst, by" in _verdict(page)
     assert "What weakens axis y most" in _verdict(page)
 
 

@@ -18,6 +18,7 @@ from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.stage import plant_of
 from piezoid.verification.verification import verification_from_json
 from piezoid_cli.export import export
+from piezoid_cli.report import report
 from piezoid_cli.verify import verify
 from tests.verification.known_fit import fitted, junction_model
 from tests.verification.rig import RATE_Hz
@@ -25,6 +26,7 @@ from tests.verification.rig import RATE_Hz
 APP = typer.Typer()
 APP.command()(export)
 APP.command()(verify)
+APP.command()(report)
 TIGHT = "aligned_percent = 1e-4\n"
 LAB_TOML = """
 [sensor]
@@ -80,6 +82,17 @@ def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_
     assert not (folder / "library").exists()
 
 
+def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bundle(folder):
+    done = called("export", folder, "--target", "library", "--json")
+    assert done.exit_code == 0, done.output
+    found = json.loads(done.stdout)
+    assert found["schema"] == "piezoid.exported/1"
+    assert found["unshipped"] == {}
+    assert set(found["methods"]) == {"x"}
+    assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(found["files"])
+    assert all((folder / name).is_file() for name in found["files"])
+
+
 def test_an_unknown_target_is_refused_before_anything_is_written(folder):
     done = called("export", folder, "--target", "simulink")
     assert done.exit_code != 0
@@ -101,6 +114,41 @@ def test_a_designed_folder_is_exported_and_verified(folder):
     assert all(proof.samples or not proof.is_built for proof in record.proofs)
     assert len(record.plants) > 1
     assert (folder / "model.json").exists()
+
+
+def compared(now, then):
+    """Return what `piezoid report now --since then` hands to a script."""
+    done = called("report", now, "--since", then, "--json")
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)["since"]
+
+
+def test_a_controller_holds_on_the_stage_it_was_made_for_and_not_on_one_that_moves_further(
+    folder, tmp_path_factory
+):
+    assert called("export", folder).exit_code == 0
+    today = tmp_path_factory.mktemp("today")
+    (today / "model.json").write_bytes((folder / "model.json").read_bytes())
+    same = compared(today, folder)
+    assert (same["controller_holds"], same["controller_failed"]) == (True, [])
+    assert (today / "report.html").is_file()
+
+    axis = fitted().axes["x"]
+    plays = replace(axis.hysteresis.plays, weight=4.0 * axis.hysteresis.plays.weight)
+    known = replace(axis.uncertainty, loading_m=4.0 * axis.uncertainty.loading_m)
+    hysteresis = replace(axis.hysteresis, plays=plays)
+    further = replace(axis, hysteresis=hysteresis, uncertainty=known)
+    (today / "model.json").write_bytes(write_model(replace(fitted(), axes={"x": further})))
+    other = compared(today, folder)
+    assert other["controller_holds"] is False
+    assert other["controller_failed"]
+    assert [one["name"] for one in other["moved"] if one["beyond_intervals"]]
+
+
+def test_an_earlier_calibration_without_a_controller_is_compared_all_the_same(folder):
+    found = compared(folder, folder)
+    assert found["controller_holds"] is None
+    assert "no params.json" in found["controller_not_run"]
 
 
 def test_exporting_again_gives_the_same_bytes(folder):

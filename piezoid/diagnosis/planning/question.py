@@ -53,7 +53,7 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
     if effect in WITHOUT:
         raise ExcitationError(
             f"a plan for {effect} was asked for",
-            needed="only what a drive can expose is planned for",
+            needed="an effect that a drive can expose",
             remedy=f"No drive helps: {WITHOUT[effect]}.",
         )
     asked = tuple(q for q in questions if q.effects[0] == effect)

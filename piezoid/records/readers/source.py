@@ -115,6 +115,13 @@ def open_source(path: Path, *, limit: int = SIZE_LIMIT, whole: bool = True) -> S
             head = stream.read(min(size, HEAD_SIZE))
         digest = digest_of_file(path) if head else ""
     except OSError as error:
+        if path.is_dir():
+            raise unreadable(
+                str(path),
+                "it is a folder",
+                needed="a recording",
+                remedy=f"Name its files, as in {path / '*.csv'}; piezoid batch takes folders.",
+            ) from error
         raise unreadable(
             str(path),
             error.strerror or str(error),

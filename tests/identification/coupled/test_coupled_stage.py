@@ -138,7 +138,9 @@ def test_the_same_records_give_the_same_model(
 
 
 def test_levels_outside_the_data_are_refused(model: piezoid.CoupledStage) -> None:
-    with pytest.raises(IdentificationError, match=r"a drive of 0\.5 V rms; one from 0\.1 to 0\.3"):
+    with pytest.raises(
+        IdentificationError, match=r"a drive of 0\.5 V rms. Needed: one from 0\.1 to 0\.3"
+    ):
         model.response([10.0], 0.5)
     with pytest.raises(IdentificationError, match="0\\.0333"):
         model.simulate(multisine(LOW_V / 3, np.random.default_rng(1)), periodic=True)

@@ -59,7 +59,9 @@ def test_a_recording_without_a_mode_is_told_so_and_what_to_record() -> None:
     assert found.place == "not separable"
     assert found.text.startswith("Not separable on this recording: a straight line predicts")
     assert found.text in found._repr_html_().replace("&#x27;", "'")
-    with pytest.raises(piezoid.PiezoidError, match="does no better; a recording in which the mo"):
+    with pytest.raises(
+        piezoid.PiezoidError, match=r"does no better\. Needed: a recording in which the mo"
+    ):
         piezoid.identify_restoring_force(line)
 
 

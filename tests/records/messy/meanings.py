@@ -151,7 +151,7 @@ MEANINGS: tuple[Messy, ...] = (
                 written="{:.6f}".format,
             )
         ),
-        refused="needed are samples at a uniform rate",
+        refused="Needed: samples at a uniform rate",
     ),
     Messy(name="sheet.xlsx", wrong="an Excel workbook", write=excel(plain_sheet), kept=EVERY),
     Messy(

@@ -33,7 +33,8 @@ def outcome(messy: Messy, folder: Path) -> str:
     found = inspected(messy, folder)
     first = found[0]
     if first.refusal is not None:
-        reason = first.refusal.replace(f"{messy.name}: ", "").split("; ")[0].split(" (seen")[0]
+        found_here = first.refusal.replace(f"{messy.name}: ", "").split(". Needed: ")[0]
+        reason = found_here.split(" (seen")[0]
         mended = ", read with: `" + "`, `".join(messy.lines.split("\n")[:-1]) + "`"
         return f"refused: {' '.join(reason.split())}" + (mended if messy.lines else "")
     rates = " and ".join(f"{one.sampling_rate_Hz:.9g} Hz" for one in found)

@@ -1,0 +1,55 @@
+"""What a verb is doing shows in a log as well: few lines, each new, with the time it took."""
+
+import time
+
+import pytest
+
+from piezoid_cli.progress import EVERYTHING, Log, STILL_s, shown
+
+
+def test_a_log_holds_one_line_a_period_and_the_stage_of_then() -> None:
+    lines: list[str] = []
+    with Log(lines.append).kept(0.05) as told:
+        for k in range(12):
+            told(f"stage {k}")
+            time.sleep(0.02)
+    assert 2 <= len(lines) <= 6
+    assert len(set(lines)) == len(lines)
+    time.sleep(0.12)
+    assert len(lines) <= 6  # nothing is written behind the end
+
+
+def test_work_that_is_done_in_time_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(quiet=False) as told:
+        told("reading")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_stage_that_lasts_is_not_repeated_before_a_minute() -> None:
+    lines: list[str] = []
+    with Log(lines.append).kept(0.02) as told:
+        told("refitting")
+        time.sleep(0.15)
+    assert [line.split("  ")[-1] for line in lines] == ["refitting"]
+    assert STILL_s > 30.0
+
+
+def test_everything_is_told_as_it_begins_where_it_is_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    token = EVERYTHING.set(True)
+    try:
+        with shown(quiet=False) as told:
+            for stage in ("reading", "fitting", "fitting", "writing \x1b[2J"):
+                told(stage)
+        with shown(quiet=True) as told:
+            told("silence")
+    finally:
+        EVERYTHING.reset(token)
+    found = capsys.readouterr()
+    assert found.out == ""
+    assert [line.split("s  ")[1] for line in found.err.splitlines()] == [
+        "reading",
+        "fitting",
+        r"writing \x1b[2J",
+    ]
