@@ -24,10 +24,10 @@ def export(
 ) -> None:
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
 
-    --target fmu adds fmu/: each axis as co-simulation units of FMI 2.0 and 3.0, for Simulink,
-    OpenModelica and FMPy. --target library adds library/: a shared library for LabVIEW, MATLAB,
-    EPICS, Rust and Python. Both hold the same source as the bundle. Those not asked for are
-    removed: they would be of another design.
+    --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
+    of FMI 2.0 and 3.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
+    shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
+    as the bundle. Targets not asked for are removed: they would be of another design.
 
     The controller is run against the identified stage first. An axis that fails there does not
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
@@ -47,8 +47,10 @@ def export(
     from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
-    from piezoid.export.targets import TARGETS, known_targets, written_for
     from piezoid.identification.store import read_model
+    from piezoid.records.lab import Lab
+    from piezoid.targets.targets import TARGETS, Exported, known_targets, written_for
+    from piezoid.verification.stage import plant_of
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
@@ -73,7 +75,10 @@ def export(
         )
     contents = failed_files(failed_of(found))
     file = found.parameters
-    beside = None if file is None else written_for(file, targets)
+    beside = None
+    if file is not None:
+        plants = [plant_of(axis, model, declared or Lab()) for axis in file.axes]
+        beside = written_for(Exported(file=file, plants=plants), targets)
     if file is not None and beside is not None:
         contents |= beside.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}

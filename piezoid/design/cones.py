@@ -8,6 +8,7 @@ and the left side asks for a cone in the free coefficients of R and S.    [Karim
 """
 
 from dataclasses import dataclass
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -156,59 +157,37 @@ def _peaks(excess: Array) -> NDArray[np.bool_]:
 def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
     """Solve the program on some rows; None where the solver fails.
 
-        min gamma + price slack   over z = (x, gamma, slack),   b - A z in a product of cones
+        minimise    gamma + price slack
+        subject to  real >= least |P_d|,   |size| <= reserve limit (real + slack |P_d|)
+                    real >= |P_d|,   |A_i S| <= gamma slope |P_d|     in the band
 
     A slack on all limits together, at a high price, lets a start that exceeds them come back.
     """
-    import clarabel
-    from scipy.sparse import csc_matrix
+    import cvxpy as cp
 
-    linear, sizes = _linear(cones), _sizes(cones, reserve)
-    rows = -np.vstack([linear[0], sizes[0].reshape(-1, 2 * count + 1)])
-    price = np.zeros(2 * count + 1)
-    price[-2:] = 1.0, _SLACK_PRICE
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    kinds = [clarabel.NonnegativeConeT(len(linear[0]))]
-    kinds += [clarabel.SecondOrderConeT(3)] * len(sizes[0])
-    none = csc_matrix((len(price), len(price)))
-    offsets = np.concatenate([linear[1], sizes[1].ravel()])
-    found = clarabel.DefaultSolver(none, price, csc_matrix(rows), offsets, kinds, settings).solve()
-    # An inaccurate answer is judged on the finer grid like any other.
-    if str(found.status) not in ("Solved", "AlmostSolved"):
+    x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
+    reference, band = cones.reference, np.isfinite(cones.slope)
+    real = cones.real[0] @ x + cones.real[1]
+    asked = [real >= _LEAST_REAL * reference]
+
+    def limit(size: tuple[Response, Response], held: NDArray[np.bool_], bound: object) -> None:
+        if held.any():
+            asked.append(cp.abs(size[0][held] @ x + size[1][held]) <= bound)
+
+    room = real + slack * reference
+    for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
+        held = np.isfinite(upper)
+        limit(size, held, cp.multiply(reserve * upper[held], room[held]))
+    limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
+    if band.any():
+        asked.append(real[band] >= reference[band])
+    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), asked)
+    try:
+        with catch_warnings(action="ignore", category=UserWarning):
+            # An inaccurate answer is judged on the finer grid like any other.
+            program.solve(cp.CLARABEL)
+    except cp.SolverError:
         return None
-    *x, gamma, slack = found.x
-    return Reached(x=np.array(x), gamma=gamma, slack=slack)
-
-
-def _linear(cones: Cones) -> tuple[Array, Array]:
-    """Return rows and constants that are to be >= 0: real parts, those in the band, the slack."""
-    (rows, constant), reference = cones.real, cones.reference
-    band = np.isfinite(cones.slope)
-    real = np.pad(np.vstack([rows, rows[band]]), ((0, 1), (0, 2)))
-    real[-1, -1] = 1.0
-    above = [constant - _LEAST_REAL * reference, (constant - reference)[band]]
-    return real, np.append(np.concatenate(above), 0.0)
-
-
-def _sizes(cones: Cones, reserve: float) -> tuple[Array, Array]:
-    """Return bound, real and imaginary part of every limited size, (sizes, 3, unknowns)."""
-    rows, constants = [], []
-    real = np.column_stack([cones.real[0], np.zeros(len(cones.reference)), cones.reference])
-    for (size, offset), limit in zip(cones.limited, cones.limits[:3], strict=True):
-        held = np.isfinite(limit)
-        share = reserve * limit[held]
-        rows.append(_cone(share[:, None] * real[held], size[held]))
-        constants.append(_cone(share * cones.real[1][held], offset[held]))
-    band = np.isfinite(cones.slope)
-    gamma = np.zeros((int(band.sum()), real.shape[1]))
-    gamma[:, -2] = (cones.slope * cones.reference)[band]
-    rows.append(_cone(gamma, cones.A_S[0][band]))
-    constants.append(_cone(np.zeros(len(gamma)), cones.A_S[1][band]))
-    return np.concatenate(rows), np.concatenate(constants)
-
-
-def _cone(bound: Array, size: Response) -> Array:
-    """Return bound, real and imaginary part of every row, with no part of gamma and slack."""
-    wider = size if size.ndim == 1 else np.pad(size, ((0, 0), (0, 2)))
-    return np.stack([bound, wider.real, wider.imag], axis=1)
+    if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        return None
+    return Reached(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))

@@ -1,4 +1,4 @@
-/* A controller as a co-simulation unit of the functional mock-up interface 2.0.
+/* A controller or a plant as a co-simulation unit of the functional mock-up interface 2.0.
  *
  *     cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden \
  *         -DFMI2_OVERRIDE_FUNCTION_PREFIX fmu2.c -o MODEL_IDENTIFIER.so
@@ -17,7 +17,7 @@
 #endif
 
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL, PENDING } status2;
-typedef fmu_controller *component;
+typedef fmu_unit *component;
 typedef unsigned int reference2;
 typedef void (*logger2)(void *, const char *, status2, const char *, const char *, ...);
 typedef struct {
@@ -62,7 +62,7 @@ PUBLIC void FN(FreeInstance)(component c) {
 PUBLIC status2 FN(SetupExperiment)(component c, int tolerance_defined, double tolerance,
                                    double start_s, int stop_defined, double stop_s) {
     UNUSED(tolerance_defined), UNUSED(tolerance), UNUSED(stop_defined), UNUSED(stop_s);
-    c->start_s = c->now_s = start_s;
+    c->clock.start_s = c->clock.now_s = start_s;
     return OK;
 }
 
@@ -72,8 +72,8 @@ PUBLIC status2 FN(EnterInitializationMode)(component c) {
 }
 
 PUBLIC status2 FN(ExitInitializationMode)(component c) {
-    c->running = fmu_begin(c);
-    return c->running ? OK : ERROR;
+    c->clock.running = unit_begin(c);
+    return c->clock.running ? OK : ERROR;
 }
 
 PUBLIC status2 FN(Terminate)(component c) {
@@ -88,7 +88,7 @@ PUBLIC status2 FN(Reset)(component c) {
 
 PUBLIC status2 FN(GetReal)(component c, const reference2 r[], size_t n, double value[]) {
     for (size_t i = 0; i < n; ++i) {
-        if (!fmu_get(c, r[i], &value[i])) {
+        if (!unit_get(c, r[i], &value[i])) {
             return ERROR;
         }
     }
@@ -97,7 +97,7 @@ PUBLIC status2 FN(GetReal)(component c, const reference2 r[], size_t n, double v
 
 PUBLIC status2 FN(SetReal)(component c, const reference2 r[], size_t n, const double value[]) {
     for (size_t i = 0; i < n; ++i) {
-        if (!fmu_set(c, r[i], value[i])) {
+        if (!unit_set(c, r[i], value[i])) {
             return ERROR;
         }
     }
@@ -106,10 +106,20 @@ PUBLIC status2 FN(SetReal)(component c, const reference2 r[], size_t n, const do
 
 PUBLIC status2 FN(GetInteger)(component c, const reference2 r[], size_t n, int value[]) {
     for (size_t i = 0; i < n; ++i) {
-        if (r[i] != FMU_STATUS) {
+        uint32_t count = 0;
+        if (!unit_get_count(c, r[i], &count)) {
             return ERROR;
         }
-        value[i] = (int)c->state.status;
+        value[i] = (int)count;
+    }
+    return OK;
+}
+
+PUBLIC status2 FN(SetInteger)(component c, const reference2 r[], size_t n, const int value[]) {
+    for (size_t i = 0; i < n; ++i) {
+        if (value[i] < 0 || !unit_set_count(c, r[i], (uint32_t)value[i])) {
+            return ERROR;
+        }
     }
     return OK;
 }
@@ -127,7 +137,6 @@ PUBLIC status2 FN(DoStep)(component c, double now_s, double step_s, int kept) {
     }
 EMPTY_ACCESS(GetBoolean, int)
 EMPTY_ACCESS(GetString, const char *)
-EMPTY_ACCESS(SetInteger, const int)
 EMPTY_ACCESS(SetBoolean, const int)
 EMPTY_ACCESS(SetString, const char *const)
 

@@ -1,4 +1,4 @@
-/* A controller as a co-simulation unit of the functional mock-up interface 3.0.
+/* A controller or a plant as a co-simulation unit of the functional mock-up interface 3.0.
  *
  *     cc -std=c99 -O2 -ffp-contract=off -shared -fPIC -fvisibility=hidden \
  *         -DFMI3_OVERRIDE_FUNCTION_PREFIX fmu3.c -o MODEL_IDENTIFIER.so
@@ -19,12 +19,12 @@
 #endif
 
 typedef enum { OK, WARNING, DISCARD, ERROR, FATAL } status3;
-typedef fmu_controller *instance;
+typedef fmu_unit *instance;
 typedef uint32_t reference3;
 typedef void (*log3)(void *, status3, const char *, const char *);
 typedef void (*update3)(void *, double, bool, bool, bool, bool, bool *, double *);
 
-/* Every simulator passes more than a controller needs. */
+/* Every simulator passes more than a sampled unit needs. */
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 #endif
@@ -57,13 +57,13 @@ PUBLIC void FN(FreeInstance)(instance c) {
 
 PUBLIC status3 FN(EnterInitializationMode)(instance c, bool tolerance_defined, double tolerance,
                                            double start_s, bool stop_defined, double stop_s) {
-    c->start_s = c->now_s = start_s;
+    c->clock.start_s = c->clock.now_s = start_s;
     return OK;
 }
 
 PUBLIC status3 FN(ExitInitializationMode)(instance c) {
-    c->running = fmu_begin(c);
-    return c->running ? OK : ERROR;
+    c->clock.running = unit_begin(c);
+    return c->clock.running ? OK : ERROR;
 }
 
 PUBLIC status3 FN(Terminate)(instance c) {
@@ -78,7 +78,7 @@ PUBLIC status3 FN(Reset)(instance c) {
 PUBLIC status3 FN(GetFloat64)(instance c, const reference3 r[], size_t n, double value[],
                               size_t values) {
     for (size_t i = 0; i < n; ++i) {
-        if (i >= values || !fmu_get(c, r[i], &value[i])) {
+        if (i >= values || !unit_get(c, r[i], &value[i])) {
             return ERROR;
         }
     }
@@ -88,7 +88,7 @@ PUBLIC status3 FN(GetFloat64)(instance c, const reference3 r[], size_t n, double
 PUBLIC status3 FN(SetFloat64)(instance c, const reference3 r[], size_t n, const double value[],
                               size_t values) {
     for (size_t i = 0; i < n; ++i) {
-        if (i >= values || !fmu_set(c, r[i], value[i])) {
+        if (i >= values || !unit_set(c, r[i], value[i])) {
             return ERROR;
         }
     }
@@ -98,10 +98,19 @@ PUBLIC status3 FN(SetFloat64)(instance c, const reference3 r[], size_t n, const 
 PUBLIC status3 FN(GetUInt32)(instance c, const reference3 r[], size_t n, uint32_t value[],
                              size_t values) {
     for (size_t i = 0; i < n; ++i) {
-        if (i >= values || r[i] != FMU_STATUS) {
+        if (i >= values || !unit_get_count(c, r[i], &value[i])) {
             return ERROR;
         }
-        value[i] = c->state.status;
+    }
+    return OK;
+}
+
+PUBLIC status3 FN(SetUInt32)(instance c, const reference3 r[], size_t n, const uint32_t value[],
+                             size_t values) {
+    for (size_t i = 0; i < n; ++i) {
+        if (i >= values || !unit_set_count(c, r[i], value[i])) {
+            return ERROR;
+        }
     }
     return OK;
 }
@@ -127,7 +136,6 @@ EMPTY(UInt8, uint8_t)
 EMPTY(Int16, int16_t)
 EMPTY(UInt16, uint16_t)
 EMPTY(Int32, int32_t)
-EMPTY_ACCESS(SetUInt32, const uint32_t)
 EMPTY(Int64, int64_t)
 EMPTY(UInt64, uint64_t)
 EMPTY(Boolean, bool)

@@ -1,7 +1,7 @@
 /* A plant between its converters and the shipped controller, sample by sample.
  *
- * Not shipped and no controller: the one called here is the address of pz_step in the compiled
- * runtime. One sample:
+ * No controller: the one called here is the address of pz_step in the compiled runtime. The unit
+ * of the plant for other simulators holds this file as well. One sample:
  *
  *     measured = converter(sensed + noise)                       at the sampling instant
  *     u = pz_step(reference, measured)                           held until the next one
@@ -112,6 +112,9 @@ typedef struct {
 } pl_run;
 
 double pl_response(pl_plant *plant, double drive, double disturbance);
+double pl_position(const pl_plant *plant);
+double pl_reading(const pl_plant *plant, double fault, double noise, double last);
+double pl_period(pl_plant *plant, double u, double from, double to);
 void pl_loop(pl_plant *plant, const pl_run *run);
 
 static double dot(const double *row, const double *x, size_t count) {
@@ -276,12 +279,38 @@ static double controlled(const pl_run *run, size_t k, double measured) {
                                    (float)measured);
 }
 
+/* Where the stage is at the sampling instant, and what its sensor shows then. */
+double pl_position(const pl_plant *plant) {
+    return output(&plant->after, 0, plant->w);
+}
+
+double pl_reading(const pl_plant *plant, double fault, double noise, double last) {
+    const double sensed = cyclic(plant, output(&plant->after, 1, plant->w));
+    return shown(plant, fault, sensed, noise, last);
+}
+
+/* One period under a held command, disturbed in a straight line; returns the farthest drive. */
+double pl_period(pl_plant *plant, double u, double from, double to) {
+    double driven = 0.0;
+    const double arrived = delayed(plant, u);
+    const double slope = to - from;
+    for (size_t j = 1; j <= plant->substeps; ++j) {
+        const double part = (double)j / (double)plant->substeps;
+        advance(&plant->before, arrived, arrived);
+        const double v = slewed(plant, output(&plant->before, 0, arrived));
+        driven = j == 1 ? v : fmax(driven, v);
+        const double w = pl_response(plant, v, from + part * slope);
+        advance(&plant->after, plant->w, w);
+        plant->w = w;
+    }
+    return driven;
+}
+
 void pl_loop(pl_plant *plant, const pl_run *run) {
     double reading = 0.0;
     for (size_t k = 0; k < run->samples; ++k) {
-        const double sensed = cyclic(plant, output(&plant->after, 1, plant->w));
-        run->position[k] = output(&plant->after, 0, plant->w);
-        run->measured[k] = shown(plant, run->fault[k], sensed, run->noise[k], reading);
+        run->position[k] = pl_position(plant);
+        run->measured[k] = pl_reading(plant, run->fault[k], run->noise[k], reading);
         reading = isnan(run->measured[k]) ? reading : run->measured[k];
         if (k == run->reset_at) {
             run->reset(run->state);
@@ -289,16 +318,6 @@ void pl_loop(pl_plant *plant, const pl_run *run) {
         const double u = controlled(run, k, run->measured[k]);
         run->voltage_V[k] = u;
         run->status[k] = ((const uint32_t *)run->state)[1]; /* behind `ready` */
-        const double arrived = delayed(plant, u);
-        const double slope = run->disturbance[k + 1] - run->disturbance[k];
-        for (size_t j = 1; j <= plant->substeps; ++j) {
-            const double part = (double)j / (double)plant->substeps;
-            advance(&plant->before, arrived, arrived);
-            const double v = slewed(plant, output(&plant->before, 0, arrived));
-            run->driven[k] = j == 1 ? v : fmax(run->driven[k], v);
-            const double w = pl_response(plant, v, run->disturbance[k] + part * slope);
-            advance(&plant->after, plant->w, w);
-            plant->w = w;
-        }
+        run->driven[k] = pl_period(plant, u, run->disturbance[k], run->disturbance[k + 1]);
     }
 }

@@ -1,8 +1,8 @@
 """The convex problem around a loop: at that loop itself, all it asks is what the loop reaches."""
 
-import cvxpy as cp
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 
 from piezoid.design.cones import (
     _LEAST_REAL,
@@ -24,6 +24,8 @@ FAMILY = PlantFamily(members=vertical_family().members[:3])
 SCALE = abs(FAMILY.nominal.gain)
 TAPS = 5
 R, S = loop(1e3, 0.9)
+SIDES = 64
+LEFT = 1e-3  # where slack is needed the solver calls its answer inaccurate
 SOLVED = 1e-5  # what an interior point leaves of a constraint that is met exactly
 
 
@@ -85,27 +87,40 @@ def test_a_solution_of_all_rows_misses_none_and_uses_what_it_may():
     assert found.gamma < 0.9 * present
 
 
-def modelled(cones: Cones, reserve: float) -> float:
-    """Return the least cost of the program as a modelling language puts it together."""
-    x, gamma, slack = cp.Variable(2 * TAPS - 1), cp.Variable(), cp.Variable(nonneg=True)
-    real = cones.real[0] @ x + cones.real[1]
-    sizes = [cp.abs(rows @ x + constant) for rows, constant in cones.limited]
-    asked = [real >= _LEAST_REAL * cones.reference]
-    for size, limit in zip(sizes, cones.limits[:3], strict=True):
-        held = np.isfinite(limit)
-        room = real[held] + slack * cones.reference[held]
-        asked.append(size[held] <= cp.multiply(reserve * limit[held], room))
+def between_polygons(cones: Cones, reserve: float) -> list[float]:
+    """Least costs of two linear programs: |z| by polygons around and inside its circle."""
+    none, reference = np.zeros(len(cones.reference)), cones.reference
+    real = np.column_stack([cones.real[0], none, reference])  # x, gamma, slack
     band = np.isfinite(cones.slope)
-    asked.append(sizes[0][band] <= gamma * (cones.slope * cones.reference)[band])
-    asked.append(real[band] >= cones.reference[band])
-    cost = cp.Minimize(gamma + _SLACK_PRICE * slack)
-    return float(cp.Problem(cost, asked).solve(cp.CLARABEL))
+    rise = np.zeros((int(band.sum()), 2 * TAPS + 1))
+    rise[:, -2] = (cones.slope * reference)[band]
+    circles = [(cones.A_S, band, rise, np.zeros(len(rise)))]
+    for size, limit in zip(cones.limited, cones.limits[:3], strict=True):
+        held = np.isfinite(limit)
+        share = reserve * limit[held]
+        circles.append((size, held, share[:, None] * real[held], share * cones.real[1][held]))
+    plain = np.pad(cones.real[0], ((0, 0), (0, 2)))
+    found = []
+    for inside in (1.0, np.cos(np.pi / SIDES)):
+        A = [-plain, -plain[band]]
+        b = [cones.real[1] - _LEAST_REAL * reference, (cones.real[1] - reference)[band]]
+        for (rows, constant), held, bound, offset in circles:
+            for turn in np.exp(2j * np.pi * np.arange(SIDES) / SIDES):
+                A.append(np.pad((turn * rows[held]).real, ((0, 0), (0, 2))) - inside * bound)
+                b.append(inside * offset - (turn * constant[held]).real)
+        cost = np.zeros(2 * TAPS + 1)
+        cost[-2:] = 1.0, _SLACK_PRICE
+        free = [(None, None)] * (2 * TAPS) + [(0.0, None)]
+        done = linprog(cost, np.vstack(A), np.concatenate(b), bounds=free)
+        found.append(float(done.fun))
+    return found
 
 
 @pytest.mark.parametrize("reserve", [0.9, 0.4], ids=["met", "met with a slack only"])
-def test_a_modelling_language_puts_a_program_of_the_same_cost_together(reserve):
+def test_the_least_cost_lies_between_those_of_two_linear_programs(reserve):
     cones = cones_around(grid(), SCALE, R, S, TAPS)
     found = _solved(cones, TAPS, reserve)
-    assert found.gamma + _SLACK_PRICE * found.slack == pytest.approx(
-        modelled(cones, reserve), rel=3e-4
-    )
+    low, high = between_polygons(cones, reserve)
+    assert high < 1.02 * low
+    cost = found.gamma + _SLACK_PRICE * found.slack
+    assert (1.0 - LEFT) * low < cost < (1.0 + LEFT) * high

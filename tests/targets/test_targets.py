@@ -13,7 +13,7 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.export.golden import SAMPLES, golden_csv
-from piezoid.export.targets import TARGETS, known_targets, written_for
+from piezoid.targets.targets import TARGETS, Exported, known_targets, written_for
 from tests.export.stage import stage
 from tests.runtime.compiler import found, run
 
@@ -24,7 +24,7 @@ FMU_NAMES = [f"fmu/{axis}_controller_fmi{v}.fmu" for axis in "xyz" for v in (2, 
 def made(tmp_path_factory):
     found("cc", "gcc", "clang")
     folder = tmp_path_factory.mktemp("made")
-    for name, content in written_for(stage(), TARGETS).files.items():
+    for name, content in written_for(Exported(file=stage()), TARGETS).files.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
     return folder
@@ -36,7 +36,7 @@ def golden(axis):
 
 
 def test_the_same_parameters_give_the_same_bytes_for_every_target():
-    first, again = (written_for(stage(), TARGETS).files for _ in range(2))
+    first, again = (written_for(Exported(file=stage()), TARGETS).files for _ in range(2))
     assert dict(first) == dict(again)
 
 
@@ -48,14 +48,14 @@ def test_an_unknown_target_is_answered_with_those_there_are():
 
 
 def test_the_bundle_alone_adds_nothing():
-    assert not written_for(stage(), known_targets(["bundle"])).files
+    assert not written_for(Exported(file=stage()), known_targets(["bundle"])).files
 
 
 def test_without_a_compiler_the_sources_are_written_and_a_note_says_what_is_missing(
     monkeypatch, tmp_path
 ):
     monkeypatch.setenv("PATH", str(tmp_path))
-    done = written_for(stage(), TARGETS)
+    done = written_for(Exported(file=stage()), TARGETS)
     assert {name for name in done.files if name.endswith(".fmu")} == set(FMU_NAMES)
     inside = zipfile.ZipFile(io.BytesIO(done.files[FMU_NAMES[0]])).namelist()
     assert not [name for name in inside if name.startswith("binaries/")]

@@ -1,20 +1,35 @@
 """What `piezoid export` writes beside the bundle, by the name of its target."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.fmu import fmus
+from piezoid.export.fmu import controller_units
+from piezoid.export.fmu_unit import packed
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.export.shared_library import shared_library_files
+from piezoid.targets.plant_unit import plant_units
+from piezoid.verification.plant import AxisPlant
 
 BUNDLE = "bundle"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Exported:
+    """Of what targets are made.
+
+    file    what ships
+    plants  the identified plants of its axes, those that verification runs
+    """
+
+    file: ParameterFile
+    plants: Sequence[AxisPlant] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Written:
-    """What one target came to.
+    """What the targets came to.
 
     files  name below the stage folder to bytes
     notes  sentences for whoever asked: what could not be made here, and why
@@ -26,10 +41,20 @@ class Written:
 
 Made = tuple[Mapping[str, bytes], tuple[str, ...]]
 
+
+def _fmus(exported: Exported) -> Made:
+    controllers = controller_units(exported.file)
+    return packed({**controllers, **plant_units(exported.file.name, exported.plants)})
+
+
+def _library(exported: Exported) -> Made:
+    return shared_library_files(exported.file)
+
+
 # Each name is also that of the folder.
-_MAKERS: dict[str, Callable[[ParameterFile], Made]] = {
-    "fmu": fmus,
-    "library": shared_library_files,
+_MAKERS: dict[str, Callable[[Exported], Made]] = {
+    "fmu": _fmus,
+    "library": _library,
 }
 TARGETS = (BUNDLE, *_MAKERS)
 
@@ -47,13 +72,13 @@ def known_targets(asked: Iterable[str]) -> tuple[str, ...]:
     return wanted
 
 
-def written_for(file: ParameterFile, targets: Iterable[str]) -> Written:
+def written_for(exported: Exported, targets: Iterable[str]) -> Written:
     """Return the files of all targets but the bundle; the same input, the same bytes."""
     files: dict[str, bytes] = {}
     notes: list[str] = []
     for name in targets:
         if name in _MAKERS:
-            made, said = _MAKERS[name](file)
+            made, said = _MAKERS[name](exported)
             files |= {f"{name}/{place}": content for place, content in made.items()}
             notes.extend(said)
     return Written(files=MappingProxyType(files), notes=tuple(notes))
