@@ -37,6 +37,12 @@ def plan_batch(folder: Path, out: Path, *, force: bool) -> Plan:
     Raises ``typer.BadParameter`` where results would be replaced without ``force``.
     """
     tasks = [_task(folder, place.parent) for place in sorted(folder.rglob(LAB)) if place.is_file()]
+    if not folder.is_dir():
+        raise RecordingError(
+            f"{folder} is {'a file' if folder.exists() else 'not there'}",
+            needed=f"a folder of stages, each with its recordings and a {LAB}",
+            remedy="Check its name.",
+        )
     if not tasks:
         raise RecordingError(
             f"{folder}: no folder below it holds a {LAB}",

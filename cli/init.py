@@ -37,10 +37,11 @@ def init(
     from piezoid.records.inspection import inspect_files
     from piezoid.records.lab_draft import draft_lab
     from piezoid_cli.inspect import show
-    from piezoid_cli.output_folder import check_free_file, write_file
+    from piezoid_cli.output_folder import check_free_file, check_there, write_file
     from piezoid_cli.progress import shown
 
     check_free_file(out, force=force)
+    check_there(files)
     with shown(quiet=quiet or json) as told:
         told("reading recordings")
         inspections = inspect_files(files)

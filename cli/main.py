@@ -26,6 +26,7 @@ from piezoid_cli.plan import plan
 from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
+from piezoid_cli.standing import standing
 from piezoid_cli.terminal import one_line, plain
 from piezoid_cli.verify import verify
 
@@ -127,7 +128,8 @@ def main() -> None:
         EVERYTHING.set(True)
     signal.signal(signal.SIGINT, _interrupt)
     try:
-        app(arguments)
+        with standing(quiet="--quiet" in arguments):
+            app(arguments)
     except Interrupted:
         sys.stderr.write("interrupted: nothing is left half written\n")
         sys.exit(INTERRUPTED)

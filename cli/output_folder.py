@@ -60,6 +60,16 @@ def check_free_file(place: Path, *, force: bool) -> None:
         )
 
 
+def check_there(files: Iterable[Path]) -> None:
+    """Refuse names behind which there is nothing, before a file is written that repeats them.
+
+    Raises ``FileNotFoundError``.
+    """
+    for place in files:
+        if not place.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(place))
+
+
 def write_file(place: Path, content: bytes) -> None:
     """Write one file whole or not at all."""
     with _named(place):

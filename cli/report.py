@@ -12,6 +12,7 @@ from piezoid_cli.terminal import hand_over_record, say
 if TYPE_CHECKING:
     from piezoid.calibration.since import Since
     from piezoid.diagnosis.diagnosis import Diagnosis
+    from piezoid.export.parameter_file import AxisParameters
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.records.collection import Collection
     from piezoid.verification.verification import Verification
@@ -186,8 +187,17 @@ def _since(
     )
 
 
+def _is_known(axis: "AxisParameters", now: "ActuatorModel") -> bool:
+    """Return whether the stage of now has a plant for a controller."""
+    if axis.method == "rst":
+        return now.tunnelling is not None and now.tunnelling.loop_plant is not None
+    return axis.axis in now.axes
+
+
 def _controller_of_then(now: "ActuatorModel", older: Path) -> "tuple[Verification | None, str]":
-    """Run what shipped then against the stage of now; say why where that cannot be done."""
+    """Run what shipped then against the stage of now; say of which axes that cannot be done."""
+    from dataclasses import replace
+
     from piezoid.errors import PiezoidError
     from piezoid.export.parameter_file import from_json
     from piezoid.verification.stage import verify_stage
@@ -199,7 +209,12 @@ def _controller_of_then(now: "ActuatorModel", older: Path) -> "tuple[Verificatio
         return None, f"there is no params.json in {older}."
     try:
         file = from_json(content_of(place), str(place))
-        declared = lab_of(older, None)
-        return verify_stage(file, now, lab=declared, threads=usable_cores()), ""
+        known = tuple(axis for axis in file.axes if _is_known(axis, now))
+        left = ", ".join(axis.axis for axis in file.axes if axis not in known)
+        reason = f"nothing of axis {left} was identified now." if left else ""
+        if not known:
+            return None, reason
+        ran = replace(file, axes=known)
+        return verify_stage(ran, now, lab=lab_of(older, None), threads=usable_cores()), reason
     except PiezoidError as error:
         return None, str(error)

@@ -111,7 +111,7 @@ class Since:
     notes       what could not be compared, and why, whole sentences
     only_then, only_now  axes that one of them has not
     held        the controller of then against the stage of now; None where it was not run
-    unheld      why not, or empty
+    unheld      why not, or what was left out of it and why; empty where all of it was run
     """
 
     then_digest: str
@@ -184,7 +184,7 @@ def since(
     then, now       the stages
     diagnoses_then, diagnoses_now  of their axes
     held            the controller of then, run against the stage of now
-    unheld          why it was not
+    unheld          why it was not, or what was left out
 
     Raises ``ParameterFileError`` where they have neither an axis nor a tip in common.
     """

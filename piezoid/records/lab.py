@@ -26,6 +26,7 @@ from pathlib import Path
 
 import msgspec
 
+from piezoid.errors import LabFileError
 from piezoid.provenance import digest_of_bytes, digest_of_json
 from piezoid.records.lab_check import (
     check_file_name,
@@ -209,6 +210,12 @@ def read_lab(path: Path) -> Lab:
         with path.open("rb") as stream:
             content = stream.read(size)
         record = read_toml(content.decode("utf-8-sig"))
+    except FileNotFoundError as error:
+        raise LabFileError(
+            f"there is no file {path}",
+            needed="a lab.toml",
+            remedy="Check its name, or write one with `piezoid init RECORDINGS`.",
+        ) from error
     except OSError as error:
         raise refusal(path, error.strerror or str(error), "a file that can be read") from error
     except ValueError as error:

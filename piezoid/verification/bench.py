@@ -53,6 +53,7 @@ class Bench:
     currents: list[CurrentRow] = field(default_factory=list)
     traces: list[SpiralTrace] = field(default_factory=list)
     verdicts: list[Verdict] = field(default_factory=list)
+    shown: dict[str, dict[str, LoopRecord]] = field(default_factory=dict)
 
     def methods(self) -> tuple[str, ...]:
         """Return the methods every lateral axis has, what ships first."""

@@ -11,6 +11,7 @@ from piezoid.showing import shown
 from piezoid.upstairs import upstairs
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
+from piezoid.verification.motion import Motion
 from piezoid.verification.proof import Proof
 from piezoid.verification.trace import SpiralTrace
 
@@ -72,6 +73,7 @@ class Verification:
     comparison       by frequency and method
     spirals, currents   further numbers
     traces           a few spirals place by place, for pictures
+    motions          rasters and steps in time, likewise; not in the file if empty
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
     limit_proofs     what abstract interpretation says of every input; not in the file if empty
@@ -94,6 +96,7 @@ class Verification:
     runtime_digest: str
     lab_digest: str = ""
     limit_proofs: tuple[LimitProof, ...] = ()
+    motions: tuple[Motion, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -131,9 +134,8 @@ class Verification:
 
 
 def _fields(found: Verification) -> dict[str, Any]:
-    """Return the entries of the file; without proofs the same as before there were any."""
-    held = fields_of(found)
-    return held if found.limit_proofs else {k: held[k] for k in held if k != "limit_proofs"}
+    """Return the entries of the file; without proofs or motions as before there were any."""
+    return {k: v for k, v in fields_of(found).items() if v or k not in ("limit_proofs", "motions")}
 
 
 LAYOUTS = (
@@ -179,9 +181,23 @@ def _check_pictures(found: Verification) -> None:
         if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
             raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")
         sizes_m += map(abs, (*trace.x_m, *trace.y_m, *trace.shape_error_m))
+    for motion in found.motions:
+        if motion.axis not in found.methods:
+            raise ValueError(f"axis {motion.axis} moved and does not ship")
+        sizes_m += map(abs, _checked(motion))
     if found.traces and not found.radius_m >= _SMALLEST_m:
         raise ValueError(f"radius_m is {found.radius_m}")
     if max([found.radius_m, *sizes_m]) > _LARGEST_m:
-        raise ValueError(f"a spiral reaches {max([found.radius_m, *sizes_m])} m")
+        raise ValueError(f"a path reaches {max([found.radius_m, *sizes_m])} m")
     if max((abs(verdict.limit) for verdict in found.verdicts), default=0.0) > _FASTEST_Hz:
         raise ValueError("a limit is larger than anything that is judged")
+
+
+def _checked(motion: Motion) -> tuple[float, ...]:
+    """Return all places of a motion, or raise ``ValueError`` where they are not of one run."""
+    count, beside = len(motion.reference_m), len(motion.uncompensated_m)
+    if not 1.0 / _FASTEST_Hz <= motion.duration_s <= 1.0 / _SLOWEST_Hz:
+        raise ValueError(f"duration_s is {motion.duration_s}")
+    if not (len(motion.shipped_m) == count > 1 and beside in (0, count)):
+        raise ValueError(f"{count} places of a reference and other numbers of the rest")
+    return (*motion.reference_m, *motion.shipped_m, *motion.uncompensated_m)

@@ -1,6 +1,6 @@
 """ParameterFile and plants in, Verification out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
+from piezoid.verification.motion import BESIDE, SHOWN, Motion, motions_of
 from piezoid.verification.over_surface import judge_tips, run_tips
 from piezoid.verification.plant import AxisPlant, with_pasts
 from piezoid.verification.proof import Proof
@@ -67,6 +68,7 @@ def verify(
     judge_trials(bench, trials)
     drawn = [plant for chosen in variations for plant in chosen]
     shipped = {axis.axis: axis for axis in file.axes}
+    drive = criteria.drive(bench.records, shipped)
     return Verification(
         name=file.name,
         methods={axis.axis: axis.method for axis in file.axes},
@@ -75,7 +77,8 @@ def verify(
         spirals=tuple(bench.spirals),
         currents=tuple(bench.currents),
         traces=tuple(bench.traces),
-        verdicts=(criteria.drive(bench.records, shipped), *bench.verdicts),
+        motions=tuple(_motions(bench, scenarios)),
+        verdicts=(drive, *bench.verdicts),
         proofs=tuple(proofs),
         limit_proofs=tuple(limit_proofs),
         plants=tuple(f"{plant.label}, axis {plant.axis}" for plant in (*plants, *drawn)),
@@ -144,6 +147,7 @@ def _run(bench: Bench, scenario: Scenario) -> None:
         records = _compare(bench, scenario, path)
     elif bench.lateral:
         records = _lateral(bench, path)
+        bench.shown[scenario.name] = records
         _judge(bench, scenario, records, _tracked(bench, scenario, path, records))
     if scenario.kind == "spiral":
         judge_tips(bench, scenario, path, records)
@@ -236,6 +240,18 @@ def _trace(
         sampling_rate_Hz=bench.rate_Hz,
     )
     bench.traces.append(kept)
+
+
+def _motions(bench: Bench, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
+    """Keep what pictures in time need; the static gain is run last and judges nothing."""
+    for scenario in scenarios:
+        if scenario.kind not in SHOWN or scenario.name not in bench.shown:
+            continue
+        beside = {}
+        if BESIDE in bench.methods()[1:]:
+            beside = _lateral(bench, scenario.path(bench.rate_Hz), BESIDE)
+        shown = bench.shown[scenario.name]
+        yield from motions_of(scenario.name, shown, beside, bench.centre_m, bench.rate_Hz)
 
 
 def _run_varied(

@@ -72,17 +72,18 @@ def controller_of_then(found: Since) -> tuple[str, str]:
     if found.held is None:
         return f"Whether the controller of then still holds was not run: {found.unheld}", "plain"
     verdicts = found.held.verdicts
+    partly = f" Not all of it was run: {found.unheld}" if found.unheld else ""
     failed = [one for one in verdicts if not one.passed]
     if not failed:
         return (
             f"The controller of then still holds: on the stage as it is now it passes all "
-            f"{len(verdicts)} verdicts.",
-            "good",
+            f"{len(verdicts)} verdicts.{partly}",
+            "middling" if partly else "good",
         )
     return (
         f"The controller of then no longer holds: on the stage as it is now it fails "
         f"{len(failed)} of {len(verdicts)} verdicts, {failed[0].name} ({failed[0].scenario}) "
-        "first.",
+        f"first.{partly}",
         "bad",
     )
 

@@ -7,6 +7,7 @@ from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, decades_over
+from piezoid_reports.motions import motions
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
 from piezoid_reports.spirals import METHODS, errors_in_time, spiral
@@ -63,9 +64,15 @@ def _figures(found: Verification) -> list[Part]:
     """Return all pictures beside each other, the table of the comparison after them."""
     compared = [_shape_figure(found)] if found.comparison else []
     drawn = tuple(spiral(trace, found) for trace in found.traces)
+    followed = motions(found)
     return [
         *compared,
         *errors_in_time(found),
+        *(
+            [Fold(summary=f"Raster and steps in time: {_number(followed)}", parts=followed)]
+            if followed
+            else []
+        ),
         *(
             [Fold(summary=f"Spirals as they were run: {_number(drawn)}", parts=drawn)]
             if drawn

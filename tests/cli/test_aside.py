@@ -18,7 +18,7 @@ from tests.identification.hysteresis.stages import decaying, recording
 from tests.identification.hysteresis.test_parts import stage
 
 SHAPE = Shape(plays=2, below=0, above=0, bends=3)
-TRIAL = Trial(shape=SHAPE, residual=np.zeros(3), lag_s=0.0)
+TRIAL = Trial(shape=SHAPE, residual=np.zeros(3), fitted=())
 
 
 class Free:

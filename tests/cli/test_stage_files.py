@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.errors import LabFileError, ParameterFileError
 from piezoid_cli import stage_files
+from piezoid_cli.init import init
 from piezoid_cli.stage_files import content_of, text_of
 
 
@@ -70,3 +71,10 @@ def test_a_folder_that_is_not_there_and_a_file_in_its_place_are_told_apart(
         content_of(tmp_path / "page.html" / "model.json")
     with pytest.raises(ParameterFileError, match=r"there is no file .*limits\.toml"):
         text_of(tmp_path / "limits.toml")
+
+
+def test_no_draft_is_written_of_a_recording_that_is_not_there(tmp_path: Path) -> None:
+    draft = tmp_path / "lab.toml"
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.csv"):
+        init([tmp_path / "nowhere.csv"], draft)
+    assert not draft.exists()

@@ -10,6 +10,7 @@ from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.trace import POINTS, SpiralTrace
 from piezoid.verification.verification import Verification, verification_from_json
 from piezoid.verification.verify import verify
+from piezoid_reports.motions import motions
 from piezoid_reports.page import Section
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
@@ -81,6 +82,28 @@ def test_spirals_are_kept_place_by_place_and_come_back(found: Verification) -> N
         rms_m = float(np.sqrt(np.mean(np.square(trace.shape_error_m))))
         # The comparison leaves out both ends, where a delay cannot be told.
         assert rms_m == pytest.approx(shipped[trace.method], rel=0.1)
+
+
+def test_raster_and_steps_are_shown_in_time_beside_what_has_no_control() -> None:
+    shown = [s for s in SCENARIOS if s.kind in ("raster", "steps")]
+    found = verify(stage(), PLANTS, scenarios=shown, trials=())
+    assert [(m.scenario, m.axis) for m in found.motions] == [
+        (s.name, axis) for s in shown for axis in ("x", "y")
+    ]
+    read = verification_from_json(found.to_json())
+    assert read.motions == found.motions
+    figures = motions(read)
+    assert len(figures) == 2 * len(found.motions)
+    for motion, figure in zip(found.motions, figures[1::2], strict=True):
+        assert [layer.role for layer in figure.layers] == ["grey", "model"]
+        wanted, shipped, plain = (
+            np.array(v) for v in (motion.reference_m, motion.shipped_m, motion.uncompensated_m)
+        )
+        off = [float(np.median(np.abs(moved - wanted))) for moved in (shipped, plain)]
+        assert off[0] < 0.5 * off[1]
+    bare = replace(found, motions=tuple(replace(m, uncompensated_m=()) for m in found.motions))
+    assert [layer.role for layer in motions(bare)[0].layers] == ["model", "zero"]
+    assert b"motions" not in replace(found, motions=()).to_json()
 
 
 def test_a_place_gets_the_colour_of_its_share_of_the_limit(found: Verification) -> None:

@@ -147,6 +147,18 @@ def test_a_controller_holds_on_the_stage_it_was_made_for_and_not_on_one_that_mov
     assert [one["name"] for one in other["moved"] if one["beyond_intervals"]]
 
 
+def test_of_a_controller_of_then_those_axes_run_that_are_known_now(folder, tmp_path_factory):
+    assert called("export", folder).exit_code == 0
+    file = from_json((folder / "params.json").read_bytes(), "params.json")
+    both = (file.axes[0], replace(file.axes[0], axis="y"))
+    (folder / "params.json").write_bytes(to_json(replace(file, axes=both)))
+    today = tmp_path_factory.mktemp("today")
+    (today / "model.json").write_bytes((folder / "model.json").read_bytes())
+    found = compared(today, folder)
+    assert found["controller_holds"] is True
+    assert found["controller_not_run"] == "nothing of axis y was identified now."
+
+
 def test_an_earlier_calibration_without_a_controller_is_compared_all_the_same(folder):
     found = compared(folder, folder)
     assert found["controller_holds"] is None

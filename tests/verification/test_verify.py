@@ -103,7 +103,10 @@ def test_a_record_that_compares_what_it_never_ran_is_refused(whole):
 @pytest.mark.parametrize(
     ("changed", "found"),
     [
-        ({"radius_m": 1e30}, "a spiral reaches"),
+        ({"radius_m": 1e30}, "a path reaches"),
+        ({"motion": {"duration_s": 0.0}}, "duration_s is 0"),
+        ({"motion": {"shipped_m": (1e-9,)}}, "1000 places of a reference"),
+        ({"motion": {"axis": "q"}}, "axis q moved and does not ship"),
         ({"radius_m": 0.0}, "radius_m is 0.0"),
         ({"radius_m": -1.0}, "radius_m is -1.0"),
         ({"trace": {"frequency_Hz": 0.0}}, "frequency_Hz is 0.0"),
@@ -115,6 +118,7 @@ def test_a_record_that_compares_what_it_never_ran_is_refused(whole):
 def test_numbers_that_no_picture_can_show_are_refused(whole, changed, found):
     first = {
         "trace": lambda c: {"traces": (replace(whole.traces[0], **c), *whole.traces[1:])},
+        "motion": lambda c: {"motions": (replace(whole.motions[0], **c),)},
         "verdict": lambda c: {"verdicts": (replace(whole.verdicts[0], **c),)},
     }
     for key, make in first.items():
