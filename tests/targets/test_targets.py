@@ -44,12 +44,7 @@ def test_the_same_parameters_give_the_same_bytes_for_every_target():
 
 def test_an_unknown_target_is_answered_with_those_there_are():
     with pytest.raises(
-<<<<<<< HEAD
-        ParameterFileError, match=r"no target 'simulink'\. Needed: one of bundle, fmu"
-=======
-        ParameterFileError,
-        match="'simulink'; one of bundle, fmu, library, pi",
->>>>>>> h-plant
+        ParameterFileError, match=r"no target 'simulink'\. Needed: one of bundle, fmu, library, pi"
     ):
         known_targets(["fmu", "simulink"])
 

@@ -108,8 +108,8 @@ def test_integers_without_a_known_range_are_refused():
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("[waveform]\npoints = 0", "points of .waveform. is 0; a whole number from 4"),
-        ("[waveform]\nshape = 'square'", "is 'square'; triangle or sine"),
+        ("[waveform]\npoints = 0", "points of .waveform. is 0. Needed: a whole number from 4"),
+        ("[waveform]\nshape = 'square'", "is 'square'. Needed: triangle or sine"),
         ("[waveform]\nrange_V = [5, 5]", "two voltages, the lower first"),
         ("[waveform]\nfrequency_Hz = nan", "a number above 0"),
         ("[pi-pid]\nnotches = 3", "a whole number from 0 to 2"),

@@ -84,7 +84,6 @@ def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_
     assert not (folder / "library").exists()
 
 
-<<<<<<< HEAD
 def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bundle(folder):
     done = called("export", folder, "--target", "library", "--json")
     assert done.exit_code == 0, done.output
@@ -94,7 +93,8 @@ def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bun
     assert set(found["methods"]) == {"x"}
     assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(found["files"])
     assert all((folder / name).is_file() for name in found["files"])
-=======
+
+
 def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
     (folder / "box.toml").write_text("[pi-pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
     asked = ("--target", "pi-pid", "--target", "waveform", "--box", folder / "box.toml")
@@ -126,7 +126,6 @@ def test_without_a_controller_that_ships_there_is_no_target(folder):
     assert "no target is written" in done.output
     assert not (folder / "fmu").exists()
     assert not (folder / "bundle").exists()
->>>>>>> h-plant
 
 
 def test_an_unknown_target_is_refused_before_anything_is_written(folder):
