@@ -21,7 +21,7 @@ def test_a_tone_of_no_grid_is_told_first_with_its_frequency_and_drawn(tmp_path: 
         app, ["diagnose", *files, "--lab", str(made / "lab.toml"), "--out", str(out)]
     )
     assert done.exit_code == 0, done.output
-    assert done.output.startswith("No effect of the catalogue stands for it")
+    assert done.stdout.startswith("No effect of the catalogue stands for it")
     record = json.loads((out / "diagnosis.json").read_text())
     (finding,) = record["findings"]
     assert (finding["effect"], finding["coordinate"]) == ("something_else", "frequency")
