@@ -7,9 +7,9 @@ Rivals: how many times as long they take; itself: in multiples of what bounds it
 of the size. Rivals of kernels and programs have to come to the same result, that of the fit of one
 shape to no better one. 16 plays and 12 dead zones; chain: the bundled axis; campaigns: recordings
 made of its stage.
-numba comes with `pip install piezoid[benchmarks]`; without it its column is empty. Processor time
-includes that of child processes; on a machine that works for others as well, figures scatter by
-a third.
+numba comes with `pip install piezoid[benchmarks]`; without it its figures are missing. Times are
+of the processor and include child processes; on a machine that works for others as well, figures
+scatter by a third.
 """
 
 import argparse
@@ -27,7 +27,13 @@ from benchmarks.speed.growth_figure import draw
 from benchmarks.speed.kernel_rows import kernel_growths, kernel_rows
 from benchmarks.speed.loops import NO_NUMBA
 from benchmarks.speed.machine import NO_COMPILER, has_compiler
-from benchmarks.speed.program_rows import program_growths, program_row, shape_row, weights_row
+from benchmarks.speed.program_rows import (
+    program_growths,
+    program_row,
+    shape_row,
+    triangle_row,
+    weights_row,
+)
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row, table
 
@@ -43,7 +49,7 @@ def kernels(watch: Stopwatch, samples: int) -> Measured:
 
 def programs(watch: Stopwatch, samples: int) -> Measured:
     """Return weights, Kuhnen's program and the search for one shape."""
-    rows = [weights_row(watch, samples), program_row(watch, samples)]
+    rows = [row(watch, samples) for row in (weights_row, triangle_row, program_row)]
     rows.append(shape_row(watch, samples // 8))
     return rows, program_growths(watch, samples // 4)
 

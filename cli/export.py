@@ -1,13 +1,21 @@
 """`piezoid export`: a designed stage in, what firmware needs beside it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piezoid_cli.options import Json, Quiet
 from piezoid_cli.terminal import hand_over_record, plain, say
+
+if TYPE_CHECKING:
+    from piezoid.design.design import Design
+    from piezoid.export.parameter_file import ParameterFile
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.records.lab import Lab
+    from piezoid.targets.box import Box
+    from piezoid.targets.targets import Written
 
 
 def export(
@@ -17,7 +25,12 @@ def export(
     ] = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(help="Beside the bundle: fmu, library. May be given more than once."),
+        typer.Option(
+            help="Beside the bundle: fmu, library, pi-pid, waveform. Any number of them."
+        ),
+    ] = None,
+    box: Annotated[
+        Path | None, typer.Option(help="box.toml: what the box of pi-pid or waveform can hold.")
     ] = None,
     quiet: Quiet = False,
     json: Json = False,
@@ -27,7 +40,10 @@ def export(
     --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
     of FMI 2.0 and 3.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
     shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
-    as the bundle. Targets not asked for are removed: they would be of another design.
+    as the bundle. --target pi-pid adds settings for a box with PID and notches, --target waveform
+    a predistorted drive for a wave generator, each with what it loses beside the controller;
+    --box says what the box can hold. Targets not asked for are removed: they would be of another
+    design.
 
     The controller is run against the identified stage first. An axis that fails there does not
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
@@ -48,15 +64,15 @@ def export(
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
     from piezoid.identification.store import read_model
-    from piezoid.records.lab import Lab
-    from piezoid.targets.targets import TARGETS, Exported, known_targets, written_for
-    from piezoid.verification.stage import plant_of
+    from piezoid.targets.box import Box, read_box
+    from piezoid.targets.targets import TARGETS, known_targets
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
     from piezoid_cli.stage_files import content_of, lab_of, same_model
 
     targets = known_targets(target or ())
+    held = Box() if box is None else read_box(box)
     content = content_of(stage / "design.json")
     design = design_from_json(content, str(stage / "design.json"))
     model_content = content_of(stage / "model.json")
@@ -77,9 +93,7 @@ def export(
     file = found.parameters
     beside = None
     if file is not None:
-        plants = [plant_of(axis, model, declared or Lab()) for axis in file.axes]
-        beside = written_for(Exported(file=file, plants=plants), targets)
-    if file is not None and beside is not None:
+        beside = _beside(file, model, design, declared, held, targets)
         contents |= beside.files
         contents |= {f"bundle/{name}": text for name, text in bundle(file).files.items()}
         contents["params.json"] = to_json(file)
@@ -102,10 +116,40 @@ def export(
         if file is not None:
             folders = dict.fromkeys(("bundle", *targets))
             say(f"exported: {', '.join(str(stage / name) for name in ('params.json', *folders))}")
+        elif targets:
+            say("no target is written: each is made of a controller that ships, and none does")
         for note in () if beside is None else beside.notes:
             say(note)
     if unshipped:
         raise typer.Exit(1)
+
+
+def _beside(
+    file: "ParameterFile",
+    model: "ActuatorModel",
+    design: "Design",
+    lab: "Lab | None",
+    box: "Box",
+    targets: Sequence[str],
+) -> "Written":
+    """Return what the targets come to; their plants are those that verification ran."""
+    from piezoid.records.lab import Lab
+    from piezoid.targets.exported import Exported
+    from piezoid.targets.targets import written_for
+    from piezoid.verification.stage import stage_plants
+
+    declared = lab or Lab()
+    plants, drawn = stage_plants(file, model, declared)
+    made_of = Exported(
+        file=file,
+        plants=plants,
+        drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
+        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
+        designs={one.axis: one for one in design.axes},
+        converter_V=declared.acquisition.input_range_V,
+        box=box,
+    )
+    return written_for(made_of, targets)
 
 
 def show_unshipped(reasons: Mapping[str, str]) -> None:

@@ -30,6 +30,7 @@ extensions = [
     "zoo",
     "mathml",
     "shell",
+    "targets_picture",
 ]
 exclude_patterns = ["_extensions"]
 nitpicky = True

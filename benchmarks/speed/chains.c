@@ -11,6 +11,8 @@ void chains(size_t samples, const double *input, const double *threshold, double
     }
     for (size_t k = 0; k < samples; ++k) {
         const double u = input[k];
+        /* Unrolled first, the loop is no longer seen to be four vectors: four times slower. */
+#pragma GCC unroll 1
         for (size_t i = 0; i < PLAYS; ++i) {
             const double low = u - threshold[i];
             const double high = u + threshold[i];

@@ -1,14 +1,13 @@
 """Play bank, model and inverse: against loops, chains of min and max, and a copy."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.speed import loops
+from benchmarks.speed import loops, machine
 from benchmarks.speed.drives import bank, drive_V, model, thresholds_V
 from benchmarks.speed.growths import growths
-from benchmarks.speed.machine import chains
 from benchmarks.speed.stopwatch import Growth, Stopwatch
 from benchmarks.speed.table import Row
 from piezoid.numerics.arrays import Array
@@ -21,11 +20,14 @@ WIDTHS = (4, 8, 16, 32, 64)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Kernel:
-    """One stage, the same as a NumPy loop over some samples, and by numba (None without it)."""
+    """One stage, the same as a NumPy loop over some samples, and by compiled loops.
+
+    compiled  by name; each returns None where this machine has no such compiler
+    """
 
     ours: Callable[[], Array]
     looped: Callable[[slice], Array]
-    compiled: Callable[[], Array | None]
+    compiled: Mapping[str, Callable[[], Array | None]]
 
 
 def kernel_rows(watch: Stopwatch, samples: int) -> list[Row]:
@@ -48,34 +50,46 @@ def kernels_of(u_V: Array) -> dict[str, Kernel]:
         BANK: Kernel(
             ours=lambda: bank(u_V),
             looped=lambda part: loops.numpy_bank(u_V[part], thresholds_V()),
-            compiled=lambda: loops.numba_bank(u_V, thresholds_V()),
+            compiled={
+                "numba": lambda: loops.numba_bank(u_V, thresholds_V(), "C"),
+                "numba, in columns": lambda: loops.numba_bank(u_V, thresholds_V(), "F"),
+                "C": lambda: machine.c_bank(u_V, thresholds_V()),
+            },
         ),
         FORWARD: Kernel(
             ours=lambda: known.run(u_V, rest)[0],
             looped=lambda part: loops.numpy_forward(u_V[part], known),
-            compiled=lambda: loops.numba_forward(u_V, known),
+            compiled={
+                "numba": lambda: loops.numba_forward(u_V, known),
+                "C": lambda: machine.c_forward(u_V, known),
+            },
         ),
         INVERSE: Kernel(
             ours=lambda: known.inverse_run(y_m, rest)[0],
             looped=lambda part: loops.numpy_inverse(y_m[part], known),
-            compiled=lambda: loops.numba_inverse(y_m, known),
+            compiled={
+                "numba": lambda: loops.numba_inverse(y_m, known),
+                "C": lambda: machine.c_inverse(y_m, known),
+            },
         ),
     }
 
 
 def compare(kernel: Kernel) -> None:
     """Stop unless the loops' results are ours."""
-    expected, by_numba = kernel.ours(), kernel.compiled()
+    expected = kernel.ours()
     np.testing.assert_allclose(kernel.looped(LOOPED), expected[LOOPED], **CLOSE)
-    if by_numba is not None:
-        np.testing.assert_allclose(by_numba, expected, **CLOSE)
+    for again in kernel.compiled.values():
+        found = again()
+        if found is not None:
+            np.testing.assert_allclose(found, expected, **CLOSE)
 
 
 def bounds_of(
     watch: Stopwatch, u_V: Array, own_s: dict[str, float]
 ) -> dict[str, dict[str, float]]:
     """Return how many times as long as chains, as a copy, as one another the three take."""
-    columns, work = bank(u_V), chains(u_V, thresholds_V())
+    columns, work = bank(u_V), machine.chains(u_V, thresholds_V())
     wall = columns.copy(order="F")
     found: dict[str, dict[str, float]] = {BANK: {}, FORWARD: {}, INVERSE: {}}
     if work is not None:
@@ -95,11 +109,14 @@ def row_of(
     """Return one row; the NumPy loop's time is that of as many samples as ours."""
     expected = kernel.ours()
     share = len(expected[LOOPED]) / len(expected)
-    has_numba = kernel.compiled() is not None
     return Row(
         stage=stage,
         loop=watch.cpu_s(lambda: kernel.looped(LOOPED)) / share / own_s,
-        compiled=watch.cpu_s(kernel.compiled) / own_s if has_numba else None,
+        compiled={
+            name: watch.cpu_s(work) / own_s
+            for name, work in kernel.compiled.items()
+            if work() is not None
+        },
         bounds=bounds,
     )
 

@@ -1,13 +1,14 @@
 """The operators as one would write them oneself: NumPy sample by sample, and numba.
 
-Plays, model and inverse as in their definitions. The inverse loops return the voltage alone; ours
-follows the forward memory besides.
+Plays, model and inverse as in their definitions; those of numba as its friends would write them:
+plays innermost, where they become vectors, one pass over the samples, additions in whatever order
+is fast. The inverse loops return the voltage alone; ours follows the forward memory besides.
 """
 
 from collections.abc import Callable
 from functools import cache
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
-NO_NUMBA = "numba is not installed, so its column is empty: pip install piezoid[benchmarks]."
+NO_NUMBA = "numba is not installed, so its figures are missing: pip install piezoid[benchmarks]."
+Zones = tuple[Array, Array, int]  # thresholds, weights, which threshold is 0
 
 
 def numpy_bank(u: Array, threshold: Array) -> Array:
@@ -63,48 +65,60 @@ def numpy_inverse(y: Array, model: ModifiedPrandtlIshlinskii) -> Array:
 
 
 def _scalar_bank(u: Array, r: Array, columns: Array) -> None:
-    for i in range(len(r)):
-        z = 0.0
-        for k in range(len(u)):
-            z = min(max(z, u[k] - r[i]), u[k] + r[i])
-            columns[k, i] = z
-
-
-def _scalar_sum(u: Array, r: Array, w: Array, z: Array, out: Array) -> None:
+    z = np.zeros(len(r))
     for k in range(len(u)):
-        total = 0.0
         for i in range(len(r)):
             z[i] = min(max(z[i], u[k] - r[i]), u[k] + r[i])
-            total += w[i] * z[i]
-        out[k] = total
+            columns[k, i] = z[i]
 
 
-def _scalar_zones(h: Array, r: Array, w: Array, out: Array) -> None:
-    for k in range(len(h)):
+def _scalar_forward(u: Array, r: Array, w: Array, z: Array, zones: Zones, y: Array) -> None:
+    knot, weight, zero = zones
+    for k in range(len(u)):
+        h = 0.0
+        for i in range(len(r)):
+            z[i] = min(max(z[i], u[k] - r[i]), u[k] + r[i])
+            h += w[i] * z[i]
+        bent = weight[zero] * h
+        for i in range(zero):
+            bent += weight[i] * min(h - knot[i], 0.0)
+        for i in range(zero + 1, len(knot)):
+            bent += weight[i] * max(h - knot[i], 0.0)
+        y[k] = bent
+
+
+def _scalar_inverse(y: Array, r: Array, w: Array, z: Array, zones: Zones, u: Array) -> None:
+    knot, weight, zero = zones
+    for k in range(len(y)):
+        q = weight[zero] * y[k]
+        for i in range(zero):
+            q += weight[i] * min(y[k] - knot[i], 0.0)
+        for i in range(zero + 1, len(knot)):
+            q += weight[i] * max(y[k] - knot[i], 0.0)
         total = 0.0
         for i in range(len(r)):
-            away = h[k] - r[i]
-            if r[i] == 0.0 or (r[i] > 0.0) == (away > 0.0):
-                total += w[i] * away
-        out[k] = total
+            z[i] = min(max(z[i], q - r[i]), q + r[i])
+            total += w[i] * z[i]
+        u[k] = total
 
 
 @cache
 def _compiled() -> tuple[Callable[..., Any], ...] | None:
-    """Return bank, sum and zones through numba, or None where it is not installed."""
+    """Return bank, forward and inverse through numba, or None where it is not installed."""
     if find_spec("numba") is None:
         return None
     import numba
 
-    return tuple(numba.njit(one) for one in (_scalar_bank, _scalar_sum, _scalar_zones))
+    written = _scalar_bank, _scalar_forward, _scalar_inverse
+    return tuple(numba.njit(one, fastmath=True) for one in written)
 
 
-def numba_bank(u: Array, threshold: Array) -> Array | None:
-    """Return the states of the plays by numba, column after column; None without it."""
+def numba_bank(u: Array, threshold: Array, order: Literal["C", "F"]) -> Array | None:
+    """Return the states of the plays by numba, row by row or in columns; None without it."""
     found = _compiled()
     if found is None:
         return None
-    columns = np.empty((len(u), len(threshold)), order="F")
+    columns = np.empty((len(u), len(threshold)), order=order)
     found[0](u, threshold, columns)
     return columns
 
@@ -114,10 +128,9 @@ def numba_forward(u: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
     found = _compiled()
     if found is None:
         return None
-    plays, zones = model.plays, model.dead_zones
-    h, y = np.empty(len(u)), np.empty(len(u))
-    found[1](u, plays.threshold, plays.weight, np.array(model.virgin_memory()), h)
-    found[2](h, zones.threshold, zones.weight, y)
+    plays, y = model.plays, np.empty(len(u))
+    memory = np.array(model.virgin_memory())
+    found[1](u, plays.threshold, plays.weight, memory, zones_of(model.dead_zones), y)
     return y
 
 
@@ -126,9 +139,12 @@ def numba_inverse(y: Array, model: ModifiedPrandtlIshlinskii) -> Array | None:
     found = _compiled()
     if found is None:
         return None
-    plays, zones = model.plays.inverse(), model.dead_zones.inverse()
+    plays, u = model.plays.inverse(), np.empty(len(y))
     memory = np.array(model.plays.inverse_memory(model.virgin_memory()))
-    q, u = np.empty(len(y)), np.empty(len(y))
-    found[2](y, zones.threshold, zones.weight, q)
-    found[1](q, plays.threshold, plays.weight, memory, u)
+    found[2](y, plays.threshold, plays.weight, memory, zones_of(model.dead_zones.inverse()), u)
     return u
+
+
+def zones_of(zones: DeadZones) -> Zones:
+    """Return thresholds, weights and the place of the zone of threshold 0."""
+    return zones.threshold, zones.weight, zones.zero

@@ -12,7 +12,9 @@ from benchmarks.speed.table import Row
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.gauss_newton import minimise, rms_of
 
-WEIGHTS, PROGRAM, SHAPE = "weights of the plays", "Kuhnen's program", "fit of one shape"
+WEIGHTS, TRIANGLE = "weights of the plays, from all rows", "weights on the triangle"
+PROGRAM, SHAPE = "Kuhnen's program", "fit of one shape"
+SAME_TRIANGLE = 1e-9  # of the largest weight; R'R knows no more
 SAME = 1e-4  # of the largest weight: an interior-point solver stops there
 AS_GOOD = 1.02  # how much more a search by differences may leave
 WIDTHS = (4, 8, 16, 32)
@@ -33,6 +35,21 @@ def weights_row(watch: Stopwatch, samples: int) -> Row:
         stage=WEIGHTS,
         solvers={name: watch.cpu_s(solve) / own_s for name, solve in others.items()},
         bounds={"product R'R by BLAS": own_s / watch.cpu_s(lambda: columns.T @ columns)},
+    )
+
+
+def triangle_row(watch: Stopwatch, samples: int) -> Row:
+    """Return the same weights from their triangle alone, by solvers that are given no more."""
+    columns = bank(drive_V(samples))
+    triangle = solvers.triangle_of(np.column_stack([columns, noisy_sum(columns)]))
+    found = solvers.on_triangle(triangle)
+    own_s = watch.cpu_s(lambda: solvers.on_triangle(triangle))
+    others = solvers.on_triangle_by_others(triangle)
+    for solve in others.values():
+        np.testing.assert_allclose(solve(), found, atol=SAME_TRIANGLE * found.max())
+    return Row(
+        stage=TRIANGLE,
+        solvers={name: watch.cpu_s(solve) / own_s for name, solve in others.items()},
     )
 
 

@@ -43,10 +43,40 @@ def triangle_of(rows: Array) -> Array:
 
 def weights(columns: Array, target: Array) -> Array:
     """Return non-negative weights by way of the triangle."""
-    triangle = triangle_of(np.column_stack([columns, target]))
-    unknowns = columns.shape[1]
+    return on_triangle(triangle_of(np.column_stack([columns, target])))
+
+
+def on_triangle(triangle: Array) -> Array:
+    """Return non-negative weights from the triangle, the target its last column."""
+    unknowns = triangle.shape[1] - 1
     free = np.zeros(unknowns), np.full(unknowns, np.inf)
     return bounded_step(triangle[:, :-1], triangle[:, -1], *free)
+
+
+def on_triangle_by_others(triangle: Array) -> Mapping[str, Callable[[], Array]]:
+    """Return the same by solvers of small problems, by their names."""
+    factor, target = np.ascontiguousarray(triangle[:, :-1]), triangle[:, -1].copy()
+    return {
+        "nnls": lambda: np.asarray(nnls(factor, target)[0]),
+        "daqp": lambda: _by_daqp(factor, target),
+    }
+
+
+def _by_daqp(factor: Array, target: Array) -> Array:
+    import daqp
+
+    unknowns = factor.shape[1]
+    found, _, flag, _ = daqp.solve(
+        factor.T @ factor,
+        -factor.T @ target,
+        np.empty((0, unknowns)),
+        np.full(unknowns, 1e30),
+        np.zeros(unknowns),
+        np.zeros(unknowns, dtype=np.int32),
+    )
+    if flag != 1:
+        raise AssertionError(f"daqp ended with {flag}")
+    return np.asarray(found)
 
 
 def weights_by_others(columns: Array, target: Array) -> Mapping[str, Callable[[], Array]]:

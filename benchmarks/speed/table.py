@@ -9,8 +9,8 @@ SIZES = ("samples", "plays", "recordings")
 HEADINGS = (
     "stage",
     "sample loop",
-    "numba",
-    "general solver, all rows",
+    "compiled loop",
+    "general solver",
     "itself",
     "grows with samples, plays, recordings",
 )
@@ -20,15 +20,16 @@ HEADINGS = (
 class Row:
     """What one stage was compared with.
 
-    loop, compiled  how many times as long a loop over the samples takes, in NumPy (of the closed
-                    loop: calls from Python) and in numba
-    solvers         the same of general solvers, by their names
-    bounds          how many times as long as something that bounds it the stage itself takes
+    loop      how many times as long a loop over the samples takes in NumPy (of the closed loop:
+              calls from Python)
+    compiled  the same of loops in compiled languages, by their names
+    solvers   the same of general solvers, by their names
+    bounds    how many times as long as something that bounds it the stage itself takes
     """
 
     stage: str
     loop: float | None = None
-    compiled: float | None = None
+    compiled: Mapping[str, float] = field(default_factory=dict)
     solvers: Mapping[str, float] = field(default_factory=dict)
     bounds: Mapping[str, float] = field(default_factory=dict)
 
@@ -52,8 +53,12 @@ def _cells(row: Row, growths: Sequence[Growth]) -> list[str]:
     return [
         row.stage,
         short(row.loop),
-        short(row.compiled),
-        ", ".join(f"{name} {short(value)}" for name, value in row.solvers.items()),
+        _named(row.compiled),
+        _named(row.solvers),
         ", ".join(f"{short(value)} {name}" for name, value in row.bounds.items()),
         ", ".join(power.get(what, "-") for what in SIZES) if power else "",
     ]
+
+
+def _named(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {short(value)}" for name, value in values.items())

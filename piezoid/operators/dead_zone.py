@@ -115,6 +115,10 @@ class DeadZones:
 
         Raises ``NotInvertibleError`` where a slope is not positive.
         """
+        return self._inverse
+
+    @cached_property
+    def _inverse(self) -> "DeadZones":
         slope = self.slope
         if not self.is_invertible:
             raise NotInvertibleError(

@@ -1,4 +1,5 @@
 #include "kernels.h"
+#include "plays_avx2.h"
 
 #include <math.h>
 #include <string.h>
@@ -10,6 +11,8 @@
  * enough for their states to stay in registers. */
 #define LANES 8
 #define RUN 256
+/* Samples that stay in the first cache from the first map to the last. */
+#define STRETCH 1024
 
 static inline double clamp(double value, double low, double high) {
     const double raised = value > low ? value : low;
@@ -40,6 +43,12 @@ static void run_of_lanes(size_t samples, const double *restrict input_V,
 
 void pk_play_columns(size_t samples, const double *input_V, size_t plays,
                      const double *threshold_V, double *state_V, size_t stride, double *column_V) {
+#if PK_AVX2
+    if (pk_has_avx2()) {
+        pk_play_columns_avx2(samples, input_V, plays, threshold_V, state_V, stride, column_V);
+        return;
+    }
+#endif
     double unused[LANES * RUN]; /* where lanes without a play write, each its own part */
     for (size_t first = 0; first < plays; first += LANES) {
         const size_t group = plays - first < LANES ? plays - first : LANES;
@@ -108,6 +117,12 @@ void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
 
 void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
                  const double *weight, double *state_V, double *output) {
+#if PK_AVX2
+    if (pk_has_avx2()) {
+        pk_play_sum_avx2(samples, input_V, plays, threshold_V, weight, state_V, output);
+        return;
+    }
+#endif
     for (size_t k = 0; k < samples; ++k) {
         const double u = input_V[k];
         double sum = 0.0;
@@ -119,44 +134,87 @@ void pk_play_sum(size_t samples, const double *input_V, size_t plays, const doub
     }
 }
 
-double pk_mapped(double x, const pk_map *map, double *local) {
+/* One segment of a map: within it, the value is base + slope * (x - from). */
+typedef struct {
+    double low, high;
+    double from, base, slope;
+} segment;
+
+/* The segment x lies in; its base is added up from 0 outwards. */
+static segment segment_at(double x, const pk_map *map) {
     const double *knot = map->knot;
     const double *slope = map->slope;
     const size_t knots = map->knots;
     const size_t zero = map->zero;
-    double y = 0.0;
-    size_t segment;
+    double from = 0.0;
+    double base = 0.0;
     if (x >= 0.0) {
-        segment = zero + 1;
-        double from = 0.0;
-        while (segment < knots && x > knot[segment]) {
-            y += slope[segment] * (knot[segment] - from);
-            from = knot[segment];
-            ++segment;
+        size_t place = zero + 1;
+        while (place < knots && x > knot[place]) {
+            base += slope[place] * (knot[place] - from);
+            from = knot[place];
+            ++place;
         }
-        y += slope[segment] * (x - from);
-    } else {
-        segment = zero;
-        double from = 0.0;
-        while (segment > 0 && x < knot[segment - 1]) {
-            y += slope[segment] * (knot[segment - 1] - from);
-            from = knot[segment - 1];
-            --segment;
-        }
-        y += slope[segment] * (x - from);
+        const double high = place < knots ? knot[place] : (double)INFINITY;
+        return (segment){from, high, from, base, slope[place]};
     }
-    *local = slope[segment];
-    return y;
+    size_t place = zero;
+    while (place > 0 && x < knot[place - 1]) {
+        base += slope[place] * (knot[place - 1] - from);
+        from = knot[place - 1];
+        --place;
+    }
+    const double low = place > 0 ? knot[place - 1] : -(double)INFINITY;
+    return (segment){low, from, from, base, slope[place]};
+}
+
+static inline double value_in(const segment *here, double x) {
+    return here->base + here->slope * (x - here->from);
+}
+
+double pk_mapped(double x, const pk_map *map, double *local) {
+    const segment here = segment_at(x, map);
+    *local = here.slope;
+    return value_in(&here, x);
 }
 
 void pk_piecewise_linear(size_t samples, const double *input, size_t knots, const double *knot,
                          const double *slope, size_t zero, double *output, double *local) {
     const pk_map map = {.knots = knots, .knot = knot, .slope = slope, .zero = zero};
-    double at = 0.0;
+    segment here = {.low = 0.0, .high = 0.0};
     for (size_t k = 0; k < samples; ++k) {
-        output[k] = pk_mapped(input[k], &map, &at);
+        const double x = input[k];
+        /* A sample mostly lies where the one before it did. */
+        if (!(x > here.low && x < here.high)) {
+            here = segment_at(x, &map);
+        }
+        output[k] = value_in(&here, x);
         if (local != NULL) {
-            local[k] = at;
+            local[k] = here.slope;
+        }
+    }
+}
+
+void pk_mapped_plays(size_t samples, const double *input, double taken, const pk_map *before,
+                     size_t plays, const double *threshold, const double *weight, double *state,
+                     const pk_map *after, double added, double *output) {
+    for (size_t start = 0; start < samples; start += STRETCH) {
+        const size_t count = samples - start < STRETCH ? samples - start : STRETCH;
+        double *made = output + start;
+        for (size_t k = 0; k < count; ++k) {
+            made[k] = input[start + k] - taken;
+        }
+        if (before != NULL) {
+            pk_piecewise_linear(count, made, before->knots, before->knot, before->slope,
+                                before->zero, made, NULL);
+        }
+        pk_play_sum(count, made, plays, threshold, weight, state, made);
+        if (after != NULL) {
+            pk_piecewise_linear(count, made, after->knots, after->knot, after->slope, after->zero,
+                                made, NULL);
+        }
+        for (size_t k = 0; k < count; ++k) {
+            made[k] += added;
         }
     }
 }

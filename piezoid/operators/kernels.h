@@ -27,7 +27,8 @@ void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
                       const double *threshold_V, double *state_V, double *slope, double *alive,
                       size_t stride, double *column_V, double *slope_column, double *alive_column);
 
-/* Weighted sum of plays, without writing the columns: output[k] = sum_i weight[i] z_i[k]. */
+/* Weighted sum of plays, without writing the columns: output[k] = sum_i weight[i] z_i[k].
+ * The output may be the input. */
 void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,
                  const double *weight, double *state_V, double *output);
 
@@ -50,6 +51,16 @@ typedef struct {
 
 /* Its value at x, and in *local its slope there. */
 double pk_mapped(double x, const pk_map *map, double *local);
+
+/* Plays between two maps: output = added + after(sum_i weight[i] z_i(before(input - taken))).
+ *   before, after  NULL: nothing is mapped
+ *   output         (samples,)  may be the input
+ * The rest as in pk_play_sum. Forwards `before` is the envelope and `after` the dead zones; of the
+ * inverse it is the other way round.
+ */
+void pk_mapped_plays(size_t samples, const double *input, double taken, const pk_map *before,
+                     size_t plays, const double *threshold, const double *weight, double *state,
+                     const pk_map *after, double added, double *output);
 
 /* Online inverse of dead zones after plays after an envelope, with clipping, rounding and
  * re-synchronised memory.

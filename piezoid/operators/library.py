@@ -18,6 +18,11 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_play_tangents": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, *[_POINTER] * 3),
     "pk_play_sum": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
     "pk_piecewise_linear": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, *[_POINTER] * 2),
+    "pk_mapped_plays": (
+        *(_SIZE, _POINTER, _DOUBLE, _POINTER),
+        *(_SIZE, *[_POINTER] * 3),
+        *(_POINTER, _DOUBLE, _POINTER),
+    ),
     "pk_inverse_resynchronised": (
         *(_SIZE, _POINTER, _SIZE),
         *[_POINTER] * 7,

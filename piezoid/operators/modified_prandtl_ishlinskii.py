@@ -65,9 +65,8 @@ class ModifiedPrandtlIshlinskii:
         memory_V   (plays,)    V, admissible states before the first sample
         returned   (samples,)  m, and (plays,) V
         """
-        drive_V = self.envelope.run(voltage_V - self.voltage_offset_V)
-        h_m, after_V = self.plays.run(drive_V, memory_V)
-        return self.dead_zones.run(h_m) + self.displacement_offset_m, after_V
+        offsets = self.voltage_offset_V, self.displacement_offset_m
+        return _run(voltage_V, memory_V, self.envelope, self.plays, self.dead_zones, offsets)
 
     def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
         """Return the voltage that makes this displacement, and the forward memory after it.
@@ -77,11 +76,14 @@ class ModifiedPrandtlIshlinskii:
         displacement_m  (samples,)  m
         memory_V        (plays,)    V, the forward memory before the first sample
         """
-        q_m = self.dead_zones.inverse().run(displacement_m - self.displacement_offset_m)
-        start = self.plays.inverse_memory(memory_V)
-        command_V, _ = self.plays.inverse().run(q_m, start)
-        _, after_V = self.plays.run(command_V, memory_V)
-        return self.envelope.inverse().run(command_V) + self.voltage_offset_V, after_V
+        zones, plays = self.dead_zones.inverse(), self.plays.inverse()
+        start, offsets = self.plays.inverse_memory(memory_V), (self.displacement_offset_m, 0.0)
+        voltage_V, after = _run(displacement_m, start, zones, plays, LINEAR, offsets)
+        if self.envelope is not LINEAR:
+            voltage_V = self.envelope.inverse().run(voltage_V)
+        voltage_V += self.voltage_offset_V
+        # The plays are the inverse of their inverse, and so is their memory.
+        return voltage_V, plays.inverse_memory(after)
 
     def rescaled(self, c: float) -> "ModifiedPrandtlIshlinskii":
         """Return the same operator in another gauge: (w, r_S, w_S) -> (c w, c r_S, w_S / c)."""
@@ -96,6 +98,36 @@ class ModifiedPrandtlIshlinskii:
     def regauged(self) -> "ModifiedPrandtlIshlinskii":
         """Return the same operator with weight 1 at the central dead zone."""
         return self.rescaled(float(self.dead_zones.weight[self.dead_zones.zero]))
+
+
+def _run(
+    values: Array,
+    memory: Array,
+    before: DeadZones,
+    plays: PrandtlIshlinskii,
+    after: DeadZones,
+    offsets: tuple[float, float],
+) -> tuple[Array, Array]:
+    """Pass values less an offset through a map, plays and a map, and add an offset."""
+    source = contiguous(values)
+    state = np.array(memory, dtype=np.float64)
+    output = np.empty_like(source)
+    maps = [None if one is LINEAR else one.kernel_map() for one in (before, after)]
+    places = [None if one is None else ctypes.addressof(one) for one in maps]
+    KERNELS.pk_mapped_plays(
+        len(source),
+        address(source),
+        offsets[0],
+        places[0],
+        len(state),
+        address(plays.threshold),
+        address(plays.weight),
+        address(state),
+        places[1],
+        offsets[1],
+        address(output),
+    )
+    return output, state
 
 
 @dataclass(frozen=True, kw_only=True)

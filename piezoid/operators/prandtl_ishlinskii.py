@@ -1,6 +1,7 @@
 """Prandtl-Ishlinskii operators: weighted plays, their loading curve and their exact inverse."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -84,6 +85,10 @@ class PrandtlIshlinskii:
 
         Its memory is ``inverse_memory`` of ours. Raises ``NotInvertibleError`` where a W_i <= 0.
         """
+        return self._inverse
+
+    @cached_property
+    def _inverse(self) -> "PrandtlIshlinskii":
         slope = self.slope
         if not self.is_invertible:
             place = int(np.argmin(slope))

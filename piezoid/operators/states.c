@@ -3,7 +3,8 @@
 #include <math.h>
 
 /* Four lanes where the machine has them: nothing is fused, so the numbers stay the same. */
-#if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__)
+#if defined(__GLIBC__) && defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) &&      \
+    !defined(PK_PORTABLE)
 #define WIDER __attribute__((target_clones("default", "avx2")))
 #else
 #define WIDER

@@ -1,30 +1,19 @@
 """What `piezoid export` writes beside the bundle, by the name of its target."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
 from piezoid.export.fmu import controller_units
 from piezoid.export.fmu_unit import packed
-from piezoid.export.parameter_file import ParameterFile
 from piezoid.export.shared_library import shared_library_files
+from piezoid.targets.exported import Exported
+from piezoid.targets.pi_pid import pi_pid_files
 from piezoid.targets.plant_unit import plant_units
-from piezoid.verification.plant import AxisPlant
+from piezoid.targets.waveform import waveform_files
 
 BUNDLE = "bundle"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Exported:
-    """Of what targets are made.
-
-    file    what ships
-    plants  the identified plants of its axes, those that verification runs
-    """
-
-    file: ParameterFile
-    plants: Sequence[AxisPlant] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +44,8 @@ def _library(exported: Exported) -> Made:
 _MAKERS: dict[str, Callable[[Exported], Made]] = {
     "fmu": _fmus,
     "library": _library,
+    "pi-pid": pi_pid_files,
+    "waveform": waveform_files,
 }
 TARGETS = (BUNDLE, *_MAKERS)
 

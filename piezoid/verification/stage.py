@@ -55,17 +55,8 @@ def verify_stage(
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
     where lab.toml declares other guards or another rig than those that ship.
     """
-    rng = np.random.default_rng([seed, draws])
-    plants: list[AxisPlant] = []
-    drawn: list[tuple[AxisPlant, ...]] = []
     declared = lab or Lab()
-    for axis in file.axes:
-        plants.append(plant_of(axis, model, declared))
-        if axis.method == "rst":
-            loop = _loop_of(axis, model.tunnelling)
-            drawn.append(_family(plants[-1], loop, declared, draws))
-        else:
-            drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
+    plants, drawn = stage_plants(file, model, declared, draws=draws, seed=seed)
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
     _same_control(file, declared)
     chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
@@ -80,6 +71,26 @@ def verify_stage(
         threads=threads,
         lab_digest=declared.digest,
     )
+
+
+def stage_plants(
+    file: ParameterFile, model: ActuatorModel, lab: Lab, *, draws: int = DRAWS, seed: int = 0
+) -> tuple[list[AxisPlant], list[tuple[AxisPlant, ...]]]:
+    """Return the identified plant of every axis of a file, and others the recordings allow.
+
+    Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it.
+    """
+    rng = np.random.default_rng([seed, draws])
+    plants: list[AxisPlant] = []
+    drawn: list[tuple[AxisPlant, ...]] = []
+    for axis in file.axes:
+        plants.append(plant_of(axis, model, lab))
+        if axis.method == "rst":
+            loop = _loop_of(axis, model.tunnelling)
+            drawn.append(_family(plants[-1], loop, lab, draws))
+        else:
+            drawn.append(varied_plants(plants[-1], model[axis.axis], count=draws, rng=rng))
+    return plants, drawn
 
 
 def _same_control(file: ParameterFile, lab: Lab) -> None:

@@ -30,7 +30,8 @@ def test_every_rival_of_kernels_and_programs_comes_to_our_result(
     assert rows[0] == list(HEADINGS)
     assert [row[0] for row in rows[2:]] == [
         *("play bank", "model forward", "inverse"),
-        *("weights of the plays", "Kuhnen's program", "fit of one shape"),
+        *("weights of the plays, from all rows", "weights on the triangle"),
+        *("Kuhnen's program", "fit of one shape"),
     ]
     assert {place.name for place in tmp_path.iterdir()} == {"growth.svg", "growth.png"}
 

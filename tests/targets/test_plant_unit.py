@@ -10,8 +10,9 @@ from piezoid.design.chain import Section
 from piezoid.export.fmu_unit import packed
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
+from piezoid.targets.exported import Exported
 from piezoid.targets.plant_unit import plant_units
-from piezoid.targets.targets import Exported, written_for
+from piezoid.targets.targets import written_for
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, Junction
 from piezoid.verification.scenarios import SCENARIOS

@@ -84,6 +84,7 @@ def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_
     assert not (folder / "library").exists()
 
 
+<<<<<<< HEAD
 def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bundle(folder):
     done = called("export", folder, "--target", "library", "--json")
     assert done.exit_code == 0, done.output
@@ -93,6 +94,39 @@ def test_what_was_exported_is_handed_to_a_script_with_the_targets_beside_the_bun
     assert set(found["methods"]) == {"x"}
     assert {"params.json", "bundle/piezo_params.h", "library/example.py"} <= set(found["files"])
     assert all((folder / name).is_file() for name in found["files"])
+=======
+def test_boxes_get_their_files_and_the_terminal_says_what_they_lose(folder):
+    (folder / "box.toml").write_text("[pi-pid]\nnotches = 0\n[waveform]\nrange_V = [0, 10]\n")
+    asked = ("--target", "pi-pid", "--target", "waveform", "--box", folder / "box.toml")
+    done = called("export", folder, *asked)
+    assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert "axis x: with PID and no notch you" in said
+    assert "dB of rejection below" in said
+    assert "axis x: the waveform errs by" in said
+    assert {path.name for path in (folder / "pi-pid").iterdir()} == {
+        "README.md",
+        "rejection.csv",
+        "settings.csv",
+    }
+    assert {path.name for path in (folder / "waveform").iterdir()} == {
+        "README.md",
+        "x.csv",
+        "x_int16.bin",
+    }
+    (folder / "box.toml").write_text("[waveform]\nrange_V = [0, 10]\npoints = 100\n")
+    done = called("export", folder, *asked)
+    assert "What would fit: frequency_Hz of 200 or more" in str(done.exception)
+
+
+def test_without_a_controller_that_ships_there_is_no_target(folder):
+    (folder / "lab.toml").write_text("[verification]\n" + TIGHT)
+    done = called("export", folder, "--target", "fmu")
+    assert done.exit_code == 1
+    assert "no target is written" in done.output
+    assert not (folder / "fmu").exists()
+    assert not (folder / "bundle").exists()
+>>>>>>> h-plant
 
 
 def test_an_unknown_target_is_refused_before_anything_is_written(folder):

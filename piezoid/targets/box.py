@@ -1,0 +1,101 @@
+"""box.toml: what a box that somebody owns can hold."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from piezoid.errors import ParameterFileError
+from piezoid.toml_text import read_toml
+
+SHAPES = ("triangle", "sine")
+_LARGEST = 2**24  # points of a table
+_NUMBERS = {
+    "pi-pid": ("slew_V_per_s",),
+    "waveform": ("frequency_Hz", "rate_Hz", "half_range_m"),
+}
+_WHOLE = {"pi-pid": {"notches": (0, 2)}, "waveform": {"points": (4, _LARGEST), "bits": (8, 16)}}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """What a box can hold; None: what the stage has.
+
+    notches       0 to 2
+    slew_V_per_s  its own limit; None: none
+    shape         of the scan, ``triangle`` (rounded corners) or ``sine``
+    frequency_Hz  of its lines to and fro
+    half_range_m  from the middle of the scan to its ends; None: 0.7 of the way to the nearer limit
+    rate_Hz       at which points are put out; None: the controller's
+    points        that the table has room for
+    bits          of its converter
+    range_V       its ends; None: those of the stage's own
+    """
+
+    notches: int = 2
+    slew_V_per_s: float | None = None
+    shape: str = "triangle"
+    frequency_Hz: float = 10.0
+    half_range_m: float | None = None
+    rate_Hz: float | None = None
+    points: int = _LARGEST
+    bits: int = 16
+    range_V: tuple[float, float] | None = None
+
+
+def read_box(place: Path) -> Box:
+    """Return what a file declares; ``ParameterFileError`` names the key and what it takes."""
+    try:
+        tables = read_toml(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ParameterFileError(
+            f"{place} cannot be read: {error}",
+            needed="a TOML file with the tables [pi-pid] and [waveform]",
+            remedy="Correct it, or leave --box away: then the defaults of the guide hold.",
+        ) from None
+    given: dict[str, Any] = {}
+    for table, keys in tables.items():
+        if table not in _NUMBERS or not isinstance(keys, Mapping):
+            raise _wrong(place, table, "no table of it", "[pi-pid] or [waveform]")
+        for key, value in keys.items():
+            given[key] = _checked(place, table, key, value)
+    return Box(**given)
+
+
+def _checked(place: Path, table: str, key: str, value: object) -> object:
+    where = f"{key} of [{table}]"
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if key in _NUMBERS[table]:
+        if not is_number or not 0.0 < float(str(value)) < 1e12:
+            raise _wrong(place, where, repr(value), "a number above 0")
+        return float(str(value))
+    if key in _WHOLE[table]:
+        least, most = _WHOLE[table][key]
+        if not is_number or not isinstance(value, int) or not least <= value <= most:
+            raise _wrong(place, where, repr(value), f"a whole number from {least} to {most}")
+        return value
+    if table == "waveform" and key == "shape":
+        if value not in SHAPES:
+            raise _wrong(place, where, repr(value), " or ".join(SHAPES))
+        return value
+    if table == "waveform" and key == "range_V":
+        if (
+            not isinstance(value, list)
+            or len(value) != 2
+            or not all(isinstance(v, int | float) and abs(v) < 1e6 for v in value)
+            or not value[0] < value[1]
+        ):
+            raise _wrong(place, where, repr(value), "two voltages, the lower first")
+        return (float(value[0]), float(value[1]))
+    known = (
+        *_NUMBERS[table],
+        *_WHOLE[table],
+        *(("shape", "range_V") if table == "waveform" else ()),
+    )
+    raise _wrong(place, where, "no key of it", f"one of {', '.join(known)}")
+
+
+def _wrong(place: Path, where: str, what: str, needed: str) -> ParameterFileError:
+    return ParameterFileError(
+        f"{place}: {where} is {what}", needed=needed, remedy="Correct it, and export again."
+    )

@@ -1,0 +1,90 @@
+"""What every target is made of."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.targets.box import Box
+from piezoid.verification.closed_loop import run_axis
+from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.plant import AxisPlant
+from piezoid.verification.tracking import Tracking, track
+from piezoid.verification.trajectories import Path
+
+_REACH = 0.7  # of the way from rest to the nearer end of the references, as in verification
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Exported:
+    """Of what targets are made.
+
+    file     what ships
+    plants   the identified plants of its axes, those that verification runs
+    drawn    by axis, other plants that the recordings allow
+    models   by axis, the identified model;  designs  the loops it was designed
+    converter_V  ends of the stage's own converter, None where lab.toml does not say
+    box      what the box can hold
+    """
+
+    file: ParameterFile
+    plants: Sequence[AxisPlant] = ()
+    drawn: Mapping[str, Sequence[AxisPlant]] = field(default_factory=dict)
+    models: Mapping[str, AxisModel] = field(default_factory=dict)
+    designs: Mapping[str, AxisDesign] = field(default_factory=dict)
+    converter_V: tuple[float, float] | None = None
+    box: Box = field(default_factory=Box)
+
+    @property
+    def lateral(self) -> tuple[AxisParameters, ...]:
+        """The axes that follow a displacement and of which everything is known."""
+        return tuple(axis for axis in self.file.axes if axis.axis in self.models)
+
+    def family(self, axis: str) -> tuple[AxisPlant, ...]:
+        """Return the identified plant of an axis, and the others."""
+        own = next(plant for plant in self.plants if plant.axis == axis)
+        return (own, *self.drawn.get(axis, ()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Where an axis is sent: about ``centre_m``, as far as ``radius_m``; its limit is farther."""
+
+    centre_m: float
+    farthest_m: float
+
+    @property
+    def radius_m(self) -> float:
+        """How far verification's paths go."""
+        return _REACH * self.farthest_m
+
+
+def way_of(axis: AxisParameters, plant: AxisPlant) -> Way:
+    """Return where the plant rests, and how far the nearer end of the references is."""
+    centre_m = rest_position(plant)
+    ends = [float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")]
+    return Way(centre_m=centre_m, farthest_m=min(abs(end - centre_m) for end in ends))
+
+
+def tracked(
+    path_m: Array, position_m: Array, way: Way, frequency_Hz: float, rate_Hz: float
+) -> Tracking:
+    """Compare one axis with its path, both about the middle."""
+    return track(
+        {"axis": path_m - way.centre_m},
+        {"axis": position_m - way.centre_m},
+        path=Path(x=path_m, y=path_m),
+        radius_m=way.radius_m,
+        frequency_Hz=frequency_Hz,
+        sampling_rate_Hz=rate_Hz,
+    )
+
+
+def shipped_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array, seed: int) -> Array:
+    """Return where the exported controller takes a plant."""
+    rng = np.random.default_rng(seed)
+    return run_axis(plant, axis, path_m, rng=rng).position

@@ -1,0 +1,272 @@
+"""The target `pi-pid`: settings for a box with PID, notches and a slew limit, and their price."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign
+from piezoid.design.from_model import plant_family
+from piezoid.design.hysteresis_bounds import affine_bounds
+from piezoid.design.lateral import with_sector
+from piezoid.design.plant import Fraction, PlantFamily
+from piezoid.design.sensitivity import sensitivities
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import decibel
+from piezoid.readable import told
+from piezoid.targets.box_loop import run_box
+from piezoid.targets.exported import Exported, shipped_position_m, tracked, way_of
+from piezoid.targets.pid import Pid, PidBox
+from piezoid.targets.pid_search import Tuned, tuned_pid
+from piezoid.verification.tracking import Tracking
+from piezoid.verification.trajectories import constant_angular_velocity
+
+SEED = 0
+FREQUENCIES_Hz = np.geomspace(1.0, 1000.0, 61)
+_SPIRALS_Hz = (10.0, 50.0)
+_TURNS = 5.0
+_COUNTED = ("no notch", "one notch", "two notches")
+
+_README = """\
+# {name}: settings for a box with PID, up to {notches} notches and a slew limit
+
+What the box is taken to compute, sample by sample, T = 1 / sampling rate, e = reference - reading:
+
+    i += integral T e;   d += (1 - exp(-1/2)) ((e - e_before) / T - d)
+    v = notches(proportional e + i + derivative d);   output = rest + v
+    notch: (s^2 + 2 depth w s + w^2) / (s^2 + 2 width w s + w^2), w = 2 pi frequency,
+    by Tustin's transform that keeps the frequency
+
+then the slew limit, the voltage limits and the converter's step; the integral takes up no error
+that would drive the output farther beyond a limit. Gains are volts of the command per metre of
+displacement: scale them by the sensitivities of your amplifier and sensor. `settings.csv` holds
+them, `rejection.csv` the curves of what follows.
+
+{axes}
+Tested: the settings in this structure, computed as above in 8-byte reals, against the identified
+plant and others that the recordings allow, with hysteresis, creep, noise and converters; margins
+of every plant of the family recomputed exactly. Not tested, because no such box was at hand: how
+yours names, scales and rounds its settings, how it filters its derivative, where its notches
+stand and what delay it adds. The plants have the delay of this stage's own converters. Begin with
+a tenth of the integral and without the proportional.
+"""
+
+_AXIS = """\
+## Axis {axis}
+
+| setting | value |
+| --- | --- |
+{settings}
+
+{price}.
+
+Worst of {plants} plants: modulus margin {modulus:.2f}, delay margin {delay}.
+
+| spiral | plant | rms error, exported controller | rms error, PID | PID, its best delay apart |
+| --- | --- | --- | --- | --- |
+{rows}
+"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Priced:
+    """One axis with PID beside its exported controller.
+
+    rejection_dB  (frequencies, 2)  worst |Syp| over the family: exported, PID
+    rows          spiral in Hz, label of the plant, what is left with exported controller and PID
+    """
+
+    axis: str
+    tuned: Tuned
+    plants: int
+    rejection_dB: Array
+    rows: tuple[tuple[float, str, Tracking, Tracking], ...]
+
+    @property
+    def price(self) -> str:
+        """What the box loses, in one or two sentences."""
+        own_dB, pid_dB = self.rejection_dB.T
+        rejects = own_dB < 0.0
+        last = len(rejects) if rejects.all() else int(np.argmin(rejects))
+        if last == 0:
+            return "the exported controller itself rejects nothing from 1 Hz on"
+        at = {f: int(np.argmin(np.abs(FREQUENCIES_Hz - f))) for f in (1.0, 10.0, 100.0)}
+        parts = ", ".join(
+            f"{pid_dB[k]:.1f} dB instead of {own_dB[k]:.1f} dB at {f:g} Hz"
+            for f, k in at.items()
+            if k < last
+        )
+        loss_dB = float(np.max((pid_dB - own_dB)[:last]))
+        how = "lose up to" if loss_dB > 0.0 else "gain at least"
+        below = told(float(FREQUENCIES_Hz[last - 1]), "Hz")
+        slow = [row for row in self.rows if row[0] == _SPIRALS_Hz[0]]
+        own = told(max(row[2].rms_m for row in slow), "m")
+        pid = told(max(row[3].rms_m for row in slow), "m")
+        notches = _COUNTED[len(self.tuned.pid.notches)]
+        return (
+            f"with PID and {notches} you {how} {abs(loss_dB):.1f} dB of rejection below {below} "
+            f"({parts}; worst plants); a spiral of {_SPIRALS_Hz[0]:g} Hz errs by {pid} rms "
+            f"instead of {own}"
+        )
+
+
+def pi_pid_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+    """Return the folder's files by name, and sentences about what they cost.
+
+    Raises ``DesignError`` where no such box holds the plants of an axis.
+    """
+    priced = [priced_pid(exported, axis) for axis in exported.lateral]
+    notes = [f"axis {one.axis}: {one.price}" for one in priced]
+    notes += [
+        f"axis {axis.axis} is not in pi-pid/: it regulates a current, and a PID of a displacement "
+        "does not; --target library or the bundle holds its controller"
+        for axis in exported.file.axes
+        if axis.method == "rst"
+    ]
+    if not priced:
+        return {}, tuple(notes)
+    readme = _README.format(
+        name=inert(exported.file.name),
+        notches=exported.box.notches,
+        axes="\n".join(_section(one) for one in priced),
+    )
+    files = {
+        "README.md": readme.encode(),
+        "settings.csv": _settings_csv(priced).encode(),
+        "rejection.csv": _rejection_csv(priced).encode(),
+    }
+    return files, tuple(notes)
+
+
+def priced_pid(exported: Exported, axis: AxisParameters) -> Priced:
+    """Return the best settings of one axis, and what they lose."""
+    design, model = exported.designs[axis.axis], exported.models[axis.axis]
+    box, asked, values = exported.box, design.specification, axis.values
+    family = _family(model, design.sampling_rate_Hz)
+    plants = exported.family(axis.axis)
+    blank = Pid(
+        sampling_rate_Hz=design.sampling_rate_Hz,
+        proportional_V_per_m=0.0,
+        integral_V_per_m_s=0.0,
+        derivative_V_s_per_m=0.0,
+        notches=(),
+        rest_V=plants[0].rest_voltage_V,
+        minimum_V=float(values["voltage_minimum_V"]),
+        maximum_V=float(values["voltage_maximum_V"]),
+        lsb_V=float(values["lsb_V"]),
+        slew_V_per_s=box.slew_V_per_s or asked.voltage_slew_V_per_s or np.inf,
+    )
+    tuned = tuned_pid(
+        axis.axis,
+        family,
+        blank,
+        notches=box.notches,
+        modulus_margin=asked.modulus_margin,
+        delay_margin_s=asked.delay_margin_s,
+    )
+    return Priced(
+        axis=axis.axis,
+        tuned=tuned,
+        plants=len(family.members),
+        rejection_dB=_rejection_dB(design, family, tuned.pid),
+        rows=tuple(
+            _row(exported, axis, tuned.pid, frequency_Hz, place)
+            for frequency_Hz in _SPIRALS_Hz
+            for place in range(len(plants))
+        ),
+    )
+
+
+def _family(model: AxisModel, rate_Hz: float) -> PlantFamily:
+    """Return the plants as a box without an inverse of the hysteresis feels them."""
+    bounds = affine_bounds(
+        model.hysteresis, model.certificate.reach_V, remainder_m=model.certificate.bound_m
+    )
+    return with_sector(plant_family(model, rate_Hz), bounds)
+
+
+def _rejection_dB(design: AxisDesign, family: PlantFamily, pid: Pid) -> Array:
+    loop = design.recommended
+
+    def worst(members: tuple[Fraction, ...], R: Array, S: Array) -> Array:
+        found = [np.abs(sensitivities(m, R, S, FREQUENCIES_Hz).Syp) for m in members]
+        return np.asarray(decibel(np.max(found, axis=0)))
+
+    own = worst(tuple(loop.members), loop.R, loop.S)
+    return np.stack([own, worst(tuple(family.members), *pid.polynomials())], axis=1)
+
+
+def _row(
+    exported: Exported, axis: AxisParameters, pid: Pid, frequency_Hz: float, place: int
+) -> tuple[float, str, Tracking, Tracking]:
+    plants, rate_Hz = exported.family(axis.axis), pid.sampling_rate_Hz
+    way = way_of(axis, plants[0])
+    spiral = constant_angular_velocity(rate_Hz, frequency_Hz, _TURNS)
+    path_m = way.centre_m + way.radius_m * spiral.x
+    plant = plants[place]
+    rng = np.random.default_rng(SEED)
+    boxed_m = run_box(plant, PidBox(pid), path_m, rng=rng).position_m
+    shipped_m = shipped_position_m(axis, plant, path_m, SEED)
+    return (
+        frequency_Hz,
+        plant.label,
+        tracked(path_m, shipped_m, way, frequency_Hz, rate_Hz),
+        tracked(path_m, boxed_m, way, frequency_Hz, rate_Hz),
+    )
+
+
+def _settings(pid: Pid) -> list[tuple[str, float, str]]:
+    found = [
+        ("sampling rate", pid.sampling_rate_Hz, "Hz"),
+        ("proportional", pid.proportional_V_per_m, "V/m"),
+        ("integral", pid.integral_V_per_m_s, "V/(m s)"),
+        ("derivative", pid.derivative_V_s_per_m, "V s/m"),
+    ]
+    for number, notch in enumerate(pid.notches, 1):
+        found += [
+            (f"notch {number} frequency", notch.frequency_Hz, "Hz"),
+            (f"notch {number} depth", notch.depth, "1"),
+            (f"notch {number} width", notch.width, "1"),
+        ]
+    found += [
+        ("slew limit", pid.slew_V_per_s, "V/s"),
+        ("rest", pid.rest_V, "V"),
+        ("lowest output", pid.minimum_V, "V"),
+        ("highest output", pid.maximum_V, "V"),
+    ]
+    return [one for one in found if np.isfinite(one[1])]
+
+
+def _section(one: Priced) -> str:
+    late = [m.delay_margin_s for m in one.tuned.margins if m.delay_margin_s is not None]
+    return _AXIS.format(
+        axis=one.axis,
+        settings="\n".join(f"| {n} | {v:.6g} {u} |" for n, v, u in _settings(one.tuned.pid)),
+        price=one.price[0].upper() + one.price[1:],
+        plants=one.plants,
+        modulus=min(m.modulus_margin for m in one.tuned.margins),
+        delay=told(min(late), "s") if late else "none needed",
+        rows="\n".join(
+            f"| {f:g} Hz | {label} | {told(own.rms_m, 'm')} | {told(pid.rms_m, 'm')} "
+            f"| {told(pid.aligned_rms_m, 'm')} |"
+            for f, label, own, pid in one.rows
+        ),
+    )
+
+
+def _settings_csv(priced: list[Priced]) -> str:
+    lines = ["axis,setting,value,unit"]
+    for one in priced:
+        lines += [f"{one.axis},{n},{v!r},{u}" for n, v, u in _settings(one.tuned.pid)]
+    return "\n".join([*lines, ""])
+
+
+def _rejection_csv(priced: list[Priced]) -> str:
+    lines = ["axis,frequency_Hz,exported_dB,pid_dB"]
+    for one in priced:
+        for f, (own, pid) in zip(FREQUENCIES_Hz, one.rejection_dB, strict=True):
+            lines.append(f"{one.axis},{f:.6g},{own:.3f},{pid:.3f}")
+    return "\n".join([*lines, ""])

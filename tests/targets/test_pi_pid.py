@@ -1,0 +1,152 @@
+"""A box with PID and notches: as it computes, against its fraction, and against the family."""
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from piezoid.design.chain import plant_from_chain
+from piezoid.design.plant import PlantFamily
+from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.errors import DesignError
+from piezoid.targets.box import Box
+from piezoid.targets.box_loop import run_box
+from piezoid.targets.pi_pid import pi_pid_files, priced_pid
+from piezoid.targets.pid import Notch, PidBox
+from piezoid.targets.pid_search import tuned_pid
+from piezoid.verification.plant import Plugged
+from tests.targets.known_boxes import BLANK, chain, exported, family
+from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral
+
+SOME = replace(
+    BLANK,
+    proportional_V_per_m=2e4,
+    integral_V_per_m_s=5e7,
+    derivative_V_s_per_m=3.0,
+    notches=(
+        Notch(frequency_Hz=630.0, depth=0.05, width=0.7),
+        Notch(frequency_Hz=2e3, depth=0.1, width=1.0),
+    ),
+)
+
+
+def tuned(plants=None, notches=1, blank=BLANK, delay_margin_s=5e-5):
+    return tuned_pid(
+        "x",
+        plants or family(),
+        blank,
+        notches=notches,
+        modulus_margin=0.5,
+        delay_margin_s=delay_margin_s,
+    )
+
+
+def answers(pid, errors_m):
+    box = PidBox(pid)
+    return np.array([box(error, 0.0) for error in errors_m])
+
+
+def test_the_box_computes_its_own_fraction(rng):
+    errors_m = 1e-7 * rng.standard_normal(500)
+    errors_m[0] = 0.0  # a box begins without a derivative
+    R, S = SOME.polynomials()
+    np.testing.assert_allclose(answers(SOME, errors_m), lfilter(R, S, errors_m), atol=1e-12)
+
+
+def test_a_notch_takes_its_frequency_and_leaves_the_rest():
+    b, a = Notch(frequency_Hz=630.0, depth=0.05, width=0.5).fraction(RATE_Hz)
+    q = np.exp(-2j * np.pi * np.array([1.0, 630.0, 9e3]) / RATE_Hz)
+    left = np.abs(np.polyval(b[::-1], q) / np.polyval(a[::-1], q))
+    np.testing.assert_allclose(left, [1.0, 0.1, 1.0], atol=2e-3)
+
+
+def test_limits_hold_and_the_integral_comes_back_from_them_at_once():
+    pid = replace(SOME, notches=(), derivative_V_s_per_m=0.0, slew_V_per_s=1e4, lsb_V=0.01)
+    out_V = answers(pid, np.r_[np.full(4000, 1e-4), np.full(400, -1e-6)])
+    assert np.abs(np.diff(out_V)).max() <= 1e4 / RATE_Hz + 0.01
+    assert out_V.max() == 10.0
+    np.testing.assert_allclose(out_V / 0.01, np.round(out_V / 0.01), atol=1e-9)
+    assert out_V[4000] < 10.0
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_all_plants_keep_their_margins_and_no_larger_gain_would(sign):
+    found = tuned(family(sign))
+    assert len(found.margins) == 5
+    assert min(m.modulus_margin for m in found.margins) >= 0.5
+    more = found.pid.times(1.1).polynomials()
+    again = [margins(member, *more) for member in family(sign).members]
+    assert min(m.modulus_margin for m in again) < 0.5
+    assert np.sign(found.pid.integral_V_per_m_s) == sign
+
+
+def test_a_notch_on_the_mode_is_worth_most_of_the_rejection():
+    without, with_one = (tuned(notches=n).pid.integral_V_per_m_s for n in (0, 1))
+    assert with_one > 10 * without
+    assert tuned(notches=1).pid.notches[0].frequency_Hz == pytest.approx(630.0, rel=1e-3)
+
+
+def test_an_asked_delay_margin_is_kept():
+    found = tuned(delay_margin_s=5e-4)
+    assert min(m.delay_margin_s for m in found.margins if m.delay_margin_s) >= 5e-4
+    assert found.pid.integral_V_per_m_s < tuned().pid.integral_V_per_m_s
+
+
+def test_what_no_box_can_hold_is_refused_with_what_would_fit():
+    both = PlantFamily(
+        members=(plant_from_chain(chain()), replace(plant_from_chain(chain(-1.0)), label="other"))
+    )
+    with pytest.raises(DesignError, match=r"no PID with 1 notches.*--target waveform"):
+        tuned(both)
+
+
+def test_the_box_in_the_loop_rejects_what_its_fraction_says():
+    """Signs included: a disturbance of 40 Hz on a plant without hysteresis."""
+    pid = tuned().pid
+    plant = lateral(
+        response=Plugged(begin=lambda _: lambda v: GAIN_m_per_V * v),
+        noise_rms=0.0,
+        delay_s=0.0,
+    )
+    time_s = np.arange(20000) / RATE_Hz
+    wave_m = 1e-7 * np.sin(2 * np.pi * 40.0 * time_s)
+    moved = run_box(
+        plant,
+        PidBox(pid),
+        np.zeros(20000),
+        rng=np.random.default_rng(0),
+        disturbance_m=wave_m,
+    )
+    tone = np.exp(-2j * np.pi * 40.0 * time_s[10000:])
+    left = abs(np.mean(moved.position_m[10000:] * tone) / np.mean(wave_m[10000:] * tone))
+    said = sensitivities(family().nominal, *pid.polynomials(), np.array([40.0])).Syp[0]
+    assert left == pytest.approx(abs(said), rel=0.03)
+
+
+def test_files_hold_the_settings_and_say_what_they_cost():
+    made, notes = pi_pid_files(exported())
+    priced = priced_pid(exported(), exported().lateral[0])
+    rows = list(csv.DictReader(io.StringIO(made["settings.csv"].decode())))
+    held = {row["setting"]: (float(row["value"]), row["unit"]) for row in rows}
+    assert held["integral"] == (priced.tuned.pid.integral_V_per_m_s, "V/(m s)")
+    curves = list(csv.DictReader(io.StringIO(made["rejection.csv"].decode())))
+    loss_dB = [float(row["pid_dB"]) - float(row["exported_dB"]) for row in curves]
+    ideal = [float(row["exported_dB"]) < 0.0 for row in curves]
+    useful = loss_dB[: ideal.index(False)]
+    how = "lose up to" if max(useful) > 0 else "gain at least"
+    assert f"{how} {abs(max(useful)):.1f} dB of rejection" in notes[0]
+    readme = made["README.md"].decode()
+    assert "Not tested, because no such box was at hand" in readme
+    assert "| 10 Hz | draw 2 |" in readme
+    assert pi_pid_files(exported())[0] == made
+
+
+def test_a_box_with_a_slow_output_is_run_as_slow_as_it_is():
+    axis = exported().lateral[0]
+    slow = priced_pid(replace(exported(), box=Box(slew_V_per_s=50.0)), axis)
+    assert slow.tuned.pid.slew_V_per_s == 50.0
+    free = priced_pid(exported(), axis)
+    assert slow.rows[0][3].rms_m > 2 * free.rows[0][3].rms_m

@@ -1,0 +1,134 @@
+"""A table for a wave generator: what it does to a known plant, and what a box cannot hold."""
+
+import csv
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.targets.box import Box, read_box
+from piezoid.targets.box_loop import run_box
+from piezoid.targets.waveform import compared, waveform_files, waveform_of
+from piezoid.verification.plant import Hysteresis
+from tests.targets.known_boxes import exported
+from tests.verification.rig import RATE_Hz
+
+
+def boxed(**box):
+    return replace(exported(), box=Box(**box))
+
+
+def table(**box):
+    return waveform_of(boxed(**box), exported().lateral[0])
+
+
+@pytest.mark.parametrize("shape", ["triangle", "sine"])
+def test_the_identified_plant_follows_the_table_to_a_few_steps_of_its_converter(shape):
+    made, axis = boxed(shape=shape), exported().lateral[0]
+    one = waveform_of(made, axis)
+    found = compared(made, axis, one)["identified"]
+    step_m = one.step_V * 4e-6
+    assert found["waveform"] < 3 * step_m
+    assert found["straight"] > 100 * found["waveform"]
+    assert np.ptp(one.wanted_m) > 1e-5
+
+
+def test_sine_and_triangle_are_what_they_are_called():
+    sine, triangle = table(shape="sine").wanted_m, table().wanted_m
+    middle_m = 0.5 * (sine.max() + sine.min())
+    half_m = 0.5 * np.ptp(sine)
+    turns = np.arange(len(sine)) / len(sine)
+    np.testing.assert_allclose(sine, middle_m + half_m * np.sin(2 * np.pi * turns), atol=1e-12)
+    straight = np.diff(triangle)[: len(triangle) // 5]
+    np.testing.assert_allclose(straight, straight[0], rtol=1e-6)
+
+
+def test_integers_read_back_as_the_voltages_of_the_csv_on_a_coarser_slower_box():
+    made, _ = waveform_files(boxed(bits=12, rate_Hz=RATE_Hz / 4, range_V=(-5.0, 11.0)))
+    rows = list(csv.DictReader(io.StringIO(made["x.csv"].decode())))
+    code = np.frombuffer(made["x_int16.bin"], dtype="<i2")
+    assert len(code) == len(rows) == RATE_Hz / 4 / 10
+    assert np.abs(code).max() < 2**11
+    voltage_V = [float(row["voltage_V"]) for row in rows]
+    np.testing.assert_allclose(3.0 + code * 16.0 / 2**12, voltage_V, rtol=1e-15)
+    assert "voltage = 3.0 V + code x 0.00390625 V" in made["README.md"].decode()
+
+
+def test_a_stage_that_moves_the_other_way_is_driven_the_other_way():
+    own = exported()
+    plant = own.plants[0]
+    assert isinstance(plant.response, Hysteresis)
+    turned = replace(plant, response=replace(plant.response, polarity=-1))
+    model = replace(own.models["x"], polarity=-1)
+    other = replace(own, plants=(turned,), drawn={}, models={"x": model})
+    one = waveform_of(replace(other, box=Box(half_range_m=1e-6)), own.lateral[0])
+    commands = iter(np.tile(one.voltage_V, 3).tolist())
+    samples = 3 * len(one.code)
+    moved = run_box(
+        replace(turned, noise_rms=0.0),
+        lambda _reference, _measured: next(commands),
+        np.zeros(samples),
+        rng=np.random.default_rng(0),
+    )
+    np.testing.assert_allclose(moved.position_m[-len(one.code) :], one.wanted_m, atol=5e-9)
+
+
+@pytest.mark.parametrize(
+    ("box", "said", "remedy"),
+    [
+        ({"points": 1000}, "the table holds 1000", {"points": 1000, "frequency_Hz": 20.0}),
+        ({"frequency_Hz": 5e3}, "has 4 points", {"frequency_Hz": 625.0, "half_range_m": 1e-7}),
+        ({"rate_Hz": 3e3}, "a rate by which that can be divided", {"rate_Hz": 4000.0}),
+        ({"half_range_m": 1e-3}, "half_range_m of", {"half_range_m": 1e-6}),
+    ],
+)
+def test_what_a_box_cannot_hold_is_refused_and_what_would_fit_does(box, said, remedy):
+    with pytest.raises(ParameterFileError, match=said):
+        table(**box)
+    assert len(table(**remedy).code) >= 32
+
+
+def test_a_range_that_is_too_small_is_told_with_the_scan_that_fits():
+    limited = {"range_V": (3.0, 8.0)}
+    with pytest.raises(ParameterFileError, match="half_range_m of") as refused:
+        table(**limited)
+    fits_m = float(str(refused.value).split("half_range_m of ")[1].split()[0])
+    one = table(half_range_m=fits_m, **limited)
+    assert one.voltage_V.min() >= 3.0
+    assert one.voltage_V.max() <= 8.0
+
+
+def test_integers_without_a_known_range_are_refused():
+    with pytest.raises(ParameterFileError, match=r"range_V = \[-10, 10\]"):
+        waveform_of(replace(exported(), converter_V=None), exported().lateral[0])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[waveform]\npoints = 0", "points of .waveform. is 0; a whole number from 4"),
+        ("[waveform]\nshape = 'square'", "is 'square'; triangle or sine"),
+        ("[waveform]\nrange_V = [5, 5]", "two voltages, the lower first"),
+        ("[waveform]\nfrequency_Hz = nan", "a number above 0"),
+        ("[pi-pid]\nnotches = 3", "a whole number from 0 to 2"),
+        ("[pi-pid]\npoints = 3", "one of slew_V_per_s, notches"),
+        ("[nanonis]\na = 3", r"\[pi-pid\] or \[waveform\]"),
+        ("[waveform", "cannot be read"),
+    ],
+)
+def test_a_box_that_is_not_understood_is_refused_by_its_line(text, said, tmp_path):
+    (tmp_path / "box.toml").write_text(text)
+    with pytest.raises(ParameterFileError, match=said):
+        read_box(tmp_path / "box.toml")
+
+
+def test_a_box_is_read_as_it_is_written(tmp_path):
+    (tmp_path / "box.toml").write_text(
+        "[pi-pid]\nnotches = 1\nslew_V_per_s = 200\n"
+        "[waveform]\nshape = 'sine'\nrange_V = [0, 10]\nbits = 12\npoints = 4096\n"
+    )
+    assert read_box(tmp_path / "box.toml") == Box(
+        notches=1, slew_V_per_s=200.0, shape="sine", range_V=(0.0, 10.0), bits=12, points=4096
+    )
