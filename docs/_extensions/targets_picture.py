@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from sphinx.application import Sphinx
 
+from piezoid.export.parameter_file import from_json
 from piezoid.numerics.arrays import Array
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,6 +47,7 @@ def _picture(stage: Path) -> bytes:
         time_s, error_m = _looped(stage, order == "both at once")
         left.plot(1e3 * time_s, 1e9 * error_m, color=colour, lw=0.9, label=order)
     left.set(xlabel="time [ms]", ylabel="error [nm]", title="two units in FMPy, sine of 50 Hz")
+    left.set_ylim(-60.0, 60.0)  # the first milliseconds, from rest to full speed, leave the page
     with (stage / "pi-pid" / "rejection.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     f = [float(row["frequency_Hz"]) for row in rows]
@@ -80,14 +82,19 @@ def _looped(stage: Path, at_once: bool) -> tuple[Array, Array]:
         )
         samples = round(TURNS / FREQUENCY_Hz / period_s)
         time_s = period_s * np.arange(samples)
+        file = from_json((stage / "params.json").read_bytes(), "params.json")
+        ahead_s = period_s * float(file.axis("x").values["preview_samples"])
         middle_m = plant.getReal([plants["position_m"]])[0]
-        wanted_m = middle_m + HALF_m * np.sin(2.0 * np.pi * FREQUENCY_Hz * time_s)
+        wanted_m, given_m = (
+            middle_m + HALF_m * np.sin(2.0 * np.pi * FREQUENCY_Hz * (time_s + early_s))
+            for early_s in (0.0, ahead_s)
+        )
         error_m = np.empty(samples)
         for k, now_s in enumerate(time_s):
             measured_m, position_m = plant.getReal([plants["measured_m"], plants["position_m"]])
             error_m[k] = wanted_m[k] - position_m
             inputs = [references["reference_m"], references["measured_m"]]
-            controller.setReal(inputs, [wanted_m[k], measured_m])
+            controller.setReal(inputs, [given_m[k], measured_m])
             if at_once:  # the plant knows the last period's output
                 plant.doStep(now_s, period_s)
             controller.doStep(now_s, period_s)
