@@ -26,6 +26,7 @@ LEFT_OUT = {
     BLOCKS: "Error, blocks of recordings left out",
 }
 IN_SAMPLE = "Error, in sample: nothing left out"
+TRACKED_Hz = 10.0  # of the spirals that verification compares
 WAYS = {
     "mpi_dob": "observer on the inverse",
     "dob": "plain observer",
@@ -70,10 +71,24 @@ def facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
             f"{percent(quality.held_out_rms_m / quality.range_m)}",
         ),
         ("Sensor noise", f"{told(quality.noise_rms_m, 'm')} rms"),
-        ("Bandwidth", "none" if loop is None else told(loop.bandwidth_Hz, "Hz")),
+        _speed(page, axis.axis, loop),
         ("Guaranteed error", _guarantee(page, loop, quality.range_m)),
         ("Ships", ships(page, axis.axis)),
     )
+
+
+def _speed(page: Page, name: str, loop: LoopDesign | None) -> tuple[str, str]:
+    """Return the bandwidth, and what verification leaves on its spiral where it has run."""
+    if loop is None:
+        return "Bandwidth", "none"
+    bandwidth, found = told(loop.bandwidth_Hz, "Hz"), page.verification
+    method = None if found is None else found.methods.get(name)
+    rows = () if found is None else found.comparison
+    for row in rows:
+        if row.method == method and row.frequency_Hz == TRACKED_Hz:
+            label = f"Bandwidth; tracking error at {TRACKED_Hz:g} Hz"
+            return label, f"{bandwidth}; {told(row.rms_m, 'm')} rms"
+    return "Bandwidth", bandwidth
 
 
 def left_out(traces: tuple[Trace, ...]) -> tuple[int, int]:
