@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
+from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.targets.box import Box, read_box
 from piezoid.targets.box_loop import run_box
 from piezoid.targets.waveform import compared, waveform_files, waveform_of
-from piezoid.verification.plant import Hysteresis
+from piezoid.verification.plant import Hysteresis, lateral_plant
 from tests.targets.known_boxes import exported
 from tests.verification.rig import RATE_Hz
 
@@ -31,6 +32,7 @@ def test_the_identified_plant_follows_the_table_to_a_few_steps_of_its_converter(
     found = compared(made, axis, one)["identified"]
     step_m = one.step_V * 4e-6
     assert found["waveform"] < 3 * step_m
+    assert abs(found["offset"]) < 0.2 * step_m
     assert found["straight"] > 100 * found["waveform"]
     assert np.ptp(one.wanted_m) > 1e-5
 
@@ -73,6 +75,20 @@ def test_a_stage_that_moves_the_other_way_is_driven_the_other_way():
         rng=np.random.default_rng(0),
     )
     np.testing.assert_allclose(moved.position_m[-len(one.code) :], one.wanted_m, atol=5e-9)
+
+
+def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
+    own = exported()
+    mode = LinearMode(frequency_Hz=630.0, quality=20.0)
+    model = replace(own.models["x"], extensions=(mode,))
+    plant = lateral_plant(model, sampling_rate_Hz=RATE_Hz)
+    fast = Box(frequency_Hz=200.0, half_range_m=5e-6)
+    made = replace(own, plants=(plant,), drawn={}, models={"x": model}, box=fast)
+    one = waveform_of(made, own.lateral[0])
+    found = compared(made, own.lateral[0], one)["identified"]
+    assert found["waveform"] < 5e-8
+    assert found["straight"] > 10 * found["waveform"]
+    assert np.abs(np.diff(one.voltage_V)).max() < 0.5
 
 
 @pytest.mark.parametrize(
