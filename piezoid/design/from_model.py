@@ -254,16 +254,17 @@ def _middle_gain(axis: AxisModel) -> float:
 def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     """Return the ends of the gain relative to the nominal one.
 
-    Its 95 % interval; creep adds to it, and where the irreversible part is late, a quick loop
-    feels the reversible slope alone.
+    Its 95 % interval, within the slopes that the hysteresis has at any state: where the end of its
+    loading curve is not told by the recordings, the interval is wider than these and reaches
+    beyond zero. Creep adds to it, and where the irreversible part is late, a quick loop feels the
+    reversible slope alone.
     """
     half = relative_gain_half(axis)
-    reversible = 1.0
-    if loop.activation[0] > 0.0:
-        least, greatest = axis.hysteresis.slope_sector_m_per_V
-        reversible = least / (0.5 * (least + greatest))
-    low = (1.0 - half) * min(reversible, loop.quick_gain, 1.0)
-    return low, (1.0 + half) * max(loop.slow_gain, loop.quick_gain)
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    middle = 0.5 * (least + greatest)
+    reversible = least / middle if loop.activation[0] > 0.0 else 1.0
+    low = max(1.0 - half, least / middle) * min(reversible, loop.quick_gain, 1.0)
+    return low, min(1.0 + half, greatest / middle) * max(loop.slow_gain, loop.quick_gain)
 
 
 def relative_gain_half(axis: AxisModel) -> float:
