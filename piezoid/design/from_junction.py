@@ -7,6 +7,7 @@ voltages, set point and the reading's noise are the laboratory's to say.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,16 +16,22 @@ from piezoid.design.chain import Chain, Section, family_from_chains
 from piezoid.design.converters import Converters, converters_of
 from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, default_specification
+from piezoid.design.templates import Template
 from piezoid.errors import DesignError, LabFileError
+from piezoid.identification.loop_model import DECLARED_SPREAD
 from piezoid.identification.tunnelling.current_noise import CurrentChain
+from piezoid.identification.tunnelling.instrument_fit import DriveMode
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
+from piezoid.numerics.frequency import decibel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
 
 USUAL_AXIS = "z"
 _ROUGHNESS_m = 1e-10  # what a loop meets on an atomically flat terrace with a step or two
+MODE_MARGIN = 0.5  # of the small gain, as of the modulus
+_LOWEST_SHARE = 0.01  # of the sampling rate: no drive of a tip rings lower
 _SLOWEST_SHARE = 5.0  # a pole beyond so many sampling rates is instantaneous
 
 
@@ -70,7 +77,41 @@ def vertical_task(tunnelling: TunnellingModel, lab: Lab) -> VerticalTask:
     return VerticalTask(
         axis=axis,
         family=family,
-        specification=replace(asked, voltage_step_V=converters.command_step_V),
+        specification=replace(
+            asked,
+            voltage_step_V=converters.command_step_V,
+            templates=(*asked.templates, *_limit_at_modes(loop.modes, loop.plant)),
+        ),
+    )
+
+
+def _limit_at_modes(modes: Sequence[DriveMode], plant: JunctionPlant) -> tuple[Template, ...]:
+    """Return the limit of Syb that keeps a mode of the drive from oscillating, if there is one.
+
+    Small gain: with the mode the plant is G (1 + D), D = a (M - 1), and |Syb| <= margin / |D|
+    holds the loop together whatever the phase. Between the records, and where a mode is off by
+    as much as a data sheet is, the largest |D| counts.
+    """
+    if not modes:
+        return ()
+    f = np.geomspace(_LOWEST_SHARE * plant.sampling_rate_Hz, 0.5 * plant.sampling_rate_Hz, 200)
+    moved = [
+        np.abs(mode.response(f * (1.0 + shift)) - 1.0)
+        for mode in modes
+        for shift in np.linspace(-DECLARED_SPREAD, DECLARED_SPREAD, 21)
+    ]
+    largest = np.max(moved, axis=0)
+    limited = largest > MODE_MARGIN
+    if not limited.any():
+        return ()
+    first = int(np.argmax(limited))
+    return (
+        Template(
+            name="mode of the drive",
+            function="Syb",
+            frequency_Hz=f[first:],
+            upper_dB=np.asarray(decibel(MODE_MARGIN / largest[first:])),
+        ),
     )
 
 

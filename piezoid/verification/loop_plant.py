@@ -181,7 +181,7 @@ def _before(plant: AxisPlant, rate_Hz: float, gain: float, kept: Kept) -> _Block
         D=np.zeros((1, 1)),
         delay_s=max(plant.delay_s - whole_s, 0.0),
     )
-    held = sample(system, rate_Hz)
+    held = sample(in_series(system, *plant.drive_modes), rate_Hz)
     rows = np.vstack([gain * held.C, np.zeros_like(held.C)])
     return _block(held.A, (held.B[:, 0], np.zeros(len(held.A))), rows, (0.0, 0.0), kept)
 

@@ -1,6 +1,6 @@
 """What is controlled, between the converters: one axis as it was identified."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from piezoid.design.chain import Section
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.loop_model import loop_model
 from piezoid.identification.model import AxisModel, Discrepancy
+from piezoid.identification.tunnelling.instrument_fit import DriveMode
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import cascade
@@ -100,6 +101,7 @@ class AxisPlant:
     rest_voltage_V    where every run begins, settled
     delay_s           converters and computation, >= 0, any fraction of a sample
     amplifier         sections in front of the response; none: as quick as a substep
+    drive_modes       behind them, gain 1 at rest
     mechanics, sensor sections behind it
     measured          a system in place of mechanics. Only its shape counts, its gain at rest is
                       the response's; None: as the sections say
@@ -122,6 +124,7 @@ class AxisPlant:
     rest_voltage_V: float = 0.0
     delay_s: float = 0.0
     amplifier: tuple[Section, ...] = ()
+    drive_modes: tuple[ContinuousSystem, ...] = ()
     mechanics: tuple[Section, ...] = ()
     sensor: tuple[Section, ...] = ()
     measured: ContinuousSystem | None = None
@@ -241,8 +244,12 @@ def junction_axis_plant(
     set_point_A: float,
     decay_per_m: float,
     noise_rms_A: float = 0.0,
+    modes: Sequence[DriveMode] = (),
 ) -> AxisPlant:
-    """Return the identified plant of a tunnelling axis, resting at its set point and 0 V."""
+    """Return the identified plant of a tunnelling axis, resting at its set point and 0 V.
+
+    modes  of the drive; of several records that show the same one, one
+    """
     return AxisPlant(
         axis=axis,
         label="identified",
@@ -254,6 +261,7 @@ def junction_axis_plant(
         ),
         delay_s=plant.delay_s,
         amplifier=(Section(frequency_Hz=plant.amplifier_pole_Hz),),
+        drive_modes=tuple(mode.system for mode in modes),
         sensor=(Section(frequency_Hz=plant.sensor_pole_Hz),),
         noise_rms=noise_rms_A,
         noise_bandwidth_Hz=plant.sensor_pole_Hz,

@@ -155,6 +155,7 @@ def _tip(axis: AxisParameters, loop: LoopPlant, lab: Lab) -> AxisPlant:
         set_point_A=set_point_A,
         decay_per_m=decay_of_barrier(loop.barrier_eV),
         noise_rms_A=float(np.hypot(chain.shot_A(set_point_A), chain.johnson_A)),
+        modes=loop.modes[:1],
     )
     rested = replace(plant, rest_voltage_V=0.5 * (ends_V[0] + ends_V[1]))
     converters, resistor_ohm = converters_of(lab, axis.axis), declared.feedback_ohm

@@ -5,15 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.design.stage import design_stage
 from piezoid.errors import ParameterFileError
+from piezoid.export.parameter_file import ParameterFile
+from piezoid.export.stage import export_stage
 from piezoid.identification.model import Lag
+from piezoid.identification.tunnelling.instrument_fit import DriveMode
+from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.plant import Hysteresis, lateral_plant
+from piezoid.verification.plant import Hysteresis, junction_axis_plant, lateral_plant
 from piezoid.verification.stage import verify_stage
 from piezoid.verification.uncertainty import varied_plants
+from tests.design.junction_lab import LAB
 from tests.identification.dynamics.stage import truth
 from tests.verification.known_fit import fitted, junction_model, shipped
 from tests.verification.rig import RATE_Hz, stage
+
+DIGEST = "sha256:" + "0" * 64
 
 
 def test_the_plant_is_the_models_own_simulation():
@@ -83,6 +91,48 @@ def test_identified_dynamics_stand_in_the_plant_with_the_operators_gain(rng):
         relative = relative / (1.0 + 1j * frequency_Hz / section.frequency_Hz)
     assert found == pytest.approx(relative)
     assert plant.delay_s == known.delay_s
-    settled = run_axis(plant, shipped("none"), np.full(4000, 1e-5), rng=rng)
+    depoled = replace(plant, response=replace(plant.response, history_V=()))
+    settled = run_axis(depoled, shipped("none"), np.full(4000, 1e-5), rng=rng)
     moved, _ = model.hysteresis.run(settled.voltage_V[-1:], model.virgin_memory_V)
     assert settled.position[-1] == pytest.approx(moved[0], rel=1e-3)
+
+
+RINGS = DriveMode(frequency_Hz=3e3, quality=30.0, share=0.8)
+ONE_BARRIER = Lab(
+    acquisition=LAB.acquisition,
+    tunnelling=Tunnelling(set_point_A=1e-9, floor_A=1e-11, ceiling_A=9e-9, feedback_ohm=1e9),
+)
+
+
+def ringing(*modes):
+    """The known junction, its drive with a mode that the loop's identification found."""
+    known = junction_model()
+    loop = replace(known.tunnelling.loop_plant, modes=modes)
+    return replace(known, tunnelling=replace(known.tunnelling, loop_plant=loop))
+
+
+def controller_for(model):
+    design = design_stage(model, model_digest=DIGEST, sampling_rate_Hz=RATE_Hz, lab=ONE_BARRIER)
+    return export_stage(model, design, design_digest=DIGEST, lab=ONE_BARRIER).axis("z")
+
+
+def unrest(axis, rng):
+    """The scatter of ln i behind a drive that rings, over the last tenth of a second."""
+    loop = ringing(RINGS).tunnelling.loop_plant
+    plant = junction_axis_plant(
+        loop.plant, set_point_A=1e-9, decay_per_m=1e10, noise_rms_A=1e-12, modes=loop.modes
+    )
+    found = run_axis(plant, axis, np.full(6000, 1e-9), rng=rng)
+    return float(np.std(np.log(np.maximum(found.position[-2000:], 1e-15) / 1e-9)))
+
+
+def test_a_drive_that_rings_is_held_by_the_loop_that_knows_it_and_not_by_the_other(rng):
+    assert unrest(controller_for(ringing(RINGS)), rng) < 0.05
+    assert unrest(controller_for(ringing()), rng) > 0.2
+
+
+def test_a_tip_is_verified_with_the_mode_of_its_drive():
+    unaware = controller_for(ringing())
+    file = ParameterFile(name="tip", axes=(unaware,))
+    assert verify_stage(file, ringing(), lab=ONE_BARRIER).passed
+    assert not verify_stage(file, ringing(RINGS), lab=ONE_BARRIER).passed

@@ -271,7 +271,7 @@ def _judge(
     if fit.mode is not None:
         text = (
             f"the drive shows a mode at {1e-3 * fit.mode.frequency_Hz:.3g} kHz that carries "
-            f"{100.0 * fit.mode.share:.2g} % of the extension; it is not in the plant"
+            f"{100.0 * fit.mode.share:.2g} % of the extension; the loop stays well below it"
         )
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     pole_Hz = fit.plant.sensor_pole_Hz

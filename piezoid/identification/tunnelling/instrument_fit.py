@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra
 from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import resonance
+from piezoid.operators.linear import ContinuousSystem
 
 ComplexArray = NDArray[np.complex128]
 
@@ -61,6 +63,12 @@ class DriveMode:
         relative = frequency_Hz / self.frequency_Hz
         stiffness = 1.0 - relative**2 + 1j * relative / self.quality
         return np.asarray(1.0 - self.share + self.share / stiffness, dtype=np.complex128)
+
+    @property
+    def system(self) -> ContinuousSystem:
+        """The same in continuous time, gain 1 at rest."""
+        mode = resonance(self.frequency_Hz, 0.5 / self.quality)
+        return replace(mode, C=self.share * mode.C, D=np.array([[1.0 - self.share]]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.family import PlantFamily, mean_of
+from piezoid.identification.tunnelling.instrument_fit import DriveMode
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import LoopNoise, MainsLine, NoiseSource
@@ -80,6 +81,7 @@ class LoopPlant:
     family                   the plants a controller has to hold, nominal first
     family_records           how many records the family rests on
     confidence, reasons      how far to trust it
+    modes                    of the drive, beside the plant, of every record that shows one
     axis                     that regulates the current
     rig                      what the laboratory declared of it; None outside files
     records                  one by one
@@ -100,6 +102,7 @@ class LoopPlant:
     axis: str = ""
     rig: LoopRig | None = None
     records: tuple[LoopSummary, ...] = ()
+    modes: tuple[DriveMode, ...] = ()
 
 
 def describe_loop_plant(
@@ -139,6 +142,7 @@ def describe_loop_plant(
         axis="" if rig is None else rig.axis,
         rig=rig,
         records=tuple(records),
+        modes=tuple(fit.mode for fit in fits if fit.mode is not None),
     )
 
 
