@@ -162,8 +162,15 @@ def _magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, in
     functions = np.stack(
         [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
     ) / np.abs(p)
-    turned = np.unwrap(np.angle(p))[:, -1] - np.angle(p[:, 0])
-    return functions, int(np.round(np.abs(turned) / np.pi).max())
+    return functions, int(np.round(np.abs(_turned(np.angle(p))) / np.pi).max())
+
+
+def _turned(angle: Array) -> Array:
+    """Return how far each row turns from its first angle to its last, never by more than half a
+    turn at once. A search asks this thousands of times; ``np.unwrap`` takes eight times as long.
+    """
+    whole = np.round(np.diff(angle) / (2.0 * np.pi)).sum(axis=1)
+    return np.asarray(angle[:, -1] - angle[:, 0] - 2.0 * np.pi * whole)
 
 
 def _limits(specification: Specification, f: Array) -> Array:
