@@ -1,10 +1,10 @@
 """Following a raster and steps in time: reference, output, and in grey what has no control."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.verification.motion import Motion
+from piezoid.verification.trace import rms_from
 from piezoid.verification.verification import Verification
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.page import NANO, Figure
@@ -15,7 +15,8 @@ from piezoid_reports.traces import rms
 TOGETHER = 5  # places: a single one crosses zero, which a logarithm shows as a fall to nothing
 LOOK_TRACK = (
     "Good: what ships lies on the reference. Bad: it stays short (a gain), runs behind (a lag) or "
-    "rings after a step. The grey line is what the stage does without hysteresis and feedback."
+    "rings after a step. The grey line is the stage under a static gain, without inverse and "
+    "feedback."
 )
 LOOK_ERROR = (
     "Good: after each turn or step the error falls to the noise at once, far below the grey. "
@@ -60,7 +61,7 @@ def _error(motion: Motion, found: Verification) -> Figure:
     starts = np.arange(0, len(wanted_m), TOGETHER, dtype=np.intp)
     time_s = _time_s(motion)[starts]
     errors = [
-        (role, name, _rms_from(starts, moved_m - wanted_m))
+        (role, name, rms_from(starts, moved_m - wanted_m))
         for role, name, moved_m in _runs(motion, found)
     ]
     logs = [np.log10(np.maximum(error_m, LEAST_m) / NANO) for _, _, error_m in errors]
@@ -82,11 +83,6 @@ def _error(motion: Motion, found: Verification) -> Figure:
             for (role, name, _), log in zip(errors, logs, strict=True)
         ),
     )
-
-
-def _rms_from(starts: NDArray[np.intp], values: Array) -> Array:
-    counts = np.diff(np.append(starts, len(values)))
-    return np.asarray(np.sqrt(np.add.reduceat(values**2, starts) / counts))
 
 
 def _time_s(motion: Motion) -> Array:

@@ -25,7 +25,7 @@ class Box:
     slew_V_per_s  its own limit; None: none
     shape         of the scan, ``triangle`` (rounded corners) or ``sine``
     frequency_Hz  of its lines to and fro
-    half_range_m  from the middle of the scan to its ends; None: 0.7 of the way to the nearer limit
+    half_range_m  from the middle of the scan to its ends; None: 0.7 of the way to the limits
     rate_Hz       at which points are put out; None: the controller's
     points        that the table has room for
     bits          of its converter

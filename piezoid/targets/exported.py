@@ -10,13 +10,11 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.targets.box import Box
+from piezoid.verification.approach import Room, led_to
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.trajectories import Path
-
-_REACH = 0.7  # of the way from rest to the nearer end of the references, as in verification
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,41 +48,23 @@ class Exported:
         return (own, *self.drawn.get(axis, ()))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Way:
-    """Where an axis is sent: about ``centre_m``, as far as ``radius_m``; its limit is farther."""
-
-    centre_m: float
-    farthest_m: float
-
-    @property
-    def radius_m(self) -> float:
-        """How far verification's paths go."""
-        return _REACH * self.farthest_m
-
-
-def way_of(axis: AxisParameters, plant: AxisPlant) -> Way:
-    """Return where the plant rests, and how far the nearer end of the references is."""
-    centre_m = rest_position(plant)
-    ends = [float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")]
-    return Way(centre_m=centre_m, farthest_m=min(abs(end - centre_m) for end in ends))
-
-
 def tracked(
-    path_m: Array, position_m: Array, way: Way, frequency_Hz: float, rate_Hz: float
+    path_m: Array, position_m: Array, room: Room, frequency_Hz: float, rate_Hz: float
 ) -> Tracking:
     """Compare one axis with its path, both about the middle."""
     return track(
-        {"axis": path_m - way.centre_m},
-        {"axis": position_m - way.centre_m},
+        {"axis": path_m - room.centre_m},
+        {"axis": position_m - room.centre_m},
         path=Path(x=path_m, y=path_m),
-        radius_m=way.radius_m,
+        radius_m=room.radius_m,
         frequency_Hz=frequency_Hz,
         sampling_rate_Hz=rate_Hz,
     )
 
 
 def shipped_position_m(axis: AxisParameters, plant: AxisPlant, path_m: Array, seed: int) -> Array:
-    """Return where the exported controller takes a plant."""
+    """Return where the exported controller takes a plant that was led to its path."""
+    led_m = led_to(plant, float(path_m[0]))
+    whole_m = np.concatenate([led_m, path_m])
     rng = np.random.default_rng(seed)
-    return run_axis(plant, axis, path_m, rng=rng).position
+    return run_axis(plant, axis, whole_m, rng=rng).position[len(led_m) :]

@@ -18,9 +18,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.readable import told
 from piezoid.targets.box_loop import run_box
-from piezoid.targets.exported import Exported, shipped_position_m, tracked, way_of
+from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid, PidBox
 from piezoid.targets.pid_search import Tuned, tuned_pid
+from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.tracking import Tracking
 from piezoid.verification.trajectories import constant_angular_velocity
 
@@ -203,18 +204,20 @@ def _row(
     exported: Exported, axis: AxisParameters, pid: Pid, frequency_Hz: float, place: int
 ) -> tuple[float, str, Tracking, Tracking]:
     plants, rate_Hz = exported.family(axis.axis), pid.sampling_rate_Hz
-    way = way_of(axis, plants[0])
+    room = room_of(axis)
     spiral = constant_angular_velocity(rate_Hz, frequency_Hz, _TURNS)
-    path_m = way.centre_m + way.radius_m * spiral.x
+    path_m = room.centre_m + room.radius_m * spiral.x
     plant = plants[place]
+    led_m = led_to(plant, float(path_m[0]))
     rng = np.random.default_rng(SEED)
-    boxed_m = run_box(plant, PidBox(pid), path_m, rng=rng).position_m
+    boxed = run_box(plant, PidBox(pid), np.concatenate([led_m, path_m]), rng=rng)
+    boxed_m = boxed.position_m[len(led_m) :]
     shipped_m = shipped_position_m(axis, plant, path_m, SEED)
     return (
         frequency_Hz,
         plant.label,
-        tracked(path_m, shipped_m, way, frequency_Hz, rate_Hz),
-        tracked(path_m, boxed_m, way, frequency_Hz, rate_Hz),
+        tracked(path_m, shipped_m, room, frequency_Hz, rate_Hz),
+        tracked(path_m, boxed_m, room, frequency_Hz, rate_Hz),
     )
 
 

@@ -22,7 +22,8 @@ from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.readable import told
 from piezoid.targets.box import Box
 from piezoid.targets.box_loop import run_box
-from piezoid.targets.exported import Exported, shipped_position_m, way_of
+from piezoid.targets.exported import Exported, shipped_position_m
+from piezoid.verification.approach import room_of
 from piezoid.verification.plant import AxisPlant, Hysteresis
 from piezoid.verification.trajectories import raster
 
@@ -143,12 +144,12 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
     rate_Hz = box.rate_Hz or plant.sampling_rate_Hz
     hold = _hold(axis.axis, plant.sampling_rate_Hz, rate_Hz)
     points = _points(box, rate_Hz)
-    way = way_of(axis, plant)
-    radius_m = box.half_range_m or way.radius_m
-    if radius_m > way.farthest_m:
+    room = room_of(axis)
+    radius_m = box.half_range_m or room.radius_m
+    if radius_m > room.farthest_m:
         raise ParameterFileError(
             f"axis {axis.axis}: half_range_m of [waveform] is {radius_m:g} m",
-            needed=f"at most {way.farthest_m:.4g} m: from its rest to the nearer limit",
+            needed=f"at most {room.farthest_m:.4g} m: from the middle to its limits",
             remedy="Set it to that or less.",
         )
     unit = raster(rate_Hz, rate_Hz / points, 1.0).x
@@ -160,7 +161,7 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
         axis=axis.axis,
         rate_Hz=rate_Hz,
         hold=hold,
-        wanted_m=way.centre_m + radius_m * unit,
+        wanted_m=room.centre_m + radius_m * unit,
         code=np.zeros(points),
         middle_V=0.5 * (low_V + high_V),
         step_V=step_V,
@@ -178,7 +179,7 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
         voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
     own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
     allowed_V = (max(low_V, own_V[0]), min(high_V - step_V, own_V[1]))
-    _refuse_beyond(axis.axis, voltage_V, allowed_V, (plant.rest_voltage_V, radius_m))
+    _refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
     return replace(blank, code=np.round((voltage_V - blank.middle_V) / step_V))
 
 
@@ -192,8 +193,8 @@ def compared(
     found = {}
     plants = exported.family(axis.axis)
     gain = plant_family(exported.models[axis.axis], plants[0].sampling_rate_Hz).nominal.gain
-    away_m = one.wanted_m - way_of(axis, plants[0]).centre_m
-    straight_V = plants[0].rest_voltage_V + away_m / gain
+    middle_V = 0.5 * float(one.voltage_V.max() + one.voltage_V.min())
+    straight_V = middle_V + (one.wanted_m - room_of(axis).centre_m) / gain
     path_m = np.tile(np.repeat(one.wanted_m, one.hold), _PERIODS)
     for plant in plants:
         waveform_m = _last_period(plant, one.voltage_V, one.hold) - one.wanted_m
@@ -252,18 +253,18 @@ def _range_V(exported: Exported) -> tuple[float, float]:
 
 
 def _refuse_beyond(
-    axis: str, voltage_V: Array, range_V: tuple[float, float], scan: tuple[float, float]
+    axis: str, voltage_V: Array, range_V: tuple[float, float], radius_m: float
 ) -> None:
-    """Refuse voltages outside of a range; ``scan`` is where it rests, V, and its half range, m."""
+    """Refuse voltages of a scan of this half range that lie outside of a range."""
     low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
     if range_V[0] <= low_V and high_V <= range_V[1]:
         return
-    rest_V, radius_m = scan
-    room = min((range_V[1] - rest_V) / (high_V - rest_V), (rest_V - range_V[0]) / (rest_V - low_V))
+    middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
+    share = min(range_V[1] - middle_V, middle_V - range_V[0]) / half_V
     fits = (
-        f"half_range_m of {_SPARED * room * radius_m:.3g} or less"
-        if room > 0.0
-        else f"a box that puts out {rest_V:.4g} V, where the stage rests"
+        f"half_range_m of {_SPARED * share * radius_m:.3g} or less"
+        if share > 0.0
+        else f"a box that puts out {middle_V:.4g} V, about which the scan lies"
     )
     raise ParameterFileError(
         f"axis {axis}: +-{told(radius_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and box and "

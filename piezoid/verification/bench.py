@@ -9,15 +9,12 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.hands import ALONE, Hands
+from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
-from piezoid.verification.loop_plant import rest_position
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.trace import SpiralTrace
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
-
-_REACH = 0.7  # of the way from the middle of the references to their ends
-_LED_s, _STAYED_s = 0.4, 0.2  # nine periods of the slowest loop an outsider's stage got (45 Hz)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +68,8 @@ class Bench:
 
     def _run(self, numbered: tuple[int, Run]) -> LoopRecord:
         number, run = numbered
-        way = _way(run) if run.axis.axis in self.lateral else np.empty(0)
+        is_led = run.axis.axis in self.lateral
+        way = led_to(run.plant, float(run.reference[0])) if is_led else np.empty(0)
         led = len(way)
         record = run_axis(
             run.plant,
@@ -83,19 +81,6 @@ class Bench:
             reset_at=None if run.reset_at is None else led + run.reset_at,
         )
         return record.after(led)
-
-
-def _way(run: Run) -> Array:
-    """Return how a stage is led from rest to where its path begins, and stays there.
-
-    Half a cosine, as a user would go: what the way leaves in the memory is part of the error,
-    the bump of a reference that is suddenly elsewhere is not.
-    """
-    rest_m, begin_m = rest_position(run.plant), float(run.reference[0])
-    rate_Hz = run.plant.sampling_rate_Hz
-    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_LED_s * rate_Hz)))
-    stayed = np.full(round(_STAYED_s * rate_Hz), begin_m)
-    return np.concatenate([rest_m + (begin_m - rest_m) * share, stayed])
 
 
 def _from_its_first(disturbance: Array | None, samples: int) -> Array | None:
@@ -125,10 +110,7 @@ def bench_of(
             )
     tips = tuple(a.axis for a in file.axes if isinstance(by_axis[a.axis].response, Junction))
     lateral = tuple(a.axis for a in file.axes if a.axis not in tips)
-    ends_m = {
-        name: [float(file.axis(name).values[f"reference_{e}_m"]) for e in ("minimum", "maximum")]
-        for name in lateral
-    }
+    rooms = {name: room_of(file.axis(name)) for name in lateral}
     return Bench(
         file=file,
         plants=by_axis,
@@ -138,6 +120,6 @@ def bench_of(
         rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
         lateral=lateral,
         tunnelling=tips,
-        centre_m={name: 0.5 * (low + high) for name, (low, high) in ends_m.items()},
-        radius_m=_REACH * min((0.5 * (high - low) for low, high in ends_m.values()), default=0.0),
+        centre_m={name: room.centre_m for name, room in rooms.items()},
+        radius_m=min((room.radius_m for room in rooms.values()), default=0.0),
     )

@@ -64,11 +64,12 @@ def trace_of(
         axes=axes,
         x_m=_rounded(moved[0][starts]),
         y_m=_rounded(second[starts]),
-        shape_error_m=_rounded(_rms_from(starts, error)),
+        shape_error_m=_rounded(rms_from(starts, error)),
     )
 
 
-def _rms_from(starts: NDArray[np.intp], values: Array) -> Array:
+def rms_from(starts: NDArray[np.intp], values: Array) -> Array:
+    """Return the rms of values from each start to the next, (starts,)."""
     counts = np.diff(np.append(starts, len(values)))
     return np.asarray(np.sqrt(np.add.reduceat(values**2, starts) / counts))
 

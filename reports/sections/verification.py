@@ -25,7 +25,9 @@ def render(page: Page) -> Section | None:
         anchor="verification",
         title="Verification",
         lead="The compiled controller that ships, with the parameters that ship, run against the "
-        "identified stage: converters, noise, and stages the recordings allow as well.",
+        "identified stage: converters, noise, and stages the recordings allow as well. Every axis "
+        "is led to the middle of its references first. Nobody knows how a stage was driven before "
+        "that: of two pasts over its whole range spirals show the worse.",
         parts=tuple(_parts(found)),
     )
 
@@ -109,9 +111,9 @@ def _shape_figure(found: Verification) -> Figure:
         f"{told(shipped[-1].frequency_Hz, 'Hz')}, rms after the best common delay; radius "
         f"{told(found.radius_m, 'm')}.",
         look="Good: what ships lies lowest at every frequency that will be used. Bad: it crosses "
-        "another method: above that frequency the other one is better. Without feedback a model "
-        "looks perfect here only because it is run against itself; see the verdict on the stages "
-        "that the recordings allow as well.",
+        "another method: above that frequency the other one is better. Without feedback the past "
+        "of the stage decides: drive it over its whole range before you rely on the inverse "
+        "alone.",
         x=x,
         y=y,
         layers=tuple(layers),

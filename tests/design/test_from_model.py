@@ -54,6 +54,21 @@ def test_the_family_spans_the_interval_of_the_gain(task: LateralTask) -> None:
     assert min(gains) / gains[0] == pytest.approx(1.0 - half)
 
 
+def test_a_gain_whose_interval_reaches_beyond_zero_keeps_its_sign_and_its_slopes() -> None:
+    """The recordings of a stranger's stage left the end of its loading curve open by 160 %."""
+    axis = rigged()
+    open_end = replace(axis.uncertainty, loading_half_m=1.6 * np.abs(axis.uncertainty.loading_m))
+    gains = [
+        member.gain
+        for member in lateral_task(rigged(uncertainty=open_end), RATE_Hz)
+        .families["inverse"]
+        .members
+    ]
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    assert min(gains) == pytest.approx(least)
+    assert max(gains) == pytest.approx(greatest)
+
+
 def test_the_affine_family_adds_the_ends_of_the_slope_sector(task: LateralTask) -> None:
     bounds = task.bounds["affine"]
     extra = task.families["affine"].members[len(task.families["inverse"].members) :]

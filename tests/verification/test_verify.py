@@ -13,11 +13,13 @@ from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.runtime.controller import Status
 from piezoid.verification import bench
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.criteria import Limits
+from piezoid.verification.criteria import Limits, survived
 from piezoid.verification.plant import Plugged, with_gain
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.tip_trials import TIP_TRIALS
+from piezoid.verification.tracking import track
+from piezoid.verification.trajectories import Path
 from piezoid.verification.verification import verification_from_json
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, GAIN_m_per_V, junction, lateral, stage
@@ -182,6 +184,20 @@ def test_the_faster_the_stage_the_more_of_the_surface_is_in_the_current(whole):
         for f in (1, 100)
     )
     assert hurried > 3 * steady
+
+
+@pytest.mark.parametrize(("percent", "passes"), [(0.5, True), (1.4, True), (1.6, False)])
+def test_a_fault_is_forgotten_once_the_error_is_what_may_ship(percent, passes):
+    """1.5 times what a healthy run leaves, or of the 1 % of the diameter that may ship."""
+    radius_m, error_m = 1e-5, np.full(400, 1e-9)
+    error_m[-50:] = percent / 100.0 * 2.0 * radius_m
+    path = np.zeros(400)
+    healthy = track(
+        {"x": path}, {"x": path + 1e-9}, path=Path(x=path, y=path), radius_m=radius_m,
+        frequency_Hz=10.0, sampling_rate_Hz=20e3,
+    )  # fmt: skip
+    _, forgotten = survived("lost", error_m, healthy, radius_m, Limits())
+    assert forgotten.passed == passes
 
 
 def furthest(found):

@@ -1,0 +1,44 @@
+"""Where the paths of an axis lie, and how the axis is led there from rest."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.numerics.arrays import Array
+from piezoid.verification.loop_plant import rest_position
+from piezoid.verification.plant import AxisPlant
+
+_REACH = 0.7  # of the way from the middle of the references to their ends
+_LED_s, _STAYED_s = 0.4, 0.2  # nine periods of the slowest loop an outsider's stage got (45 Hz)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """What an axis may be asked: references about ``centre_m``, at most ``farthest_m`` away."""
+
+    centre_m: float
+    farthest_m: float
+
+    @property
+    def radius_m(self) -> float:
+        """How far paths go."""
+        return _REACH * self.farthest_m
+
+
+def room_of(axis: AxisParameters) -> Room:
+    """Return the middle of the references of an axis, and how far their ends are from it."""
+    low_m, high_m = (float(axis.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
+    return Room(centre_m=0.5 * (low_m + high_m), farthest_m=0.5 * (high_m - low_m))
+
+
+def led_to(plant: AxisPlant, begin_m: float) -> Array:
+    """Return how a stage is led from rest to where its path begins, and stays there, (samples,).
+
+    Half a cosine, as a user would go: what the way leaves in the memory is part of the error,
+    the bump of a reference that is suddenly elsewhere is not.
+    """
+    rest_m, rate_Hz = rest_position(plant), plant.sampling_rate_Hz
+    share = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, round(_LED_s * rate_Hz)))
+    stayed_m = np.full(round(_STAYED_s * rate_Hz), begin_m)
+    return np.concatenate([rest_m + (begin_m - rest_m) * share, stayed_m])
