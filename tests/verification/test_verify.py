@@ -69,7 +69,11 @@ def test_the_figures_foretell_stages_with_any_past(rng):
     """Nobody knows how a stage was driven before it came to rest; its figures allow for it."""
     known = PLANTS[0].response
     turned = ((10.0, -10.0, 5.0), (-10.0, 10.0))
-    own = at_20_Hz(replace(known, history_V=turned[0], pasts_V=turned))
+    own = at_20_Hz(replace(known, pasts_V=turned))
+    each = [at_20_Hz(replace(known, history_V=past_V)) for past_V in turned]
+    for method, row in own.items():
+        worse_m = max(found[method].rms_m for found in each)
+        assert row.rms_m == pytest.approx(worse_m, rel=0.05), method  # noise of another run
     ratios = {method: [] for method in own}
     for _ in range(12):
         past_V = tuple(rng.uniform(-10.0, 10.0, 3).tolist())
@@ -80,11 +84,13 @@ def test_the_figures_foretell_stages_with_any_past(rng):
         assert np.median(found) > 0.25, method
 
 
-def test_a_path_is_judged_from_where_the_stage_was_led_to(whole):
-    """No sample of the comparison shows the jump from rest to the path."""
-    for row in whole.comparison:
-        if row.method == "mpi_dob" and row.frequency_Hz <= 20.0:
-            assert row.max_m < 8.0 * row.rms_m
+def test_a_path_is_judged_from_where_the_stage_was_led_to():
+    """No sample of the comparison shows the jump from rest to the path, 10 um away."""
+    file = ParameterFile(name="one axis", axes=(stage().axis("x"),))
+    away = lateral(rest_voltage_V=3.0)
+    row = verify(file, [away], scenarios=QUICK[:1], trials=()).comparison[0]
+    assert row.method == "mpi_dob"
+    assert row.max_m < 10.0 * row.rms_m
 
 
 def test_the_record_returns_exactly_and_a_changed_bit_is_refused(whole):
