@@ -1,72 +1,46 @@
-"""The least of a convex quadratic form within bounds, whole sets of bounds changed at once."""
+"""The least of a convex quadratic form within bounds, by a dual active-set solver."""
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import lapack
 
 from piezoid.numerics.arrays import Array
 
-ROUNDS = 500
-PATIENCE = 3  # rounds of whole sets without progress; then one at a time, which always ends
-ROUNDING = 1e-12  # of the largest number that a difference was made of
-
-Chosen = NDArray[np.bool_]
+NONE = 1e30  # what the solver takes for no bound
+EQUAL = 5  # its word for a number that bounds fix
+SOLVED = 1
+TOLERANCE = 1e-11  # of a number about 1: how far it may stand outside before it is moved
 
 
 def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Array:
-    """Minimise x' G x / 2 - b' x with l <= x <= u by block principal pivoting.
+    """Minimise x' G x / 2 - b' x with l <= x <= u.
 
     G, b  (numbers, numbers), (numbers,)  G positive definite
     l, u  (numbers,)  l <= u; equal bounds fix a number
 
-    Nothing is small or large by itself: b and the bounds in other units give x in other units.
+    Nothing is small or large by itself: b and the bounds in other units give x in other units. A
+    number that its bound holds back stands on it exactly.
 
-    Source: Portugal, Judice & Vicente, Mathematics of Computation 63 (1994). What goes wrong: a G
-    that is not definite to rounding; whoever damps it avoids that. Columns of very different
-    size: rounding is judged by the largest.
+    Source: Arnstroem, Bemporad & Axehill, IEEE Transactions on Automatic Control 67 (2022), as
+    daqp has it. What goes wrong: ``LinAlgError`` for a G that is not definite to rounding; whoever
+    damps it avoids that.
     """
-    # Where a search stands on a bound, it mostly stays there: a step begins at 0.
-    at_lower = (upper <= lower) | ((lower == 0.0) & (right < 0.0))
-    at_upper = (upper == 0.0) & (right > 0.0) & ~at_lower
-    fewest, patience, steepest = len(right) + 1, PATIENCE, _largest(np.diag(gram))
-    x = np.clip(np.zeros_like(right), lower, upper)
-    for _ in range(ROUNDS):
-        x = _solved(gram, right, np.where(at_lower, lower, upper), ~(at_lower | at_upper))
-        slope, flat = gram @ x - right, ROUNDING * max(_largest(right), steepest * _largest(x))
-        below, above = _outside(x, lower, upper, at_lower | at_upper)
-        inwards = (at_lower & (slope < -flat) & (upper > lower)) | (at_upper & (slope > flat))
-        wrong = below | above | inwards
-        count = int(np.count_nonzero(wrong))
-        if count == 0:
-            break
-        if count < fewest:
-            fewest, patience = count, PATIENCE
-        elif patience > 0:
-            patience -= 1
-        else:
-            last = int(np.flatnonzero(wrong)[-1])
-            wrong = np.arange(len(x)) == last
-        at_lower = (at_lower & ~(inwards & wrong)) | (below & wrong)
-        at_upper = (at_upper & ~(inwards & wrong)) | (above & wrong)
+    import daqp
+
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    length[length == 0.0] = 1.0
+    asked = np.clip(np.zeros_like(length), lower, upper) * length
+    height = float(max(np.linalg.norm(right / length), np.linalg.norm(asked))) or 1.0
+    below, above = lower * (length / height), upper * (length / height)
+    found, _, flag, told = daqp.solve(
+        gram / np.outer(length, length),
+        -right / (length * height),
+        np.empty((0, len(length))),
+        np.minimum(above, NONE),
+        np.maximum(below, -NONE),
+        np.where(lower >= upper, EQUAL, 0).astype(np.int32),
+        primal_tol=TOLERANCE,
+    )
+    if flag != SOLVED:
+        raise np.linalg.LinAlgError(f"the quadratic form was not minimised: daqp says {flag}")
+    pressed = told["lam"][: len(length)]
+    x = np.where(pressed < 0.0, lower, np.where(pressed > 0.0, upper, found * (height / length)))
     return np.clip(x, lower, upper)
-
-
-def _largest(numbers: Array) -> float:
-    return float(np.abs(numbers).max(initial=0.0))
-
-
-def _outside(x: Array, lower: Array, upper: Array, held: Chosen) -> tuple[Chosen, Chosen]:
-    slack = ROUNDING * _largest(x)
-    return ~held & (x < lower - slack), ~held & (x > upper + slack)
-
-
-def _solved(gram: Array, right: Array, bound: Array, free: Chosen) -> Array:
-    x = np.where(free, 0.0, bound)
-    place = np.flatnonzero(free)
-    if len(place):
-        against = right[place] - gram[place] @ x
-        _, found, wrong = lapack.dposv(gram[place[:, None], place], against)
-        if wrong:
-            raise np.linalg.LinAlgError("the quadratic form is not definite to rounding")
-        x[place] = found
-    return np.asarray(x)

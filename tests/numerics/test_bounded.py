@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from piezoid.numerics import bounded
 from piezoid.numerics.bounded import bounded_minimum
 
 
@@ -58,18 +57,21 @@ def test_bounds_at_zero_are_guessed_and_let_go_where_the_guess_was_wrong(
     assert (slope[found < upper] >= -1e-9).all()
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_lies_on_its_bound_to_rounding_is_settled_in_one_round(
-    monkeypatch: pytest.MonkeyPatch, sign: float
-) -> None:
-    rounds, solved = [], bounded._solved
-    monkeypatch.setattr(bounded, "_solved", lambda *given: rounds.append(1) or solved(*given))
-    for seed in range(50):
-        chance = np.random.default_rng(seed)
-        rows = chance.standard_normal((40, 10)) + 2.0 * chance.standard_normal((40, 1))
-        true = sign * chance.uniform(0.5, 1.0, 10)
-        ends = np.where(chance.random(10) < 0.5, true, -2.0 * sign), np.full(10, 2.0 * sign)
-        lower, upper = np.minimum(*ends), np.maximum(*ends)
-        found = bounded_minimum(rows.T @ rows, rows.T @ (rows @ true), lower, upper)
-        np.testing.assert_allclose(found, true, atol=1e-12)
-    assert len(rounds) == 50
+@pytest.mark.parametrize("seed", range(20))
+def test_columns_much_alike_are_told_apart(seed: int) -> None:
+    """Of 387 such steps in the fit of one stage block pivoting had left two far from a minimum."""
+    chance = np.random.default_rng(seed)
+    rows = np.cumsum(chance.standard_normal((400, 120)), axis=1)
+    rows /= np.linalg.norm(rows, axis=0)
+    gram, right = rows.T @ rows + 1e-9 * np.eye(120), rows.T @ chance.standard_normal(400)
+    lower, upper = -chance.uniform(0.0, 0.5, 120), chance.uniform(0.0, 0.5, 120)
+    found = bounded_minimum(gram, right, lower, upper)
+    slope = (gram @ found - right) / np.linalg.norm(right)
+    assert ((lower <= found) & (found <= upper)).all()
+    assert (slope[found > lower] <= 1e-9).all()
+    assert (slope[found < upper] >= -1e-9).all()
+
+
+def test_a_form_that_is_not_definite_is_refused() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="daqp"):
+        bounded_minimum(np.diag([1.0, -1.0]), np.ones(2), -np.ones(2), np.ones(2))
