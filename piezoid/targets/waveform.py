@@ -41,12 +41,18 @@ _BAND = 0.1
 
 _SPARED = 0.85  # of a scan that would fit: a smaller loop of a hysteresis takes more V per m
 
+_NO_RANGE = (
+    "it is not known which voltages the box's converter spans, and integers mean nothing without; "
+    "write range_V = [-10, 10], with your numbers, into [waveform] of a file for --box, or "
+    "input_range_V into [acquisition] of lab.toml"
+)
+
 _README = """\
 # {name}: predistorted drive, {shape} of {frequency}, {points} points at {rate}
 
 | file | what it is |
 | --- | --- |
-| `AXIS.csv` | point, time, voltage, code, and the displacement that is wanted then |
+| `AXIS.csv` | point, time, voltage, the displacement that is wanted then, and the code |
 | `AXIS_int16.bin` | the codes alone, little-endian signed 16-bit integers |
 
 {converters}
@@ -77,22 +83,18 @@ class Waveform:
 
     rate_Hz      of its points;  hold: samples of the controller's rate that each is held
     wanted_m     (points,)
-    code         (points,)  of the converter: voltage = middle + code step
-    middle_V, step_V
+    voltage_V    (points,)  what the converter puts out: middle + code step
+    code         (points,)  of the converter; None where its ends are not known
     """
 
     axis: str
     rate_Hz: float
     hold: int
     wanted_m: Array
-    code: Array
-    middle_V: float
-    step_V: float
-
-    @property
-    def voltage_V(self) -> Array:
-        """What the converter puts out, (points,)."""
-        return np.asarray(self.middle_V + self.step_V * self.code)
+    voltage_V: Array
+    code: Array | None = None
+    middle_V: float = 0.0
+    step_V: float = 0.0
 
 
 def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
@@ -111,12 +113,13 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
     made = [waveform_of(exported, axis) for axis in exported.lateral]
     for axis, one in zip(exported.lateral, made, strict=True):
         files[f"{one.axis}.csv"] = _csv(one).encode()
-        files[f"{one.axis}_int16.bin"] = one.code.astype("<i2").tobytes()
+        if one.code is None:
+            notes.append(f"waveform/{one.axis}_int16.bin is not written: {_NO_RANGE}")
+        else:
+            files[f"{one.axis}_int16.bin"] = one.code.astype("<i2").tobytes()
         rows = compared(exported, axis, one)
         sections.append(_section(one, rows))
-        converters.append(
-            f"Axis {one.axis}: voltage = {one.middle_V!r} V + code x {one.step_V!r} V."
-        )
+        converters.append(f"Axis {one.axis}: {_converter(one)}")
         worst = {name: max(row[name] for row in rows.values()) for name in _COLUMNS[:3]}
         notes.append(
             f"axis {one.axis}: the waveform errs by {told(worst['waveform'], 'm')} rms, straight "
@@ -127,8 +130,8 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
         files["README.md"] = _README.format(
             name=inert(exported.file.name),
             shape=exported.box.shape,
-            frequency=told(made[0].rate_Hz / len(made[0].code), "Hz"),
-            points=len(made[0].code),
+            frequency=told(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
+            points=len(made[0].wanted_m),
             rate=told(made[0].rate_Hz, "Hz", 6),
             converters="\n".join(converters),
             axes="\n".join(sections),
@@ -155,32 +158,33 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
     unit = raster(rate_Hz, rate_Hz / points, 1.0).x
     if box.shape == "sine":
         unit = np.asarray(np.sin(2.0 * np.pi * np.arange(points) / points))
-    low_V, high_V = _range_V(exported)
-    step_V = (high_V - low_V) / 2.0**box.bits
-    blank = Waveform(
-        axis=axis.axis,
-        rate_Hz=rate_Hz,
-        hold=hold,
-        wanted_m=room.centre_m + radius_m * unit,
-        code=np.zeros(points),
-        middle_V=0.5 * (low_V + high_V),
-        step_V=step_V,
-    )
+    wanted_m = room.centre_m + radius_m * unit
     nominal = plant_family(exported.models[axis.axis], plant.sampling_rate_Hz).nominal
     harmonic_Hz = np.fft.rfftfreq(points, 1.0 / rate_Hz)
     q = unit_circle(harmonic_Hz, plant.sampling_rate_Hz)
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
-    voltage_V = _inverted(plant, blank.wanted_m)
+    voltage_V = _inverted(plant, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
         position_m = _last_period(quiet, voltage_V, hold)
-        missing = np.fft.rfft(blank.wanted_m - position_m)
+        missing = np.fft.rfft(wanted_m - position_m)
         voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
     own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
-    allowed_V = (max(low_V, own_V[0]), min(high_V - step_V, own_V[1]))
+    range_V = box.range_V or exported.converter_V
+    table = Waveform(
+        axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
+    )
+    if range_V is None:
+        _refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
+        return table
+    step_V = (range_V[1] - range_V[0]) / 2.0**box.bits
+    allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - step_V, own_V[1]))
     _refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
-    return replace(blank, code=np.round((voltage_V - blank.middle_V) / step_V))
+    middle_V = 0.5 * (range_V[0] + range_V[1])
+    code = np.asarray(np.round((voltage_V - middle_V) / step_V))
+    rounded_V = middle_V + step_V * code
+    return replace(table, voltage_V=rounded_V, code=code, middle_V=middle_V, step_V=step_V)
 
 
 _COLUMNS = ("straight", "waveform", "exported", "offset")
@@ -200,7 +204,7 @@ def compared(
         waveform_m = _last_period(plant, one.voltage_V, one.hold) - one.wanted_m
         straight_m = _last_period(plant, straight_V, one.hold) - one.wanted_m
         moved_m = shipped_position_m(axis, plant, path_m, SEED)
-        shipped_m = moved_m[:: one.hold][-len(one.code) :] - one.wanted_m
+        shipped_m = moved_m[:: one.hold][-len(one.wanted_m) :] - one.wanted_m
         spreads = (float(np.std(error)) for error in (straight_m, waveform_m, shipped_m))
         values = (*spreads, float(np.mean(waveform_m)))
         found[plant.label] = dict(zip(_COLUMNS, values, strict=True))
@@ -240,16 +244,10 @@ def _points(box: Box, rate_Hz: float) -> int:
     return points
 
 
-def _range_V(exported: Exported) -> tuple[float, float]:
-    found = exported.box.range_V or exported.converter_V
-    if found is None:
-        raise ParameterFileError(
-            "it is not known which voltages the box's converter spans",
-            needed="both ends, or the integers of the table mean nothing",
-            remedy="Write range_V = [-10, 10], with your numbers, into [waveform] of box.toml and "
-            "give it with --box, or input_range_V into [acquisition] of lab.toml.",
-        )
-    return found
+def _converter(one: Waveform) -> str:
+    if one.code is None:
+        return f"voltages alone, not rounded. {_NO_RANGE[0].upper()}{_NO_RANGE[1:]}."
+    return f"voltage = {one.middle_V!r} V + code x {one.step_V!r} V."
 
 
 def _refuse_beyond(
@@ -299,11 +297,11 @@ def _last_period(plant: AxisPlant, voltage_V: Array, hold: int) -> Array:
 
 
 def _csv(one: Waveform) -> str:
-    lines = ["point,time_s,voltage_V,code,wanted_m"]
-    for k, (voltage_V, code, wanted_m) in enumerate(
-        zip(one.voltage_V, one.code, one.wanted_m, strict=True)
-    ):
-        lines.append(f"{k},{k / one.rate_Hz!r},{float(voltage_V)!r},{int(code)},{wanted_m:.6e}")
+    lines = ["point,time_s,voltage_V,wanted_m" + ("" if one.code is None else ",code")]
+    codes = [""] * len(one.wanted_m) if one.code is None else [f",{int(c)}" for c in one.code]
+    rows = zip(one.voltage_V.tolist(), one.wanted_m.tolist(), codes, strict=True)
+    for k, (voltage_V, wanted_m, code) in enumerate(rows):
+        lines.append(f"{k},{k / one.rate_Hz!r},{voltage_V!r},{wanted_m:.6e}{code}")
     return "\n".join([*lines, ""])
 
 

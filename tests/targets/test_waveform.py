@@ -67,14 +67,14 @@ def test_a_stage_that_moves_the_other_way_is_driven_the_other_way():
     other = replace(own, plants=(turned,), drawn={}, models={"x": model})
     one = waveform_of(replace(other, box=Box(half_range_m=1e-6)), own.lateral[0])
     commands = iter(np.tile(one.voltage_V, 3).tolist())
-    samples = 3 * len(one.code)
+    samples = 3 * len(one.wanted_m)
     moved = run_box(
         replace(turned, noise_rms=0.0),
         lambda _reference, _measured: next(commands),
         np.zeros(samples),
         rng=np.random.default_rng(0),
     )
-    np.testing.assert_allclose(moved.position_m[-len(one.code) :], one.wanted_m, atol=5e-9)
+    np.testing.assert_allclose(moved.position_m[-len(one.wanted_m) :], one.wanted_m, atol=5e-9)
 
 
 def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
@@ -103,7 +103,7 @@ def test_a_fast_scan_over_a_mode_is_followed_without_tearing_at_the_drive():
 def test_what_a_box_cannot_hold_is_refused_and_what_would_fit_does(box, said, remedy):
     with pytest.raises(ParameterFileError, match=said):
         table(**box)
-    assert len(table(**remedy).code) >= 32
+    assert len(table(**remedy).wanted_m) >= 32
 
 
 def test_a_range_that_is_too_small_is_told_with_the_scan_that_fits():
@@ -116,9 +116,17 @@ def test_a_range_that_is_too_small_is_told_with_the_scan_that_fits():
     assert one.voltage_V.max() <= 8.0
 
 
-def test_integers_without_a_known_range_are_refused():
-    with pytest.raises(ParameterFileError, match=r"range_V = \[-10, 10\]"):
-        waveform_of(replace(exported(), converter_V=None), exported().lateral[0])
+def test_without_a_known_range_there_are_voltages_and_no_integers():
+    made, notes = waveform_files(replace(exported(), converter_V=None))
+    assert set(made) == {"README.md", "x.csv"}
+    assert made["x.csv"].startswith(b"point,time_s,voltage_V,wanted_m\n")
+    assert "range_V = [-10, 10]" in notes[0]
+    with_codes, _ = waveform_files(exported())
+    found = [
+        [float(row["voltage_V"]) for row in csv.DictReader(io.StringIO(files["x.csv"].decode()))]
+        for files in (made, with_codes)
+    ]
+    np.testing.assert_allclose(*found, atol=0.51 * 20 / 2**16)
 
 
 @pytest.mark.parametrize(
