@@ -26,10 +26,17 @@ from unittest.mock import patch
 from benchmarks.zoo.score import Case, case_of_row, judged
 from benchmarks.zoo.stages import KINDS, NAMES, asked_for, drawn
 from benchmarks.zoo.table import told
-from piezoid.diagnosis import diagnose, growth, judgement, repair, rivals, search
+from piezoid.diagnosis import (
+    candidate,
+    diagnose,
+    forward_selection,
+    model_comparison,
+    repair,
+    search,
+)
 from piezoid.diagnosis.blocks import surely
-from piezoid.diagnosis.memory import OTHER_PASTS
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.something_else import without_names
 
 Decision = Callable[..., Any]
@@ -63,107 +70,120 @@ class Rule:
     dear: bool = False
 
 
-def _not_far(_view: Any, far: Any, _hands: Any) -> Any:
-    return far
+def _not_far(_view: Any, state: Any, _hands: Any) -> Any:
+    return state
 
 
 def _plain_structure(effect: Any, final: Any) -> Any:
     found = screen(effect, final)
-    return None if found is None else (found, judgement._of_structure(found, final))
+    return None if found is None else (found, candidate._structure_of(found, final))
 
 
-def _surely_close(rival: Any, cause: Any) -> bool:
-    return surely(rival.held.loss, cause.held.loss) < rivals.SEPARABLE
+def _surely_close(alternative: Any, cause: Any) -> bool:
+    return surely(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
 
 
 def _evidence(
-    *, worth: bool = True, level: bool = True, twins: bool = True, less: bool = True
+    *, worth: bool = True, level: bool = True, placebos: bool = True, less: bool = True
 ) -> Decision:
-    def is_evidence(one: judgement.Judged) -> bool:
-        least = one.effect.worth * (one._asked if less else 1.0)
+    def is_evidence(one: candidate.Candidate) -> bool:
+        least = one.effect.minimum_gain * (one._asked if less else 1.0)
         return (
-            one.sound
-            and one.held.z > (one.effect.sure if level else SURE)
-            and (one.held.gain > least or one.settles_it or not worth)
-            and (one._beats_its_twin or not twins)
+            one.physical
+            and one.cv.z > (one.effect.minimum_z if level else SURE)
+            and (one.cv.gain > least or one.explains_the_rest or not worth)
+            and (one._beats_placebo or not placebos)
         )
 
     return is_evidence
 
 
 def _structure_speaks(with_rule: Any, without: Any) -> bool:
-    return with_rule is not None and with_rule[1].speaks != without[1].speaks
+    return with_rule is not None and with_rule[1].is_significant != without[1].is_significant
 
 
-JUDGED = judgement.Judged
+JUDGED = candidate.Candidate
 RULES = (
-    Rule(name="slips in growth", places=((growth, "_with_slips"),), without=lambda *_: None),
+    Rule(
+        name="slips in forward selection",
+        places=((forward_selection, "_with_slips"),),
+        without=lambda *_: None,
+    ),
     Rule(
         name="slips in the place of a filter",
-        places=((growth, "_with_slips_in_place"),),
+        places=((forward_selection, "_with_slips_in_place"),),
         without=lambda *_: None,
     ),
     Rule(name="slips taken back", places=((search, "_without_slips"),), without=_not_far),
-    Rule(name="two at once", places=((growth, "_with_pair"),), without=lambda *_: None),
+    Rule(name="two at once", places=((forward_selection, "_with_pair"),), without=lambda *_: None),
     Rule(
         name="the other side of the hysteresis",
-        places=((growth, "placed_elsewhere"),),
+        places=((forward_selection, "placed_elsewhere"),),
         without=lambda *_: None,
     ),
-    Rule(name="behind jumps", places=((growth, "struck"),), without=lambda _: ()),
+    Rule(name="behind jumps", places=((forward_selection, "struck"),), without=lambda _: ()),
     Rule(
         name="one more state of hysteresis",
-        places=((growth, "with_best_knee"),),
+        places=((forward_selection, "with_best_bouc_wen"),),
         without=lambda view, *_: view,
-        matters=_leaves_less(growth.KNEE),
+        matters=_leaves_less(forward_selection.KNEE),
     ),
     Rule(
         name="another beginning",
-        places=((search, "_best_grown"),),
-        without=lambda clean, faults, hands: search._grown(clean, faults, hands),
-        matters=lambda grown, _: grown.clean.envelope.knee is not None,
+        places=((search, "_best_selection"),),
+        without=lambda clean, faults, hands: search._selected(clean, faults, hands),
+        matters=lambda select_forward, _: select_forward.clean.nuisance.bouc_wen is not None,
         dear=True,
     ),
     Rule(
-        name="other pasts",
-        places=((growth, "with_own_pasts"), (growth, "with_best_habit")),
+        name="other initial states",
+        places=(
+            (forward_selection, "with_own_initial_states"),
+            (forward_selection, "with_shared_initial_state"),
+        ),
         without=lambda view, *_: view,
-        matters=_leaves_less(OTHER_PASTS),
+        matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
-        name="other pasts before faults",
-        places=((repair, "with_own_pasts"), (repair, "with_best_habit")),
+        name="other initial states before faults",
+        places=((repair, "with_own_initial_states"), (repair, "with_shared_initial_state")),
         without=lambda view, *_: view,
-        matters=_leaves_less(OTHER_PASTS),
+        matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
-        name="habits before pasts",
-        places=((growth, "does_as_well"), (repair, "does_as_well")),
+        name="shared before own initial states",
+        places=((forward_selection, "shared_does_as_well"), (repair, "shared_does_as_well")),
         without=lambda *_: False,
     ),
     Rule(
         name="backward elimination",
         places=((search, "_pruned"),),
-        without=lambda _clean, accepted, _hands: tuple(accepted),
+        without=lambda _clean, selected, _hands: tuple(selected),
         matters=lambda with_rule, without: len(with_rule) != len(without),
     ),
     Rule(
         name="a rival takes the place",
-        places=((rivals, "takes_the_place"),),
+        places=((model_comparison, "replaces_it"),),
         without=lambda *_: False,
     ),
-    Rule(name="alike is close", places=((rivals, "is_close"),), without=_surely_close),
     Rule(
-        name="one time in all tracks", places=((judgement, "is_alike"),), without=lambda *_: True
+        name="alike is close", places=((model_comparison, "is_confounded"),), without=_surely_close
     ),
-    Rule(name="twins", places=((JUDGED, "is_evidence"),), without=_evidence(twins=False)),
-    Rule(name="settles it", places=((JUDGED, "settles_it"),), without=lambda _: False),
+    Rule(
+        name="one time in all tracks", places=((candidate, "is_alike"),), without=lambda *_: True
+    ),
+    Rule(name="placebos", places=((JUDGED, "is_evidence"),), without=_evidence(placebos=False)),
+    Rule(name="settles it", places=((JUDGED, "explains_the_rest"),), without=lambda _: False),
     Rule(
         name="less asked near the noise",
         places=((JUDGED, "is_evidence"),),
         without=_evidence(less=False),
     ),
-    Rule(name="a least size", places=((JUDGED, "speaks"),), without=lambda one: one.is_evidence),
+    Rule(
+        name="a least size",
+        places=((JUDGED, "is_significant"),),
+        without=lambda one: one.is_evidence,
+    ),
     Rule(
         name="a least gain",
         places=((JUDGED, "is_evidence"),),
@@ -175,8 +195,8 @@ RULES = (
         without=_evidence(level=False),
     ),
     Rule(
-        name="structure beside a knee",
-        places=((search, "judged_structure"),),
+        name="structure beside a Bouc-Wen state",
+        places=((search, "structural_candidate"),),
         without=_plain_structure,
         matters=_structure_speaks,
     ),

@@ -24,7 +24,7 @@ def tables(found: Diagnosis) -> tuple[Part, ...]:
                 caption="What was looked for and not found, what hides best first. At most: what "
                 "it could be (rms, 95 %). Would show from: the size found in four of five cases. "
                 f"Beside the noise: the larger of both, in parts of {told(noise_m, 'm')} rms."
-                f"{_twins(causes)}",
+                f"{_placebos(causes)}",
                 columns=("effect", "at most", "would show from", "beside the noise", "evidence"),
                 rows=tuple(_row(one, noise_m) for one in causes),
                 wordy=(4,),
@@ -117,12 +117,12 @@ def _sign(one: NotDetected) -> str:
     return one.reason.partition("; ")[0]
 
 
-def _twins(causes: list[NotDetected]) -> str:
-    if not any("unphysical twin" in one.reason for one in causes):
+def _placebos(causes: list[NotDetected]) -> str:
+    if not any("its placebo" in one.reason for one in causes):
         return ""
     return (
-        " An unphysical twin has the same freedom and no physics (creep run backwards, hum "
-        "between the grids): what it takes off, chance takes off."
+        " A placebo has the same freedom and no physics (creep run backwards, hum between the "
+        "grids): what it takes off, chance takes off."
     )
 
 

@@ -75,7 +75,7 @@ def loop_of(made: Made, campaign: Campaign, samples: int) -> Loop:
     held = export_stage(made.model, made.design, design_digest=DIGEST, lab=campaign.lab)
     parameters = held.axis(AXIS)
     ends = [float(parameters.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")]
-    turns = np.sin(np.linspace(0.0, 20.0 * np.pi, samples))
-    reference_m = np.mean(ends) + 0.3 * (ends[1] - ends[0]) * turns
+    reversals = np.sin(np.linspace(0.0, 20.0 * np.pi, samples))
+    reference_m = np.mean(ends) + 0.3 * (ends[1] - ends[0]) * reversals
     plant = plant_of(parameters, made.model, campaign.lab)
     return Loop(plant=plant, parameters=parameters, reference_m=reference_m)

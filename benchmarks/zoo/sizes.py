@@ -24,7 +24,7 @@ from benchmarks.zoo.table import share
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.sizes import QUANTILE
 
-KNOWN_TO = {effect.name: effect.known_to for effect in EFFECTS}
+KNOWN_TO = {effect.name: effect.model_error for effect in EFFECTS}
 
 
 @dataclass(frozen=True, kw_only=True)

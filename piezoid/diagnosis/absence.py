@@ -4,7 +4,7 @@ from math import sqrt
 
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
-from piezoid.diagnosis.screening import Screened
+from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.search import Outcome
 from piezoid.readable import told
 
@@ -15,7 +15,7 @@ POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     """Return what is known of an effect that is not among the causes."""
     found = _sought(effect, outcome)
-    why = effect.untestable(outcome.final) or ("" if found is None or found.apart else WIDTH)
+    why = effect.untestable(outcome.final) or ("" if found is None or found.separable else WIDTH)
     if why or (found is None and effect.fault is None):
         return NotDetected(
             effect=effect.name,
@@ -25,7 +25,7 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
             next_experiment=effect.experiment,
         )
     if found is None:
-        least = effect.least if effect.bound is None else effect.bound(outcome.clean)
+        least = effect.minimum_share if effect.bound is None else effect.bound(outcome.clean)
         limit_m = least * 2.0 * outcome.final.stroke_m
         return NotDetected(
             effect=effect.name,
@@ -48,52 +48,54 @@ def unsought(effect: Effect, against: str) -> NotDetected:
     )
 
 
-def _sought(effect: Effect, outcome: Outcome) -> Screened | None:
+def _sought(effect: Effect, outcome: Outcome) -> ScoreTest | None:
     """Return where the effect was sought: of two ways, the one in which more may be hidden."""
     ways = (effect.name, f"{effect.name} {BETWEEN}")
     sought = [outcome.screened[way] for way in ways if way in outcome.screened]
-    return max(sought, key=lambda one: one.veiled * one.bound, default=None)
+    return max(sought, key=lambda one: one.absorption * one.bound, default=None)
 
 
-def _bounded(found: Screened, outcome: Outcome) -> NotDetected:
+def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:
     # what hysteresis takes up is there all the same
-    across_m = found.veiled * 2.0 * outcome.final.stroke_m
+    across_m = found.absorption * 2.0 * outcome.final.stroke_m
     doubt = found.bound - found.share
-    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.worth)
+    needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.minimum_gain)
     bound_m = across_m * found.bound
     # what may be there and was not named has not shown either
-    limit_m = max(across_m * max(POWER * doubt, needed, found.effect.least, found.floor), bound_m)
+    limit_m = max(
+        across_m * max(POWER * doubt, needed, found.effect.minimum_share, found.floor), bound_m
+    )
     return NotDetected(
         effect=found.effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
-            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.held.gain:.2g} % off the "
-            f"error on rows left out ({found.held.z:.2g} standard errors){_beside_twin(found)}"
+            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.cv.gain:.2g} % off the "
+            f"error on rows left out ({found.cv.z:.2g} standard errors){_beside_placebo(found)}"
             f"{_held_back(found, outcome) or _in_spite_of(found, outcome)}"
         ),
         next_experiment=found.effect.experiment,
     )
 
 
-def _beside_twin(found: Screened) -> str:
-    if found.twin is None:
+def _beside_placebo(found: ScoreTest) -> str:
+    if found.placebo is None:
         return ""
-    return f", its unphysical twin {100 * found.twin.gain:.2g} %"
+    return f", its placebo {100 * found.placebo.gain:.2g} %"
 
 
-def _in_spite_of(found: Screened, outcome: Outcome) -> str:
+def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
     """Say why what seems to be evidence by itself was not named."""
-    if found.held.gain < found.effect.worth or found.held.z < found.effect.sure:
+    if found.cv.gain < found.effect.minimum_gain or found.cv.z < found.effect.minimum_z:
         return ""
-    if not found.sound:
+    if not found.physical:
         return ": not named, because physics allows it no such size"
     causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
     rest = f", or may be what {causes} leave over" if causes else ""
     return f": not named, because refitted with everything else it is no better than others{rest}"
 
 
-def _held_back(found: Screened, outcome: Outcome) -> str:
+def _held_back(found: ScoreTest, outcome: Outcome) -> str:
     if found.effect.name not in outcome.held_back:
         return ""
     causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)

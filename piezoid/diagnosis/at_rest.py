@@ -190,7 +190,7 @@ def _finding(name: str, found: Rest, chosen: Sequence[str], y: Array, block: Pla
             unit="nm, rms",
             ci95=(1e9 * max(value - 1.96 * spread, 0.0), 1e9 * (value + 1.96 * spread)),
         ),
-        not_separable_from=said.rivals,
+        not_separable_from=said.confounded,
         explanation=said.explanation,
         next_experiment=said.experiment,
         parameters=said.parameters,
@@ -206,8 +206,8 @@ def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
     coefficients = _coefficients(design, y)
     curve = every[:, -width:] @ coefficients[-width:]
     left = y - y.mean() - every @ coefficients + curve
-    turns = (found.time_s * found.line_Hz) % 1.0
-    place, *kinds = classes_of(found.time_s if name == JUMP else turns, left, curve)
+    reversals = (found.time_s * found.line_Hz) % 1.0
+    place, *kinds = classes_of(found.time_s if name == JUMP else reversals, left, curve)
     low, median, high, fitted = (tuple(kind.tolist()) for kind in kinds)
     return Seen(
         unit="s" if name == JUMP else "",
@@ -227,7 +227,7 @@ class _Said:
     effect: str
     explanation: str
     experiment: str
-    rivals: tuple[str, ...] = ()
+    confounded: tuple[str, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     coordinate: str = ""
 
@@ -273,7 +273,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
         "on slowing down, thermal drift does not."
         if creeps
         else effect.experiment,
-        rivals=("creep",) if creeps else (),
+        confounded=("creep",) if creeps else (),
     )
 
 

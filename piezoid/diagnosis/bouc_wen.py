@@ -1,4 +1,4 @@
-"""The Bouc-Wen state of the envelope: its small loops do not close, and may change with bias.
+"""The Bouc-Wen state of the nuisance class: its minor loops do not close and may vary with bias.
 
     dz/dt = dp/dt - (beta |dp/dt| |z|^(n-1) z + gamma dp/dt |z|^n),    p = u + b u^2 / 2
 
@@ -15,14 +15,14 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.operators.bouc_wen import bouc_wen_states
 
-Knee = tuple[float, float, float, float]
+BoucWenLaw = tuple[float, float, float, float]
 """beta, gamma, n, b"""
 
 
-def bent_states(knee: Knee, turns: Sequence[float], drive: Array) -> Array:
+def states_under(bouc_wen: BoucWenLaw, reversals: Sequence[float], drive: Array) -> Array:
     """Return the state along a drive that turned at these values before, (samples,)."""
-    beta, gamma, exponent, bend = knee
-    way = np.array([*turns, float(drive[0])])
+    beta, gamma, exponent, bend = bouc_wen
+    way = np.array([*reversals, float(drive[0])])
     start = float(bouc_wen_states(_scaled(way, bend), beta, gamma, exponent)[-1])
     return bouc_wen_states(_scaled(drive, bend), beta, gamma, exponent, start)
 

@@ -10,7 +10,7 @@ slip of its clock, say, and no delay of the stage.
 
 import numpy as np
 
-from piezoid.diagnosis.extended import Accepted, offset_of
+from piezoid.diagnosis.extended import SelectedEffect, offset_of
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.view import View
 
@@ -20,13 +20,13 @@ APART = 0.35  # of the fitted time
 SURE = 4.0  # standard errors
 
 
-def is_alike(one: Accepted, view: View) -> bool:
+def is_alike(one: SelectedEffect, view: View) -> bool:
     """Tell whether no track asks for a clearly different time than the fitted one."""
     name = next(iter(one.free))
     there = stepped(one, name, NUDGE)
     ratio = there.parameters[name] / one.parameters[name] - 1.0
     change = offset_of(view, [there]) - offset_of(view, [one])
-    edges = view.envelope.edges
+    edges = view.nuisance.edges
     columns = np.column_stack(
         [
             view.of_track(k, change[edges[k] : edges[k + 1]] / ratio)

@@ -85,7 +85,7 @@ def along_reading(view: View, left: Array | None = None) -> Basis:
     for k, (track, static) in enumerate(zip(view.tracks, view.static, strict=True)):
         own = track.response - float(np.median(track.response - static))  # of a common zero
         if left is not None:
-            rows = slice(view.envelope.edges[k], view.envelope.edges[k + 1])
+            rows = slice(view.nuisance.edges[k], view.nuisance.edges[k + 1])
             own = static.copy()
             own[track.place] += left[rows]
         readings.append(own)
@@ -133,7 +133,7 @@ def waves(
     tracks, wide = view.tracks, 2 * harmonics
     columns = np.zeros((len(view.response), wide * len(tracks)))
     for k, track in enumerate(tracks):
-        rows = slice(view.envelope.edges[k], view.envelope.edges[k + 1])
+        rows = slice(view.nuisance.edges[k], view.nuisance.edges[k + 1])
         columns[rows, k * wide : (k + 1) * wide] = turning(k, track.place)
     return Basis(
         coordinate=coordinate,
@@ -231,8 +231,8 @@ def _turned(track: Track) -> tuple[Array, Array]:
     place = np.arange(len(step))
     moved = np.maximum.accumulate(np.where(step != 0.0, place, 0))
     way = step[moved]
-    turns = np.flatnonzero((way[1:] != way[:-1]) & (way[:-1] != 0.0)) + 1
-    last = np.maximum.accumulate(np.where(np.isin(place, turns), place, 0))
+    reversals = np.flatnonzero((way[1:] != way[:-1]) & (way[:-1] != 0.0)) + 1
+    last = np.maximum.accumulate(np.where(np.isin(place, reversals), place, 0))
     return (place - last + 1) / track.rate_Hz, way
 
 

@@ -8,13 +8,14 @@ import numpy as np
 
 from piezoid.diagnosis.absence import absent, unsought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
+from piezoid.diagnosis.attribution import attributed
+from piezoid.diagnosis.candidate import CERTAIN, Candidate
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
-from piezoid.diagnosis.judgement import CERTAIN, Judged
 from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
@@ -23,7 +24,6 @@ from piezoid.diagnosis.something_else import Explained, explained, without_names
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.unnamed import of_discovered
 from piezoid.diagnosis.view import View, view_of
-from piezoid.diagnosis.worth import worth_of
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
@@ -90,7 +90,7 @@ def diagnose(
             numbers = simulated(found)
     else:
         weighed = partial(
-            worth_of,
+            attributed,
             recordings=chosen,
             model=model,
             lab=declared,
@@ -240,40 +240,44 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
     )
 
 
-def _of_cause(cause: Judged, outcome: Outcome, numbers: Simulated) -> Finding:
+def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding:
     effect = cause.effect
     stroke_m = outcome.first.stroke_m
     before, after = numbers.without[effect.name], numbers.final
-    rivals = outcome.rivals.get(effect.name, ())
-    structure = _structure([*rivals, *_named_beside(cause, outcome)])
+    confounded = outcome.confounded.get(effect.name, ())
+    structure = _structure([*confounded, *_named_beside(cause, outcome)])
     return Finding(
         effect=effect.name,
         held_out_gain=_gain(before, after),
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
-        p_value=min(1.0, max(cause.held.p_value, 1e-12) * len(EFFECTS)),
+        p_value=min(1.0, max(cause.cv.p_value, 1e-12) * len(EFFECTS)),
         rms_percent=100.0 * cause.share,
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
-        not_separable_from=(*rivals, *(s.name for s in structure if s.name not in rivals)),
+        not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),
         explanation=_first_words(effect)
-        + f" {'Behind jumps of the drive' if cause.accepted.struck else 'Here'} "
+        + f" {'Behind jumps of the drive' if cause.selected.struck else 'Here'} "
         f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
-        f"beside everything else found it takes {100 * cause.held.gain:.3g} % off the error that "
+        f"beside everything else found it takes {100 * cause.cv.gain:.3g} % off the error that "
         "is left there."
         f"{_or_a_part(structure)}",
         next_experiment=" ".join(one.experiment for one in (effect, *structure)),
-        parameters=dict(cause.accepted.parameters),
+        parameters=dict(cause.selected.parameters),
     )
 
 
-def _structure(rivals: Sequence[str]) -> list[Effect]:
-    """Return the rivals that are hysteresis: an experiment on the effect alone parts none."""
-    return [rival for rival in map(_named, rivals) if rival.against is not None]
+def _structure(confounded: Sequence[str]) -> list[Effect]:
+    """Return the confounded effects that are hysteresis, which needs its own experiment."""
+    return [
+        alternative
+        for alternative in map(_named, confounded)
+        if alternative.null_without is not None
+    ]
 
 
-def _named_beside(cause: Judged, outcome: Outcome) -> list[str]:
+def _named_beside(cause: Candidate, outcome: Outcome) -> list[str]:
     """Return causes that may hold a part of this one, where it is not sure beyond doubt."""
-    if cause.held.z > CERTAIN or cause.effect.against is not None:
+    if cause.cv.z > CERTAIN or cause.effect.null_without is not None:
         return []
     others = [other.effect for other in outcome.causes if other is not cause]
     return [other.name for other in others if other.resembles(cause.effect)]

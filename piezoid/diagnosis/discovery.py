@@ -1,9 +1,9 @@
 """Discovery: in which coordinate that is left lives which no effect of the catalogue stands for.
 
-The remainder of the final model is what neither the envelope of hysteresis nor the tangents of any
+The remainder of the final model is what neither the nuisance class nor the tangents of any
 effect can follow: with these it is made orthogonal,
 
-    r = M y,   M = I - C (C'C)^-1 C',   C = [envelope, accepted effects, tangents of the others],
+    r = M y,   M = I - C (C'C)^-1 C',   C = [nuisance, selected effects, tangents of the others],
 
 so that it is not just their error. Curves along one coordinate at a time are then fitted beside C
 to blocks of whole stretches of the recordings and judged on the blocks left out,
@@ -13,7 +13,7 @@ to blocks of whole stretches of the recordings and judged on the blocks left out
 The null of a curve along a signal is the same remainder, shifted by chance along each recording:
 it keeps its power and its correlation, and loses its place. The null of a line is the power of
 the spectrum around it. What one coordinate explains beyond its null may still be hysteresis that
-the envelope does not follow: hence a least part as well, from healthy stages.
+the nuisance class does not follow: hence a least part as well, from healthy stages.
 
 Source: Arlot & Celisse (2010) on blocks; Percival & Walden (1993) on lines; Phipson & Smyth (2010)
 on p-values that count permutations.
@@ -93,8 +93,8 @@ class Remainder:
         """Return what neither the view nor these tangents follow."""
         if not tangents:
             return cls(view=view, null=view.null)
-        more = np.hstack([view.accepted, *tangents])
-        known = view.envelope.gram
+        more = np.hstack([view.selected, *tangents])
+        known = view.nuisance.gram
         null = Null(
             columns=view.null.columns,
             response=view.response,
@@ -111,7 +111,7 @@ class Remainder:
 
     def rows(self, k: int) -> slice:
         """Return the rows of a track."""
-        edges = self.view.envelope.edges
+        edges = self.view.nuisance.edges
         return slice(int(edges[k]), int(edges[k + 1]))
 
     def across(self, columns: Array) -> tuple[Array, Array]:

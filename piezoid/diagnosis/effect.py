@@ -1,7 +1,7 @@
 """What one effect must provide; the engine knows nothing else of it.
 
-An effect is one file: an explanation in five headings, the trials that look for it, unphysical
-twins of the same freedom that must do clearly worse, what it adds once it is accepted, its size.
+An effect is one file: an explanation under five headings, the trials that look for it, placebos
+of the same freedom that must do clearly worse, what it adds once it is selected, and its size.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,28 +29,28 @@ Parameters = Mapping[str, float]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """One way in which an effect may be there.
+    """One way in which an effect may be present.
 
-    columns     (rows, columns)  what it would add to the response
-    parameters  nonlinear ones, by name with unit
-    real        False: an unphysical twin, to calibrate by
-    within      range of the first coefficient that physics allows
-    least       size below which the first coefficient is none
-    apart       part of the first column, by length, that the null must leave over: a lag at one
-                frequency is a width of the loop
-    alone       whether it is all that is wrong of its kind: where many shapes are missing, one of
-                them is no more than the nearest
-    free        parameters worth refining: by which factor (above 1) or step (below) to try
-    limits      ranges of these; one that ends at its limit was not found
+    columns              (rows, columns)  what it would add to the response
+    parameters           nonlinear ones, by name with unit
+    physical             False: a placebo of the same freedom, to calibrate by
+    coefficient_range    of the first coefficient, as physics allows it
+    minimum_coefficient  size below which the first coefficient counts as zero
+    minimum_separation   part of the first column, by length, that the null must leave: at one
+                         frequency a lag is a loop width
+    unique               whether no other shape of its kind is missing; where many are, one of
+                         them is only the nearest
+    free                 parameters to refine: by which factor (above 1) or step (below)
+    limits               their ranges; an estimate at its limit was not found
     """
 
     columns: Array
     parameters: Parameters = field(default_factory=dict)
-    real: bool = True
-    within: tuple[float, float] = (-float("inf"), float("inf"))
-    least: float = 0.0
-    apart: float = 0.0
-    alone: bool = True
+    physical: bool = True
+    coefficient_range: tuple[float, float] = (-float("inf"), float("inf"))
+    minimum_coefficient: float = 0.0
+    minimum_separation: float = 0.0
+    unique: bool = True
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -94,41 +94,47 @@ BETWEEN = "between recordings"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
-    """One effect.
+    """What one effect provides.
 
-    name         as in diagnosis.json
-    explanation  the file's docstring
-    unit         of its size
-    experiment   what to record to see it better, or to tell it from its rivals
-    rivals       effects that look alike
-    untestable   (view) -> why these recordings cannot show it, empty where they can
-    trials       (view) -> trials, real ones and twins
-    columns      (view, parameters) -> what the accepted effect adds, (rows, columns)
-    beside       (view) -> columns that come with the effect and are no evidence of it
-    drive        (drive, rate_Hz, parameters) -> what reaches the stage, for effects in front of it
-    passes       (response, rate_Hz, parameters) -> what is read of it, for filters that all of the
-                 response passes
-    elsewhere    the same cause on the other side of the hysteresis, for filters that may be there
-    between      the same cause where it comes between two recordings
-    fault        (view) -> Fault or None, for faults of the data
-    size         (view, parameters, coefficients) -> size in ``unit``; None: rms in percent
-    against      (view) -> the null to beat, where it is not the view's own; such an effect is
-                 judged at the end, when everything else is in
-    known_to     part of the size that the law itself may be wrong by: a spectrum that is not even,
-                 a hold between samples; blocks of rows know nothing of it. Two to three times
-                 what the worst of thirteen laws asked for (``python -m benchmarks.zoo.sizes``)
-    knee         part of the error that it must take off of a material that no class follows, or
-                 it must be there beside a Bouc-Wen state in the class without it; 0: not asked
-    rings        whether hysteresis may have been fitted to it, so that it must begin without
-    inject       (recording, share) -> the recording with the effect, share of the stroke
-    extend       (found, setting) -> what the model takes in, to be refitted from there
-    sure         standard errors to ask for
-    quiet        times the sensor's noise: where more is left, its null itself does not hold
-    worth        part of the error on rows left out that it must take off
-    common       whether ceramics have a little of it by themselves: all of that is then asked for
-    shows_at     share of the stroke from which it is found on a rig with 0.05 % of noise
-    least        share of the stroke below which it is not looked for
-    bound        (view) -> share of the stroke that could be there and not be found, for faults
+    name                      as in diagnosis.json
+    explanation               the file's docstring
+    unit                      of its size
+    experiment                what to record to see it better, or to separate it from its
+                              confounded effects
+    confounded                names of the effects that look alike
+    untestable                (view) -> why these recordings cannot show it; empty where they can
+    trials                    (view) -> physical trials and placebos
+    columns                   (view, parameters) -> what it adds once selected, (rows, columns)
+    covariates                (view) -> columns that come with it and are no evidence of it
+    drive_filter              (drive, rate_Hz, parameters) -> what reaches the stage, for effects
+                              in front of the hysteresis
+    response_filter           (response, rate_Hz, parameters) -> what is read, for filters that
+                              the whole response passes
+    other_side                the same cause on the other side of the hysteresis
+    between_recordings        the same cause where it acts between two recordings
+    fault                     (view) -> Fault or None, for faults of the data
+    size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
+                              percent
+    null_without              (view) -> the null to beat where that is not the view's own: a part
+                              of the nuisance class, judged last
+    model_error               part of the size that the law itself may be wrong by (a spectrum
+                              that is not even, a hold between samples), which blocks of rows
+                              cannot show. Two to three times the worst of thirteen laws
+                              (``python -m benchmarks.zoo.sizes``)
+    minimum_beside_bouc_wen   part of the error that it must take off a material that no class
+                              follows, or else it must hold beside a Bouc-Wen state; 0: not asked
+    may_be_absorbed           whether the nuisance class may have been fitted to it, so that its
+                              columns are made from a response without it
+    inject                    (recording, share) -> the recording with it, share of the stroke
+    extend                    (found, setting) -> the model's extension to refit from there
+    minimum_z                 standard errors required
+    largest_noise_ratio       residual over noise above which its null counts as misspecified
+    minimum_gain              part of the held-out error that it must take off
+    in_every_material         whether every material has a little of it: the whole minimum gain is
+                              then required, however small the residual
+    detectable_share          share of the stroke from which it is found at 0.05 % of noise
+    minimum_share             share of the stroke below which it is not looked for
+    bound                     (view) -> share of the stroke that could be missed, for faults
     """
 
     name: str
@@ -136,30 +142,30 @@ class Effect:
     unit: str
     experiment: str
     inject: Callable[[Recording, float], Recording]
-    rivals: tuple[str, ...] = ()
+    confounded: tuple[str, ...] = ()
     untestable: Callable[[View], str] = lambda _: ""
     trials: Callable[[View], Sequence[Trial]] | None = None
     columns: Callable[[View, Parameters], Array] | None = None
-    beside: Callable[[View], Array] | None = None
-    drive: Callable[[Array, float, Parameters], Array] | None = None
-    passes: Callable[[Array, float, Parameters], Array] | None = None
-    elsewhere: "Effect | None" = None
-    between: "Effect | None" = None
+    covariates: Callable[[View], Array] | None = None
+    drive_filter: Callable[[Array, float, Parameters], Array] | None = None
+    response_filter: Callable[[Array, float, Parameters], Array] | None = None
+    other_side: "Effect | None" = None
+    between_recordings: "Effect | None" = None
     fault: Callable[[View], Fault | None] | None = None
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
-    against: Callable[[View], Null] | None = None
+    null_without: Callable[[View], Null] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
-    known_to: float = 0.02
-    quiet: float = float("inf")
-    sure: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
-    least: float = 1.2e-4
-    worth: float = 0.03
-    common: bool = False
-    knee: float = 0.0
-    rings: bool = False
-    shows_at: float = 2e-3
+    model_error: float = 0.02
+    largest_noise_ratio: float = float("inf")
+    minimum_z: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
+    minimum_share: float = 1.2e-4
+    minimum_gain: float = 0.03
+    in_every_material: bool = False
+    minimum_beside_bouc_wen: float = 0.0
+    may_be_absorbed: bool = False
+    detectable_share: float = 2e-3
 
     def resembles(self, other: "Effect") -> bool:
         """Tell whether one of the two may stand in the place of the other."""
-        return other.name in self.rivals or self.name in other.rivals
+        return other.name in self.confounded or self.name in other.confounded

@@ -1,4 +1,4 @@
-"""Extended: tracks with the effects that were accepted, refitted with all of them in place."""
+"""Extended: tracks with the effects that were selected, refitted with all of them in place."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +16,7 @@ EDGE = 0.03  # of a limit: so near it is at it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Accepted:
+class SelectedEffect:
     """An effect with its nonlinear parameters.
 
     free    which of them are worth refining: by which factor (above 1) or step (below) to try
@@ -42,16 +42,20 @@ class Accepted:
     def adds(self) -> bool:
         """Whether it adds columns with free coefficients."""
         effect = self.effect
-        return effect.columns is not None and effect.passes is None and effect.drive is None
+        return (
+            effect.columns is not None
+            and effect.response_filter is None
+            and effect.drive_filter is None
+        )
 
     @property
     def acts(self) -> bool:
-        """Whether it changes drive or response; the envelope has the other ones already."""
+        """Whether it changes drive or response; the nuisance class has the other ones already."""
         effect = self.effect
-        return self.adds or effect.passes is not None or effect.drive is not None
+        return self.adds or effect.response_filter is not None or effect.drive_filter is not None
 
 
-def extended(clean: View, accepted: Sequence[Accepted], near: View | None = None) -> View:
+def extended(clean: View, selected: Sequence[SelectedEffect], near: View | None = None) -> View:
     """Return the view in which these effects are at work.
 
     What acts on the drive changes the drive, for good. Filters and columns are made of a static
@@ -59,8 +63,8 @@ def extended(clean: View, accepted: Sequence[Accepted], near: View | None = None
 
     near  a view with nearly the same at work: its static response is where the rounds begin
     """
-    view = driven(clean, accepted)
-    behind = [one for one in accepted if one.effect.drive is None]
+    view = driven(clean, selected)
+    behind = [one for one in selected if one.effect.drive_filter is None]
     if not behind:
         return view
     calm = calm_for(view, behind)
@@ -69,19 +73,19 @@ def extended(clean: View, accepted: Sequence[Accepted], near: View | None = None
         here, last = replace(view, guess=near.static), near.rms
     for _ in range(ROUNDS):
         offset, columns = offset_of(here, behind), columns_of(here, behind, calm)
-        here = view = replace(view, offset=offset, accepted=columns)
+        here = view = replace(view, offset=offset, selected=columns)
         if abs(view.rms / last - 1.0) < SETTLED:
             break
         last = view.rms
     return view
 
 
-def driven(clean: View, accepted: Sequence[Accepted]) -> View:
+def driven(clean: View, selected: Sequence[SelectedEffect]) -> View:
     """Return the view with the commands that these effects let through.
 
     The last one is kept: what is refined behind a limit asks for the same again and again.
     """
-    limits = [one for one in accepted if one.effect.drive is not None]
+    limits = [one for one in selected if one.effect.drive_filter is not None]
     asked = tuple((one.effect.name, *sorted(one.parameters.items())) for one in limits)
     found = clean.driven.get(asked) if limits else clean
     if found is None:  # another thread may take the room at any time
@@ -91,45 +95,47 @@ def driven(clean: View, accepted: Sequence[Accepted]) -> View:
     return found
 
 
-def _behind_limits(clean: View, limits: Sequence[Accepted]) -> View:
+def _behind_limits(clean: View, limits: Sequence[SelectedEffect]) -> View:
     commands = []
     for track in clean.tracks:
         command = track.command
         for one in limits:
-            assert one.effect.drive is not None
-            command = one.effect.drive(command, track.rate_Hz, one.parameters)
+            assert one.effect.drive_filter is not None
+            command = one.effect.drive_filter(command, track.rate_Hz, one.parameters)
         commands.append(command)
     same = all(a is b.command for a, b in zip(commands, clean.tracks, strict=True))
     return clean if same else with_commands(clean, commands)
 
 
-def offset_of(view: View, accepted: Sequence[Accepted]) -> Array:
+def offset_of(view: View, selected: Sequence[SelectedEffect]) -> Array:
     """Return what all filters together make of the static response, less that, at the rows."""
     parts = []
     for track, static in zip(view.tracks, view.static, strict=True):
         read = static
-        for one in accepted:
-            if one.effect.passes is not None:
-                read = one.effect.passes(read, track.rate_Hz, one.parameters)
+        for one in selected:
+            if one.effect.response_filter is not None:
+                read = one.effect.response_filter(read, track.rate_Hz, one.parameters)
         parts.append((read - static)[track.place])
     return np.concatenate(parts)
 
 
-def calm_for(view: View, accepted: Sequence[Accepted]) -> View:
+def calm_for(view: View, selected: Sequence[SelectedEffect]) -> View:
     """Return the view of which the columns of those are made that ring; itself where none does."""
-    rings = [one for one in accepted if one.effect.rings]
+    rings = [one for one in selected if one.effect.may_be_absorbed]
     return calmed(view, lambda plain: columns_of(plain, rings, plain)) if rings else view
 
 
-def columns_of(view: View, accepted: Sequence[Accepted], calm: View) -> Array:
-    """Return the columns of all accepted effects that act on the response.
+def columns_of(view: View, selected: Sequence[SelectedEffect], calm: View) -> Array:
+    """Return the columns of all selected effects that act on the response.
 
     calm  the view of which the columns of those are made that ring
     """
     parts = [np.zeros((len(view.offset), 0))]
-    for one in accepted:
+    for one in selected:
         if one.adds and one.effect.columns is not None:
-            parts.append(one.effect.columns(calm if one.effect.rings else view, one.parameters))
-        if one.effect.beside is not None:
-            parts.append(one.effect.beside(view))
+            parts.append(
+                one.effect.columns(calm if one.effect.may_be_absorbed else view, one.parameters)
+            )
+        if one.effect.covariates is not None:
+            parts.append(one.effect.covariates(view))
     return np.hstack(parts)

@@ -1,4 +1,4 @@
-"""The friction states of the envelope, and what a history leaves in them."""
+"""The friction states of the nuisance class, and what a history leaves in them."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ def rubbing(drive: Array, first: Array) -> Array:
     return friction_states(drive, REACH, first, power=POWER)
 
 
-def rubbed(drive: Array, turns: Sequence[float]) -> Array:
+def rubbed(drive: Array, reversals: Sequence[float]) -> Array:
     """Return the friction states after a drive turned at these values before the first sample."""
-    way = np.array([*turns, float(drive[0])])
+    way = np.array([*reversals, float(drive[0])])
     return np.asarray(rubbing(way, np.zeros(len(REACH)))[-1])

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.friction import rubbed, rubbing
-from piezoid.diagnosis.pasts import Turns, past
+from piezoid.diagnosis.initial_states import Reversals, memory_after
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
@@ -25,31 +25,35 @@ States = tuple[Array, Array]  # of plays, of friction
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
-    """One track with one past.
+    """One track with one initial state.
 
-    turns  values at which the drive turned before the track
-    other  the same drive and past with other readings or rows: it knows the states already
+    reversals  values at which the drive turned before the track
+    other  the same drive and initial state with other readings or rows; its states are reused
     """
 
     track: Track
-    turns: Turns
+    reversals: Reversals
     other: "History | None" = None
 
-    def after(self, turns: Turns) -> "History":
-        """Return the track with another past."""
-        return self if turns == self.turns else History(track=self.track, turns=turns)
+    def after(self, reversals: Reversals) -> "History":
+        """Return the track with another initial state."""
+        return (
+            self if reversals == self.reversals else History(track=self.track, reversals=reversals)
+        )
 
     def on(self, track: Track) -> "History":
-        """Return another track with the same past."""
+        """Return another track with the same initial state."""
         if track is self.track:
             return self
         same = np.array_equal(track.drive, self.track.drive)
-        return History(track=track, turns=self.turns, other=self.other or self if same else None)
+        return History(
+            track=track, reversals=self.reversals, other=self.other or self if same else None
+        )
 
     @Once
     def rows(self) -> States:
         """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
-        return states_at(self.track.drive, self.turns, self.track.place)
+        return states_at(self.track.drive, self.reversals, self.track.place)
 
     @Once
     def states(self) -> States:
@@ -57,8 +61,8 @@ class History:
         if self.other is not None:
             return self.other.states
         drive = self.track.drive
-        plays, _ = play_columns(drive, THRESHOLD, past(drive, self.turns))
-        return plays, rubbing(drive, rubbed(drive, self.turns))
+        plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, self.reversals))
+        return plays, rubbing(drive, rubbed(drive, self.reversals))
 
     def static(self, weight: Array) -> Array:
         """Return what the shared columns make of the drive, (samples,); all states are kept."""
@@ -69,7 +73,7 @@ class History:
 
         One keeps its first state until it moves. Narrow plays have forgotten them at once.
         """
-        first = past(self.track.drive, self.turns)
+        first = memory_after(self.track.drive, self.reversals)
         highest, lowest = self._farthest
         up = np.searchsorted(highest, first + THRESHOLD, side="right")
         down = np.searchsorted(-lowest, THRESHOLD - first, side="right")
@@ -106,19 +110,19 @@ def way_to(drive: Array, place: Places) -> tuple[Places, Places]:
     """
     moves = np.flatnonzero(np.diff(drive))
     up = drive[moves + 1] > drive[moves]
-    turns = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
+    reversals = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
     told = np.zeros(len(drive), dtype=bool)
-    told[0] = told[turns] = told[place] = True
+    told[0] = told[reversals] = told[place] = True
     way = np.flatnonzero(told)
     return way, np.searchsorted(way, place)
 
 
-def states_at(drive: Array, turns: Turns, place: Places) -> States:
+def states_at(drive: Array, reversals: Reversals, place: Places) -> States:
     """Return the states at some samples of any drive that turned before."""
     way, rows = way_to(drive, place)
     path = drive[way]
-    plays, _ = play_columns(path, THRESHOLD, past(path, turns))
-    return _rows(plays, rows), _rows(rubbing(path, rubbed(path, turns)), rows)
+    plays, _ = play_columns(path, THRESHOLD, memory_after(path, reversals))
+    return _rows(plays, rows), _rows(rubbing(path, rubbed(path, reversals)), rows)
 
 
 def _rows(columns: Array, place: Places) -> Array:
@@ -126,10 +130,10 @@ def _rows(columns: Array, place: Places) -> Array:
     return np.asarray(np.take(columns.T, place, axis=1).T)
 
 
-def static_of(drive: Array, turns: Turns, weight: Array) -> Array:
+def static_of(drive: Array, reversals: Reversals, weight: Array) -> Array:
     """Return what shared columns make of any drive that turned before, keeping no states."""
-    memory = past(drive, turns)
-    friction = rubbing(drive, rubbed(drive, turns))
+    memory = memory_after(drive, reversals)
+    friction = rubbing(drive, rubbed(drive, reversals))
     parts = []
     for first in range(0, len(drive), CHUNK):
         part = np.asarray(drive[first : first + CHUNK])

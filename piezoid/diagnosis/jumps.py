@@ -13,14 +13,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.envelope import Envelope
-from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.extended import SelectedEffect
 from piezoid.diagnosis.history import History
-from piezoid.diagnosis.judgement import judged
+from piezoid.diagnosis.nuisance import NuisanceClass
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.tracks import BLOCKS, Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -37,7 +37,7 @@ Stretch = tuple[int, int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Trend(Envelope):
+class Trend(NuisanceClass):
     """Smooth trends of stretches in the place of hysteresis, which is known from elsewhere.
 
     sum_n p_n P_n(2 sqrt(t / T) - 1),  P_n Legendre's polynomials: creep begins steeply
@@ -61,12 +61,12 @@ class Trend(Envelope):
         return columns
 
 
-def struck(view: View) -> tuple[Accepted, ...]:
+def struck(view: View) -> tuple[SelectedEffect, ...]:
     """Return the modes that jumps of the drive have struck beyond doubt."""
     scope = behind_jumps(view)
     if scope is None:
         return ()
-    found = [_struck(in_any_phase(effect), scope) for effect in EFFECTS if effect.rings]
+    found = [_struck(in_any_phase(effect), scope) for effect in EFFECTS if effect.may_be_absorbed]
     return tuple(one for one in found if one is not None)
 
 
@@ -85,7 +85,9 @@ def in_any_phase(effect: Effect) -> Effect:
 
     def either(view: View) -> list[Trial]:
         return [
-            replace(trial, columns=both(view, trial.parameters), within=(-np.inf, np.inf))
+            replace(
+                trial, columns=both(view, trial.parameters), coefficient_range=(-np.inf, np.inf)
+            )
             for trial in trials(view)
         ]
 
@@ -104,11 +106,11 @@ def behind_jumps(view: View) -> View | None:
     if not kept:
         return None
     tracks = [_only(view.tracks[k], there[k]) for k in kept]
-    pasts = [view.envelope.turns[k] for k in kept]
-    histories = [History(track=t, turns=p) for t, p in zip(tracks, pasts, strict=True)]
+    hypotheses = [view.nuisance.reversals[k] for k in kept]
+    histories = [History(track=t, reversals=p) for t, p in zip(tracks, hypotheses, strict=True)]
     trend = Trend(histories=tuple(histories))
     known = tuple(view.static[k] for k in kept)
-    return replace(with_tracks(replace(view, envelope=trend), tracks), guess=known)
+    return replace(with_tracks(replace(view, nuisance=trend), tracks), guess=known)
 
 
 def _stretches(drive: Array) -> list[Stretch]:
@@ -134,11 +136,11 @@ def _only(track: Track, stretches: Sequence[Stretch]) -> Track:
     return replace(track, place=np.concatenate(place), block=np.concatenate(block))
 
 
-def _struck(effect: Effect, scope: View) -> Accepted | None:
+def _struck(effect: Effect, scope: View) -> SelectedEffect | None:
     seen = None if effect.untestable(scope) else screen(effect, scope)
-    if seen is None or not seen.sound:
+    if seen is None or not seen.physical:
         return None
-    one = begun(effect, seen.trial, float(seen.held.coefficient[0]))
+    one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
     better, view = refined(one, scope, [])
     found = judged(better, view, scope, seen=seen)
-    return replace(better, struck=True) if found.speaks else None
+    return replace(better, struck=True) if found.is_significant else None

@@ -41,6 +41,6 @@ def _step_near(usual: float, values: Array) -> float:
     enough to count hundreds by.
     """
     width = float(np.ptp(values)) / usual
-    turns = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
-    phase = np.exp(2j * np.pi * np.outer(turns / usual, values))
-    return usual / float(turns[int(np.argmax(np.abs(phase.sum(axis=1))))])
+    reversals = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
+    phase = np.exp(2j * np.pi * np.outer(reversals / usual, values))
+    return usual / float(reversals[int(np.argmax(np.abs(phase.sum(axis=1))))])

@@ -21,7 +21,7 @@ def answers_of_others(view: View, *, backwards: bool = False) -> Array:
 
 def _answer(view: View, axis: str, backwards: bool) -> Array:
     columns = np.zeros((len(view.response), 2 + len(GAPS)))
-    edges = view.envelope.edges
+    edges = view.nuisance.edges
     for k, track in enumerate(view.tracks):
         if axis not in track.others:
             continue

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.coordinates import Signals
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View, with_tracks
 
@@ -40,7 +40,7 @@ class Ended:
     side: int
 
 
-def ended(clean: View, others: Sequence[Accepted]) -> Ended | None:
+def ended(clean: View, others: Sequence[SelectedEffect]) -> Ended | None:
     """Return the end of the range that the readings show best, None where they show none.
 
     others  effects at work that are no limit of the amplifier
@@ -53,7 +53,7 @@ def _power(found: Ended) -> float:
     return float(sum(np.sum(one**2) for one in found.curve))
 
 
-def _on_side(clean: View, others: Sequence[Accepted], side: int) -> Ended | None:
+def _on_side(clean: View, others: Sequence[SelectedEffect], side: int) -> Ended | None:
     noise = clean.noise
     plateaus = [_plateau(track, side, noise) for track in clean.tracks]
     on = [np.zeros(len(t.place), dtype=bool) if p is None else side * t.response[t.place] > p
@@ -75,9 +75,9 @@ def _on_side(clean: View, others: Sequence[Accepted], side: int) -> Ended | None
         there = side * track.response > plateau
         level = float(np.median(track.response[there]))
         own = np.where(there, side * np.minimum(side * (level - where), 0.0), 0.0)
-        far = float(np.abs(own).max()) > FAR * noise  # others turned there, and rested
-        curve.append(own if far else np.zeros(len(own)))
-        levels += [level - _zero(view, k)] if far else []
+        state = float(np.abs(own).max()) > FAR * noise  # others turned there, and rested
+        curve.append(own if state else np.zeros(len(own)))
+        levels += [level - _zero(view, k)] if state else []
     if not levels:
         return None
     return Ended(curve=tuple(curve), level=float(np.median(levels)), side=side)
@@ -99,5 +99,5 @@ def _plateau(track: Track, side: int, noise: float) -> float | None:
 
 
 def _zero(view: View, k: int) -> float:
-    envelope = view.envelope
-    return float(view.null.coefficients[envelope.shared + envelope.own * k])
+    nuisance = view.nuisance
+    return float(view.null.coefficients[nuisance.shared + nuisance.own * k])

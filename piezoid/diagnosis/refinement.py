@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.view import View
 
 PARTS = (1.0, 0.3, 0.1, 0.03)  # of a parameter's width
@@ -20,29 +20,31 @@ FARTHEST = 5.0  # times the way of one round
 BETTER = 5e-4  # of the error: what a step must gain
 
 
-Refined = tuple[Accepted, View]
+Refined = tuple[SelectedEffect, View]
 
 
-def begun(effect: Effect, trial: Trial, coefficient: float) -> Accepted:
+def begun(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
     """Return an effect as its best tangent has it.
 
     Of a filter that all passes, a tangent with a share of 1.7 means a time 1.7 times as long.
     """
     parameters = dict(trial.parameters)
-    if effect.passes is not None:
+    if effect.response_filter is not None:
         stretch = float(np.clip(coefficient, 0.2, 5.0))
         parameters |= {name: parameters[name] * stretch for name in trial.free}
-    return Accepted(effect=effect, parameters=parameters, free=trial.free, limits=trial.limits)
+    return SelectedEffect(
+        effect=effect, parameters=parameters, free=trial.free, limits=trial.limits
+    )
 
 
 def refined(
-    one: Accepted,
+    one: SelectedEffect,
     clean: View,
-    others: Sequence[Accepted],
+    others: Sequence[SelectedEffect],
     *,
     finer: int = 0,
     near: View | None = None,
-) -> tuple[Accepted, View]:
+) -> tuple[SelectedEffect, View]:
     """Return an effect with better parameters beside others, and the view with all at work.
 
     finer  how many of the coarse steps to leave out, for parameters that are nearly right
@@ -55,14 +57,14 @@ def refined(
     return best
 
 
-def _settled(clean: View, accepted: Sequence[Accepted], near: View | None) -> View:
+def _settled(clean: View, selected: Sequence[SelectedEffect], near: View | None) -> View:
     """Return the view a round beyond where rounds from afar end: steps begin from here."""
-    return extended(clean, accepted, near or extended(clean, accepted))
+    return extended(clean, selected, near or extended(clean, selected))
 
 
 def refined_together(
-    several: Sequence[Accepted], clean: View, others: Sequence[Accepted]
-) -> tuple[list[Accepted], View]:
+    several: Sequence[SelectedEffect], clean: View, others: Sequence[SelectedEffect]
+) -> tuple[list[SelectedEffect], View]:
     """Return effects with parameters that are better together, and the view with all at work.
 
     One after the other creeps along a valley: a limit found without the lag behind it follows a
@@ -76,9 +78,9 @@ def refined_together(
         rest = [*others, *there[:k], *there[k + 1 :]]
         there[k], view = refined(one, clean, rest, finer=1, near=view)
 
-    def onward(length: float) -> tuple[list[Accepted], View]:
-        far = [_beyond(a, b, length) for a, b in zip(several, there, strict=True)]
-        return far, extended(clean, [*others, *far], view)
+    def onward(length: float) -> tuple[list[SelectedEffect], View]:
+        state = [_beyond(a, b, length) for a, b in zip(several, there, strict=True)]
+        return state, extended(clean, [*others, *state], view)
 
     twice = onward(1.0)
     length = _lowest(start.rms**2, view.rms**2, twice[1].rms ** 2) - 1.0
@@ -92,19 +94,19 @@ def _lowest(none: float, once: float, twice: float) -> float:
     return float(np.clip(-slope / bend, 1.0, FARTHEST)) if bend > 0.0 else FARTHEST
 
 
-def _beyond(before: Accepted, now: Accepted, length: float) -> Accepted:
+def _beyond(before: SelectedEffect, now: SelectedEffect, length: float) -> SelectedEffect:
     """Return an effect as many times as far on as it came."""
     parameters = dict(now.parameters)
     for name, width in now.free.items():
         a, b = before.parameters[name], now.parameters[name]
-        far = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
+        state = b * (b / a) ** length if width > 1.0 else b + length * (b - a)
         low, high = now.limits.get(name, (-float("inf"), float("inf")))
-        parameters[name] = min(max(far, low), high)
+        parameters[name] = min(max(state, low), high)
     return replace(now, parameters=parameters)
 
 
 def _walked(
-    best: Refined, clean: View, others: Sequence[Accepted], name: str, part: float
+    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, part: float
 ) -> Refined:
     """Step on to the side that gets better, or to where a parabola through three errors ends."""
 
@@ -125,7 +127,7 @@ def _walked(
 
 
 def _onward(
-    best: Refined, clean: View, others: Sequence[Accepted], name: str, step: float
+    best: Refined, clean: View, others: Sequence[SelectedEffect], name: str, step: float
 ) -> Refined:
     for _ in range(STEPS):
         there = stepped(best[0], name, step)
@@ -136,13 +138,13 @@ def _onward(
     return best
 
 
-def stepped(one: Accepted, name: str, part: float) -> Accepted:
+def stepped(one: SelectedEffect, name: str, part: float) -> SelectedEffect:
     """Return an effect with one parameter a part of its width farther on."""
     parameters: Parameters = {**one.parameters, name: moved(one, name, part)}
     return replace(one, parameters=parameters)
 
 
-def moved(one: Accepted, name: str, part: float) -> float:
+def moved(one: SelectedEffect, name: str, part: float) -> float:
     """Return a parameter a part of its width farther on: by a factor, or by a step below 1."""
     width, value = one.free[name], one.parameters[name]
     there = value * width**part if width > 1.0 else value + part * width

@@ -2,28 +2,33 @@
 
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.memory import OTHER_PASTS, does_as_well, with_best_habit, with_own_pasts
-from piezoid.diagnosis.view import View, with_habit, with_tracks
+from piezoid.diagnosis.initial_state_search import (
+    OTHER_INITIAL_STATES,
+    shared_does_as_well,
+    with_own_initial_states,
+    with_shared_initial_state,
+)
+from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.numerics.hands import Hands
 
 MOST_REPAIRS = 3
-EVIDENT = 0.5  # of the error: what a habit leaves that is beyond doubt
+EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
 
 
 def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str, Fault]]:
     """Return the view without the faults that can be undone, and all of them by effect.
 
-    Its drives came from the habit that is evident, or were cycled over their range before.
+    The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
 
     but  name of a fault that is not looked for
     """
     faults: dict[str, Fault] = {}
-    habit = with_best_habit(view, hands)
-    own = with_own_pasts(view, habit)
-    evident = habit.rms < EVIDENT * view.rms and does_as_well(habit, own, view)
-    believed = habit if evident else view
-    # a wrong past looks like readings that are lost
-    view = own if own.rms < OTHER_PASTS * believed.rms else believed
+    shared = with_shared_initial_state(view, hands)
+    own = with_own_initial_states(view, shared)
+    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
+    believed = shared if evident else view
+    # a wrong initial state looks like readings that are lost
+    view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
     for effect in EFFECTS:
         if effect.fault is None or effect.name == but:
             continue
@@ -36,4 +41,4 @@ def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    return with_habit(view, believed.envelope.turns), faults
+    return with_shared_reversals(view, believed.nuisance.reversals), faults

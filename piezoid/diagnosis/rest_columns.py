@@ -107,8 +107,8 @@ def _left(y: Array, columns: Array, block: Places) -> float:
 
 def waves(time_s: Array, frequencies_Hz: Sequence[float]) -> Array:
     """Return cosine and sine of each frequency, about their means, (rows, 2 frequencies)."""
-    turns = [2.0 * np.pi * frequency * time_s for frequency in frequencies_Hz]
-    found = np.column_stack([wave(turn) for turn in turns for wave in (np.cos, np.sin)])
+    reversals = [2.0 * np.pi * frequency * time_s for frequency in frequencies_Hz]
+    found = np.column_stack([wave(turn) for turn in reversals for wave in (np.cos, np.sin)])
     return np.asarray(found - found.mean(axis=0))
 
 

@@ -39,13 +39,13 @@ def calmed(view: View, rung: Callable[[View], Array]) -> View:
         return view
     plain = without_memory(view)
     power = np.sum(rung(plain) ** 2, axis=1)
-    edges = view.envelope.edges
+    edges = view.nuisance.edges
     mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
     calm = np.repeat(mean < CALM * mean.max(), np.diff(edges))
-    columns = view.envelope.columns
+    columns = view.nuisance.columns
     if np.count_nonzero(calm) < FEWEST * columns.shape[1]:
         return plain
     null = Null(columns=columns[calm], response=view.response[calm], block=view.block[calm])
-    weight = null.fit(null.response)[: view.envelope.shared]
-    static = [view.envelope.static(k, weight) for k in range(len(view.tracks))]
+    weight = null.fit(null.response)[: view.nuisance.shared]
+    static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
     return replace(view, guess=tuple(static))

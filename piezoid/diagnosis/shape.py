@@ -1,4 +1,4 @@
-"""The shape of the envelope: powers of states and their products with the drive.
+"""The shape of the nuisance class: powers of states and their products with the drive.
 
     sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
 
@@ -22,7 +22,7 @@ THRESHOLD = np.concatenate(
 RUBS = len(FRICTION)
 CURVED = len(REACH) - RUBS
 SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * RUBS + CURVED
-KNEE_COLUMNS = 5
+BOUC_WEN_COLUMNS = 5
 
 
 def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
@@ -86,7 +86,7 @@ def bias_places() -> tuple[int, ...]:
     return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED - CURVED))
 
 
-def knee_columns(state: Array, drive: Array) -> Array:
+def bouc_wen_columns(state: Array, drive: Array) -> Array:
     """Return the columns of a Bouc-Wen state: its powers and its products with the drive."""
     square, biased = state * state, drive * state
     columns = (state, square, square * state, biased, drive * biased)

@@ -65,7 +65,7 @@ def added_percent(
     """
 
     def size(view: View, parameters: Parameters, coefficient: Array) -> float:
-        added, edges = columns(view, parameters) @ coefficient, view.envelope.edges
+        added, edges = columns(view, parameters) @ coefficient, view.nuisance.edges
         return 50.0 * max(
             float(np.std(part)) for part in np.split(added, edges[1:-1]) if len(part)
         )
@@ -86,7 +86,7 @@ def drive_change(view: View, change: Callable[[Array, float], Array]) -> Array:
         if command is track.command or np.array_equal(command, track.command):
             parts.append(np.zeros(len(track.place)))
             continue
-        changed = view.envelope.static_rows(k, view.weight, track.read(command))
+        changed = view.nuisance.static_rows(k, view.weight, track.read(command))
         parts.append(changed - view.static[k][track.place])
     return np.concatenate(parts)[:, None]
 

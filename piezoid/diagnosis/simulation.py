@@ -6,7 +6,7 @@ a modified Prandtl-Ishlinskii model,
     y = h + sum_j v_j S_j(h) + zero and memory of the track,     h = sum_i w_i z_i,
 
 S_j dead zones, on fixed dense thresholds so that weights alone are fitted, with the columns of the
-accepted effects beside it. The dead zones act on the h of a first fit, and both sets of weights
+selected effects beside it. The dead zones act on the h of a first fit, and both sets of weights
 are then free: one linear problem, refitted fold by fold.
 
 Source: Kuhnen, Eur. J. Control 9 (2003).
@@ -47,45 +47,45 @@ class Simulated:
 def simulated(found: Explained) -> Simulated:
     """Return the simulation's errors before, after, and without each thing that was found."""
     outcome = found.outcome
-    accepted = [cause.accepted for cause in outcome.causes if cause.accepted.acts]
+    selected = [cause.selected for cause in outcome.causes if cause.selected.acts]
     baseline = error_of(found.raw)
     final = error_of(outcome.final)
-    structural = [cause for cause in outcome.causes if not cause.accepted.acts]
+    structural = [cause for cause in outcome.causes if not cause.selected.acts]
     without = {
-        f.effect.name: final / (1.0 - float(np.clip(f.held.gain, 0, 0.99))) for f in structural
+        f.effect.name: final / (1.0 - float(np.clip(f.cv.gain, 0, 0.99))) for f in structural
     }
-    for one in accepted:
-        rest = [other for other in accepted if other is not one]
+    for one in selected:
+        rest = [other for other in selected if other is not one]
         without[one.effect.name] = error_of(extended(outcome.clean, rest))
     if outcome.faults:
-        raw = error_of(extended(outcome.first, accepted))
+        raw = error_of(extended(outcome.first, selected))
         without |= dict.fromkeys(outcome.faults, raw)
     if found.discovered is not None:
         whole = with_it(outcome.clean, found.discovered)
-        without[NAME] = error_of(extended(whole, accepted))
+        without[NAME] = error_of(extended(whole, selected))
     return Simulated(baseline=baseline, final=final, without=without)
 
 
 def error_of(view: View) -> float:
-    """Return the rms the simulation leaves with the view's accepted columns, on rows left out."""
-    plays = view.envelope.columns[:, : PLAYS + 1]
+    """Return the rms the simulation leaves with the view's selected columns, on rows left out."""
+    plays = view.nuisance.columns[:, : PLAYS + 1]
     own = _own(view)
     # without the effects: a change of gain would stand for h itself
     null = Null(columns=np.hstack([plays, own]), response=view.response, block=view.block)
     h = plays @ null.fit(view.response)[: plays.shape[1]]
     zones = np.column_stack([np.sign(k) * np.maximum(np.sign(k) * (h - k), 0) for k in KINKS])
     columns = np.hstack([plays, zones[:, np.abs(zones).max(axis=0) > 0.0], own])
-    columns = np.hstack([columns, view.accepted])
+    columns = np.hstack([columns, view.selected])
     return Null(columns=columns, response=view.response, block=view.block).held_out_rms
 
 
 def _own(view: View) -> Array:
     """Return zero and memory of every track."""
-    envelope = view.envelope
+    nuisance = view.nuisance
     kept = [
-        envelope.shared + envelope.own * k + j
+        nuisance.shared + nuisance.own * k + j
         for k in range(len(view.tracks))
-        for j in range(envelope.own)
+        for j in range(nuisance.own)
     ]
-    columns = envelope.columns[:, kept]
+    columns = nuisance.columns[:, kept]
     return np.asarray(columns[:, np.abs(columns).max(axis=0) > 0.0])

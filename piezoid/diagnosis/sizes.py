@@ -18,9 +18,9 @@ from math import hypot, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.extended import Accepted, calm_for, driven, offset_of
-from piezoid.diagnosis.judgement import Judged
+from piezoid.diagnosis.extended import SelectedEffect, calm_for, driven, offset_of
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
@@ -29,30 +29,30 @@ NUDGE = 0.1  # of a parameter's width
 QUANTILE = 2.0  # of Student's distribution for some sixty blocks
 
 
-def size_of(cause: Judged) -> Size:
+def size_of(cause: Candidate) -> Size:
     """Return a cause's size with its 95 % interval."""
-    effect, one = cause.effect, cause.accepted
-    beta = cause.held.coefficient
+    effect, one = cause.effect, cause.selected
+    beta = cause.cv.coefficient
     if effect.size is None:
         value = 100.0 * cause.share
         # what blocks explain is known to one part in z, its root to half of that
-        reach = QUANTILE * value / (2.0 * max(cause.held.z, 1.0))
+        reach = QUANTILE * value / (2.0 * max(cause.cv.z, 1.0))
     else:
         value = effect.size(_seen(cause), one.parameters, beta)
-        reach = QUANTILE * hypot(_spread(cause, value), effect.known_to * value)
+        reach = QUANTILE * hypot(_spread(cause, value), effect.model_error * value)
     return Size(value=value, unit=effect.unit, ci95=(value - reach, value + reach))
 
 
-def _seen(cause: Judged) -> View:
+def _seen(cause: Candidate) -> View:
     """Return the view in which a size is seen: what a limit cuts off is there without it only."""
-    return cause.without if cause.effect.drive is not None else cause.view
+    return cause.without if cause.effect.drive_filter is not None else cause.view
 
 
-def _spread(cause: Judged, value: float) -> float:
+def _spread(cause: Candidate, value: float) -> float:
     """Return the standard error of a size that coefficients and parameters make together."""
-    effect, one, view, seen = cause.effect, cause.accepted, cause.view, _seen(cause)
+    effect, one, view, seen = cause.effect, cause.selected, cause.view, _seen(cause)
     assert effect.size is not None
-    beta = cause.held.coefficient
+    beta = cause.cv.coefficient
     columns = [_nudged(cause, name) for name in one.free]
     gradient = [
         (effect.size(seen, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
@@ -64,39 +64,39 @@ def _spread(cause: Judged, value: float) -> float:
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
             gradient.append((effect.size(view, one.parameters, more) - value) / step)
-    null = replace(view, accepted=_others(cause)).null
+    null = replace(view, selected=_others(cause)).null
     cov = null.doubt(np.column_stack(columns))
     slope = np.array(gradient)
     return sqrt(max(float(slope @ cov @ slope), 0.0))
 
 
-def _others(cause: Judged) -> Array:
-    """Return the accepted columns of all other effects."""
-    return cause.without.accepted
+def _others(cause: Candidate) -> Array:
+    """Return the selected columns of all other effects."""
+    return cause.without.selected
 
 
-def _nudged(cause: Judged, name: str) -> Array:
+def _nudged(cause: Candidate, name: str) -> Array:
     """Return how fast the response changes with a free parameter, in parts of its width."""
-    one, view = cause.accepted, cause.view
+    one, view = cause.selected, cause.view
     there = stepped(one, name, NUDGE)
     effect = one.effect
-    if effect.passes is not None:
+    if effect.response_filter is not None:
         change = offset_of(view, [there]) - offset_of(view, [one])
-    elif effect.drive is not None:
+    elif effect.drive_filter is not None:
         change = _of_drive(cause, there)
     else:
         assert effect.columns is not None
         here = calm_for(view, [one])
         moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
-        change = moved @ cause.held.coefficient
+        change = moved @ cause.cv.coefficient
     return np.asarray(change / NUDGE)
 
 
-def _of_drive(cause: Judged, there: Accepted) -> Array:
+def _of_drive(cause: Candidate, there: SelectedEffect) -> Array:
     view = cause.view
     other: View = driven(cause.without, [there])
     parts = [
-        view.envelope.static_rows(k, view.weight, track.drive) - view.static[k][track.place]
+        view.nuisance.static_rows(k, view.weight, track.drive) - view.static[k][track.place]
         for k, track in enumerate(other.tracks)
     ]
     return np.concatenate(parts)

@@ -31,7 +31,7 @@ DRAWN = 2000  # orders of the stretches
 
 
 @dataclass(frozen=True, kw_only=True)
-class Judged:
+class SlipEvidence:
     """A slip with what speaks for it.
 
     beta       estimate over length
@@ -49,7 +49,7 @@ class Judged:
     worth: float
     equal: bool
 
-    def speaks(self, *, again: bool) -> bool:
+    def is_significant(self, *, again: bool) -> bool:
         """Tell whether this is evidence of a slip; where there was one, others are likelier."""
         length = abs(self.slip.samples)
         clear, off = abs(self.step) / self.deviation, abs(self.beta - 1.0)
@@ -87,7 +87,7 @@ def hidden(view: View) -> float:
     return worst / 2.0
 
 
-def judged_of(view: View, null: Null, slip: Slip) -> Judged | None:
+def evidence_of(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     """Compare the delay of stretches of equal speed before and behind a slip."""
     track = Searched.of(view, null, slip.track)
     n, samples = len(track.place), int(slip.samples)
@@ -111,7 +111,7 @@ def judged_of(view: View, null: Null, slip: Slip) -> Judged | None:
         if _fewer(behind) < FEWEST:
             return None
     step, deviation = _step(delay[equal], behind[equal], np.sqrt(square[equal]))
-    return Judged(
+    return SlipEvidence(
         slip=replace(slip, gain=gain),
         beta=beta,
         step=step,

@@ -36,7 +36,7 @@ def placed(view: View, slip: Slip, *, again: Fitted | None = None, fixed: bool =
     for _ in range(ROUNDS):
         there = again(tracks_without(view, slip)) if again else undone(view, slip)
         track, static = there.tracks[k], there.static[k]
-        here = there.null.residual[slice(*there.envelope.edges[k : k + 2])]
+        here = there.null.residual[slice(*there.nuisance.edges[k : k + 2])]
         own = track.response[track.place] - here - static[track.place]
         place = np.arange(len(static))
         measured = view.tracks[k].response - np.interp(place, track.place, own)

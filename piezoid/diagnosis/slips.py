@@ -8,7 +8,7 @@ x the static response. What it takes of the residual e beside everything else th
 
     G(m, L) = (e . c)^2 / |c - P c|^2,    beta = (e . c) / |c - P c|^2,
 
-P the projection on the envelope and on all that looks like a delay: one of its own for every
+P the projection on the nuisance class and on all that looks like a delay: one of its own for every
 track, the square and the root of speed, acceleration, relaxations. Running sums give all m at
 once. A slip that is one has beta near one.
 
@@ -157,7 +157,7 @@ class Searched:
     @classmethod
     def of(cls, view: View, null: Null, k: int) -> "Searched":
         """Return a track of a view."""
-        edges = view.envelope.edges
+        edges = view.nuisance.edges
         return cls(
             null=null,
             rows=slice(int(edges[k]), int(edges[k + 1])),

@@ -14,13 +14,13 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.coordinates import Signals, along_displacement
 from piezoid.diagnosis.discovery import SHIFTS, Lives, Remainder, course, everywhere, of_grid
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.healthy import chance_of, score_of
-from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.range_end import Ended, ended
-from piezoid.diagnosis.screening import Screened, screen
+from piezoid.diagnosis.score_test import ScoreTest, screen
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -163,7 +163,7 @@ def _without_faults(plain: Explained, hands: Hands) -> Explained:
     if not first.faults:
         return plain
     remainder = Remainder.of(
-        extended(first.first, [one.accepted for one in first.causes if one.accepted.acts]), ()
+        extended(first.first, [one.selected for one in first.causes if one.selected.acts]), ()
     )
     repeating = [one for one in everywhere(remainder) if one.basis.per_unit > 0.0]
     found = _named(remainder, repeating, first)
@@ -195,16 +195,16 @@ def _own(again: Outcome, first: Outcome, found: Discovered) -> Outcome:
         again,
         causes=causes,
         faults={name: f for name, f in again.faults.items() if name in first.faults},
-        final=extended(again.clean, [cause.accepted for cause in causes]),
+        final=extended(again.clean, [cause.selected for cause in causes]),
         screened={**_seen(again, left_over), **again.screened},
     )
 
 
-def _taken(cause: Judged) -> float:
-    return sqrt(max(cause.without.rms**2 - cause.held.rms**2, 0.0))
+def _taken(cause: Candidate) -> float:
+    return sqrt(max(cause.without.rms**2 - cause.cv.rms**2, 0.0))
 
 
-def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, Screened]:
+def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, ScoreTest]:
     """Return the last word on causes that are taken back."""
     taken = [cause for cause in outcome.causes if cause.effect.name in names]
     found = ((cause.effect.name, screen(cause.effect, cause.without)) for cause in taken)
@@ -240,7 +240,7 @@ def _beyond(found: Discovered, curve: Array) -> NDArray[np.bool_]:
 
 
 def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
-    """Return the tangents of effects that were not accepted, at the rows of a view."""
+    """Return the tangents of effects that were not selected, at the rows of a view."""
     return [
         seen.trial.columns
         for name, seen in outcome.screened.items()
@@ -300,9 +300,9 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
     if outcome.final.rms < ABOVE * outcome.final.noise:
         return None
     others = [
-        cause.accepted
+        cause.selected
         for cause in outcome.causes
-        if cause.effect.name != CLIPPED and cause.effect.against is None
+        if cause.effect.name != CLIPPED and cause.effect.null_without is None
     ]
     found = ended(outcome.clean, others)
     if found is None:
@@ -344,14 +344,14 @@ def _instead(outcome: Outcome) -> Discovered | None:
     """Return a curve that leaves clearly less in the place of a cause than the cause does."""
     best, least = None, 1.0
     for cause in outcome.causes:
-        if cause.effect.against is not None or cause.accepted.struck:
+        if cause.effect.null_without is not None or cause.selected.struck:
             continue
         tangents = tangents_of(outcome, cause.without, cause.effect.name)
         remainder = Remainder.of(cause.without, tangents)
         found = _named(remainder, everywhere(remainder), outcome)
         if found is None:
             continue
-        left = remainder.null.rms * sqrt(max(1.0 - found.lives.gain, 0.0)) / cause.held.rms
+        left = remainder.null.rms * sqrt(max(1.0 - found.lives.gain, 0.0)) / cause.cv.rms
         if left < min(CLEARLY, least):
             best, least = found, left
     return best

@@ -76,13 +76,13 @@ class Track:
     def branches(self) -> tuple[Places, Places]:
         """Return where the drive turns, and where it has come ``TURN`` away from there."""
         step = np.sign(np.diff(self.drive))
-        turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
+        reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
         found = []
-        for turn in turns[:: max(len(turns) // MOST_TURNS, 1)].tolist():
+        for turn in reversals[:: max(len(reversals) // MOST_TURNS, 1)].tolist():
             after = self.drive[turn : turn + LONGEST]
-            far = np.flatnonzero(np.abs(after - after[0]) > TURN)
-            if len(far):
-                found.append((turn, turn + int(far[0])))
+            state = np.flatnonzero(np.abs(after - after[0]) > TURN)
+            if len(state):
+                found.append((turn, turn + int(state[0])))
         turn, there = np.array(found, dtype=int).reshape(-1, 2).T
         return turn, there
 

@@ -168,7 +168,7 @@ def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
 
 
 def _rows(found: Discovered, k: int) -> slice:
-    edges = found.view.envelope.edges
+    edges = found.view.nuisance.edges
     return slice(int(edges[k]), int(edges[k + 1]))
 
 

@@ -1,7 +1,7 @@
 """View: what effects may look at, and the null they must beat.
 
-The envelope fitted to the tracks, with what was accepted before taken into account; its static
-response at every sample; its residual at the rows.
+The nuisance class fitted to the tracks beside what was selected before, its static response at
+every sample, and its residual at the rows.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,11 +10,11 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import Knee
-from piezoid.diagnosis.envelope import Envelope
+from piezoid.diagnosis.bouc_wen import BoucWenLaw
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.history import History
-from piezoid.diagnosis.pasts import Turns, pasts
+from piezoid.diagnosis.initial_states import Reversals, hypotheses
+from piezoid.diagnosis.nuisance import NuisanceClass
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -26,9 +26,9 @@ DIGITS = 9  # of half the stroke that count: a step is the same however it was r
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class View:
-    """Tracks, their envelope, and what effects that were accepted already make of them.
+    """Tracks, their nuisance class, and what effects that were selected already make of them.
 
-    accepted  (rows, columns)  added to the null
+    selected  (rows, columns)  added to the null
     offset    (rows,)          what filters that all of the response passes change
     stroke_m  half the range of the displacement: what the number 1 means
     voltage_V half the range of the drive
@@ -36,8 +36,8 @@ class View:
     guess     static responses to take in place of the fitted ones, (samples,) for each track
     """
 
-    envelope: Envelope
-    accepted: Array
+    nuisance: NuisanceClass
+    selected: Array
     offset: Array
     stroke_m: float
     voltage_V: float
@@ -47,7 +47,7 @@ class View:
     @property
     def tracks(self) -> tuple[Track, ...]:
         """Return the tracks."""
-        return self.envelope.tracks
+        return self.nuisance.tracks
 
     @Once
     def driven(self) -> dict[object, "View"]:
@@ -66,26 +66,26 @@ class View:
 
     @Once
     def null(self) -> Null:
-        """Return the envelope with everything accepted."""
+        """Return the nuisance class with everything selected."""
         return Null(
-            columns=self.envelope.columns,
+            columns=self.nuisance.columns,
             response=self.response,
             block=self.block,
-            more=self.accepted if self.accepted.shape[1] else None,
-            known=self.envelope.gram,
+            more=self.selected if self.selected.shape[1] else None,
+            known=self.nuisance.gram,
         )
 
     @Once
     def weight(self) -> Array:
         """Return the coefficients of the shared columns."""
-        return self.null.coefficients[: self.envelope.shared]
+        return self.null.coefficients[: self.nuisance.shared]
 
     @Once
     def static(self) -> tuple[Array, ...]:
         """Return the static response of every track at every sample."""
         if self.guess is not None:
             return self.guess
-        return tuple(self.envelope.static(k, self.weight) for k in range(len(self.tracks)))
+        return tuple(self.nuisance.static(k, self.weight) for k in range(len(self.tracks)))
 
     @property
     def rms(self) -> float:
@@ -98,8 +98,8 @@ class View:
 
         What repeats every other sample passes for noise; where less is left, it was none.
         """
-        rows = np.diff(self.envelope.edges)
-        left = np.add.reduceat(self.null.residual**2, self.envelope.edges[:-1]) / rows
+        rows = np.diff(self.nuisance.edges)
+        left = np.add.reduceat(self.null.residual**2, self.nuisance.edges[:-1]) / rows
         noise = np.square([_noise(track.response) for track in self.tracks])
         return float(np.sqrt(np.average(np.minimum(noise, left), weights=rows)))
 
@@ -114,7 +114,7 @@ class View:
 
     def of_track(self, k: int, values: Array) -> Array:
         """Return a column that is zero outside one track."""
-        edges = self.envelope.edges
+        edges = self.nuisance.edges
         column = np.zeros(edges[-1])
         column[edges[k] : edges[k + 1]] = values
         return column
@@ -127,13 +127,15 @@ def _noise(response: Array) -> float:
 
 
 def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest: float) -> View:
-    """Fit the envelope to tracks whose drives were cycled before."""
-    histories = tuple(History(track=track, turns=pasts(track.drive)[0]) for track in tracks)
-    envelope = Envelope(histories=histories)
-    rows = int(envelope.edges[-1])
+    """Fit the nuisance class to tracks whose drives were cycled before."""
+    histories = tuple(
+        History(track=track, reversals=hypotheses(track.drive)[0]) for track in tracks
+    )
+    nuisance = NuisanceClass(histories=histories)
+    rows = int(nuisance.edges[-1])
     return View(
-        envelope=envelope,
-        accepted=np.zeros((rows, 0)),
+        nuisance=nuisance,
+        selected=np.zeros((rows, 0)),
         offset=np.zeros(rows),
         stroke_m=stroke_m,
         voltage_V=voltage_V,
@@ -143,36 +145,36 @@ def view_of(tracks: Sequence[Track], *, stroke_m: float, voltage_V: float, rest:
 
 def cycled(view: View) -> View:
     """Return the view as it is if every drive was cycled over its range before."""
-    return with_habit(view, tuple(pasts(track.drive)[0] for track in view.tracks))
+    return with_shared_reversals(view, tuple(hypotheses(track.drive)[0] for track in view.tracks))
 
 
 def with_free_memory(view: View) -> View:
     """Return the view in which the first states of every track may be corrected."""
-    return replace(view, envelope=replace(view.envelope, free=True))
+    return replace(view, nuisance=replace(view.nuisance, free=True))
 
 
-def with_pasts(view: View, turns: tuple[Turns, ...]) -> View:
-    """Return the view with other pasts of its tracks."""
-    return replace(view, envelope=replace(view.envelope, histories=_after(view, turns)))
+def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
+    """Return the view with other initial states of its tracks."""
+    return replace(view, nuisance=replace(view.nuisance, histories=_after(view, reversals)))
 
 
-def with_habit(view: View, turns: tuple[Turns, ...]) -> View:
-    """Return the view with other pasts of its tracks that nobody corrects."""
-    histories = _after(view, turns)
-    return replace(view, envelope=replace(view.envelope, histories=histories, free=False))
+def with_shared_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
+    """Return the view with other initial states of its tracks that nobody corrects."""
+    histories = _after(view, reversals)
+    return replace(view, nuisance=replace(view.nuisance, histories=histories, free=False))
 
 
-def _after(view: View, turns: tuple[Turns, ...]) -> tuple[History, ...]:
-    return tuple(h.after(t) for h, t in zip(view.envelope.histories, turns, strict=True))
+def _after(view: View, reversals: tuple[Reversals, ...]) -> tuple[History, ...]:
+    return tuple(h.after(t) for h, t in zip(view.nuisance.histories, reversals, strict=True))
 
 
-def with_knee(view: View, knee: Knee | None) -> View:
-    """Return the view with a Bouc-Wen state of these parameters in its envelope."""
-    return replace(view, envelope=replace(view.envelope, knee=knee))
+def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:
+    """Return the view with a Bouc-Wen state of these parameters in its nuisance class."""
+    return replace(view, nuisance=replace(view.nuisance, bouc_wen=bouc_wen))
 
 
 def with_commands(view: View, commands: Sequence[Array]) -> View:
-    """Return the view with other commands on the same tracks, and nothing accepted."""
+    """Return the view with other commands on the same tracks, and nothing selected."""
     tracks = tuple(
         track
         if np.array_equal(command, track.command)
@@ -183,16 +185,16 @@ def with_commands(view: View, commands: Sequence[Array]) -> View:
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:
-    """Return the view of other tracks, and nothing accepted."""
+    """Return the view of other tracks, and nothing selected."""
     histories = tuple(
-        h.on(track) for h, track in zip(view.envelope.histories, tracks, strict=True)
+        h.on(track) for h, track in zip(view.nuisance.histories, tracks, strict=True)
     )
-    envelope = replace(view.envelope, histories=histories)
-    rows = int(envelope.edges[-1])
+    nuisance = replace(view.nuisance, histories=histories)
+    rows = int(nuisance.edges[-1])
     return replace(
         view,
-        envelope=envelope,
-        accepted=np.zeros((rows, 0)),
+        nuisance=nuisance,
+        selected=np.zeros((rows, 0)),
         offset=np.zeros(rows),
         guess=None,
     )

@@ -92,8 +92,10 @@ def model_of(case: Hidden) -> ActuatorModel:
     drive_V = rows.voltage_V - MIDDLE_V
     memory_V = np.clip(0.0, drive_V[0] - THRESHOLD_V, drive_V[0] + THRESHOLD_V)
     columns, _ = play_columns(drive_V, THRESHOLD_V, memory_V)
-    past = np.concatenate([-np.ones((len(columns), 1)), np.ones((len(columns), 1))], axis=1)
-    weight, _ = nnls(np.hstack([columns * 1e-6, past * 1e-6]), rows.displacement_m)
+    memory_after = np.concatenate(
+        [-np.ones((len(columns), 1)), np.ones((len(columns), 1))], axis=1
+    )
+    weight, _ = nnls(np.hstack([columns * 1e-6, memory_after * 1e-6]), rows.displacement_m)
     plays = PrandtlIshlinskii(threshold=THRESHOLD_V, weight=weight[: len(THRESHOLD_V)] * 1e-6)
     known = axis_model(recordings=())
     slew_V_per_s = max(
@@ -160,7 +162,7 @@ def diagnosis_of(
 
 
 def found(
-    effect: str, *, share_percent: float, rivals: tuple[str, ...] = (), half: float = 0.1
+    effect: str, *, share_percent: float, confounded: tuple[str, ...] = (), half: float = 0.1
 ) -> Finding:
     """Return a finding of this size, its interval ``half`` of it to both sides."""
     return Finding(
@@ -175,7 +177,7 @@ def found(
             unit="percent",
             ci95=(share_percent * (1.0 - half), share_percent * (1.0 + half)),
         ),
-        not_separable_from=rivals,
+        not_separable_from=confounded,
         explanation="As found.",
         next_experiment="As told.",
         parameters={},
@@ -207,12 +209,12 @@ def really_separable(
     )
     if drifting:
         slow = [np.column_stack([p / p[-1], (p / p[-1]) ** 2]) for p in picks]
-        rival = _own(slow, np.zeros((sum(map(len, picks)), 0)))
+        alternative = _own(slow, np.zeros((sum(map(len, picks)), 0)))
     else:
-        rival = np.concatenate([c[p] for c, p in zip(two, picks, strict=True)])[:, None]
+        alternative = np.concatenate([c[p] for c, p in zip(two, picks, strict=True)])[:, None]
     effect = np.concatenate([c[p] for c, p in zip(one, picks, strict=True)])
     alone = _left(effect, model)
-    return float((_left(effect, np.hstack([model, rival])) ** 2).sum() / (alone**2).sum())
+    return float((_left(effect, np.hstack([model, alternative])) ** 2).sum() / (alone**2).sum())
 
 
 def _zero(rows: int) -> Array:

@@ -56,14 +56,14 @@ def seen(
 ) -> SimpleNamespace:
     return SimpleNamespace(
         effect=effect,
-        held=SimpleNamespace(gain=gain, z=z),
-        twin=None,
+        cv=SimpleNamespace(gain=gain, z=z),
+        placebo=None,
         share=0.001,
         bound=bound,
         floor=0.0,
-        veiled=veiled,
-        sound=sound,
-        apart=True,
+        absorption=veiled,
+        physical=sound,
+        separable=True,
     )
 
 
@@ -92,7 +92,7 @@ def test_what_is_sure_and_sound_may_be_what_the_causes_leave_over() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gain", "z"), [(0.99 * DRIFT.worth, 9.0), (0.5, 0.99 * DRIFT.sure), (0.0, 0.0)]
+    ("gain", "z"), [(0.99 * DRIFT.minimum_gain, 9.0), (0.5, 0.99 * DRIFT.minimum_z), (0.0, 0.0)]
 )
 def test_what_is_no_evidence_by_itself_needs_no_excuse(gain, z) -> None:
     for sound in (True, False):

@@ -1,6 +1,6 @@
 """Steps of a converter are told from the lattice that a drive has because it repeats itself.
 
-Residuals are stand-ins: what is left of them beside an envelope is all of them.
+Residuals are stand-ins: what is left of them beside an nuisance class is all of them.
 """
 
 from dataclasses import replace

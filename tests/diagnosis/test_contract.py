@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as folder
+from piezoid.diagnosis.candidate import judged, structural_candidate
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.judgement import judged, judged_structure
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import healthy, healthy_view, recorded, view_of_recordings
@@ -30,11 +30,11 @@ def speaks(effect: Effect, view) -> bool:
     found = screen(effect, view)
     if found is None:
         return False
-    if effect.against is not None:
-        _, structure = judged_structure(effect, view)
-        return structure.speaks
-    one, there = refined(begun(effect, found.trial, float(found.held.coefficient[0])), view, [])
-    return judged(one, there, view, seen=found).speaks
+    if effect.null_without is not None:
+        _, structure = structural_candidate(effect, view)
+        return structure.is_significant
+    one, there = refined(begun(effect, found.trial, float(found.cv.coefficient[0])), view, [])
+    return judged(one, there, view, seen=found).is_significant
 
 
 def test_every_file_of_the_folder_is_registered_under_its_own_name():
@@ -49,7 +49,7 @@ def test_an_effect_explains_itself_in_five_headings(effect):
     places = [lines.index(heading) for heading in HEADINGS]
     assert places == sorted(places)
     assert len(effect.experiment) > 40
-    assert set(effect.rivals) <= set(NAMES)
+    assert set(effect.confounded) <= set(NAMES)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)
@@ -60,7 +60,7 @@ def test_an_effect_says_nothing_of_a_healthy_stage(effect):
 @pytest.mark.parametrize("effect", FOUND, ids=[e.name for e in FOUND])
 def test_an_effect_speaks_at_twice_the_size_it_declares(effect):
     if effect.name in TOGETHER:
-        percent = {effect.name: 200.0 * effect.shows_at}
+        percent = {effect.name: 200.0 * effect.detectable_share}
         hidden = draw_campaign(20, truth="preisach", plans=("sweep", "check"), effects=percent)
         assert speaks(effect, view_of_recordings(*recorded(hidden)))
         return
@@ -72,7 +72,7 @@ def test_an_effect_speaks_at_twice_the_size_it_declares(effect):
         full = np.ptp(recording.voltage_V()) > 0.9 * widest_V
         met = {"amplifier_saturation": full, "gain_change": k == 0}
         if met.get(effect.name, True):
-            struck[k] = effect.inject(recording, 2.0 * effect.shows_at)
+            struck[k] = effect.inject(recording, 2.0 * effect.detectable_share)
     assert speaks(effect, view_of_recordings(tuple(struck), lab))
 
 

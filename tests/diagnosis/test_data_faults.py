@@ -15,7 +15,7 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.lattice import lattice_step
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
 
@@ -41,7 +41,7 @@ def test_healthy_recordings_have_no_fault(effect):
 def test_no_hum_and_no_ripple_is_seen_in_healthy_recordings():
     for effect in (mains_interference.EFFECT, sensor_periodic_error.EFFECT):
         found = screen(effect, healthy())
-        assert found is None or found.held.gain < 0.03
+        assert found is None or found.cv.gain < 0.03
 
 
 def test_spikes_are_found_sized_and_bridged():
@@ -120,7 +120,7 @@ def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_erro
     view = coarse_reading(step_m)
     assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)
     ripple = screen(sensor_periodic_error.EFFECT, view)
-    assert ripple is None or ripple.held.gain < 0.05
+    assert ripple is None or ripple.cv.gain < 0.05
 
 
 @pytest.mark.parametrize("repaired", [False, True])
@@ -176,7 +176,7 @@ def test_hum_a_little_off_its_nominal_frequency_is_found_at_its_own():
         readings_m[kind] = y + 2e-3 * STROKE_m * (0.4 * np.sin(turn) + np.sin(3 * turn + 1.0))
     found = screen(mains_interference.EFFECT, view_with(**readings_m))
     assert found.trial.parameters["frequency_Hz"] == pytest.approx(49.91, abs=0.05)
-    assert found.held.gain > 0.1
+    assert found.cv.gain > 0.1
 
 
 def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero():
@@ -190,9 +190,9 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
     found = screen(sensor_periodic_error.EFFECT, view)
     periods = 2.0 * view.stroke_m / period_m
     assert found.trial.parameters["periods"] == pytest.approx(periods, rel=0.01)
-    assert found.held.gain > 0.2
+    assert found.cv.gain > 0.2
     size = sensor_periodic_error.EFFECT.size
-    amplitude_nm = size(view, found.trial.parameters, found.held.coefficient)
+    amplitude_nm = size(view, found.trial.parameters, found.cv.coefficient)
     assert amplitude_nm == pytest.approx(1e9 * 2e-3 * STROKE_m, rel=0.25)
 
 

@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
+from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.friction import REACH
-from piezoid.diagnosis.judgement import judged
-from piezoid.diagnosis.knee import with_best_knee
-from piezoid.diagnosis.memory import with_best_habit, with_own_pasts
+from piezoid.diagnosis.initial_state_search import (
+    with_own_initial_states,
+    with_shared_initial_state,
+)
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
@@ -50,7 +53,7 @@ def test_the_response_without_columns_is_the_response_with_them():
 def test_a_delay_is_found_though_its_tangent_was_at_another_time():
     seen = screen(delay.EFFECT, late_view())
     one, view = refined(
-        begun(delay.EFFECT, seen.trial, float(seen.held.coefficient[0])), late_view(), []
+        begun(delay.EFFECT, seen.trial, float(seen.cv.coefficient[0])), late_view(), []
     )
     assert seen.trial.parameters["delay_s"] != pytest.approx(LATE_s, rel=0.1)
     assert one.parameters["delay_s"] == pytest.approx(LATE_s, rel=0.02)
@@ -60,7 +63,7 @@ def test_a_delay_is_found_though_its_tangent_was_at_another_time():
 def test_a_delay_leaves_less_than_a_lag_where_the_reading_was_late():
     errors = {}
     for effect, name in ((delay.EFFECT, "delay_s"), (lag.EFFECT, "time_s")):
-        start = Accepted(effect=effect, parameters={name: LATE_s}, free={name: 1.5})
+        start = SelectedEffect(effect=effect, parameters={name: LATE_s}, free={name: 1.5})
         _, view = refined(start, late_view(), [], finer=2)
         errors[name] = view
     assert errors["delay_s"].rms < 0.8 * errors["time_s"].rms
@@ -75,12 +78,12 @@ def test_nothing_accepted_changes_nothing():
 def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
     known, lab = recorded(draw_campaign(404, truth="preisach", plans=("sweep", "check")))
     view = view_of_recordings(known, lab)
-    assert with_own_pasts(view, with_best_habit(view)).rms > 0.95 * view.rms
+    assert with_own_initial_states(view, with_shared_initial_state(view)).rms > 0.95 * view.rms
     unknown, lab = recorded(
         draw_campaign(407, truth="preisach", plans=("sweep", "check"), careless=True)
     )
     view = view_of_recordings(unknown, lab)
-    found = with_own_pasts(view, with_best_habit(view))
+    found = with_own_initial_states(view, with_shared_initial_state(view))
     assert found.rms < 0.9 * view.rms
     assert cycled(found).rms == pytest.approx(view.rms)
 
@@ -89,14 +92,14 @@ def test_an_effect_of_which_nothing_is_left_once_all_is_refitted_is_none():
     view = healthy_view()
     seen = screen(thermal_drift.EFFECT, view)
     gone = replace(thermal_drift.EFFECT, columns=lambda v, _: np.zeros((len(v.response), 0)))
-    one = judged(Accepted(effect=gone, parameters={}), view, view, seen=seen)
-    assert not one.speaks
+    one = judged(SelectedEffect(effect=gone, parameters={}), view, view, seen=seen)
+    assert not one.is_significant
     assert one.share == 0.0
 
 
 def test_an_opening_below_the_least_one_is_below_its_limit():
     found = screen(non_congruence.EFFECT, healthy_view())
-    opening = abs(float(found.held.coefficient[0]))
+    opening = abs(float(found.cv.coefficient[0]))
     np.testing.assert_allclose(found.floor, found.share * non_congruence.OPENING / opening)
 
 
@@ -106,7 +109,7 @@ def test_one_bouc_wen_state_follows_a_bouc_wen_ceramic_to_its_noise():
     view = view_of_recordings(recordings, lab)
     noise = campaign.answer.noise_rms_m / view.stroke_m
     assert view.rms > 2.0 * noise
-    assert with_best_knee(view).rms < 1.4 * noise
+    assert with_best_bouc_wen(view).rms < 1.4 * noise
 
 
 def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
@@ -136,7 +139,9 @@ def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     seen = screen(delay.EFFECT, view)
     found, there = refined(begun(delay.EFFECT, seen.trial, 1.0), view, [])
     assert not is_alike(found, there)
-    start = Accepted(effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5})
+    start = SelectedEffect(
+        effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5}
+    )
     assert is_alike(*refined(start, late_view(), []))
 
 
@@ -156,6 +161,6 @@ def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():
     view = view_of_recordings((replace(whole, channels=channels),), lab)
     for effect in (delay.EFFECT, lag.EFFECT):
         seen = screen(effect, view)
-        assert not seen.apart
-        assert not seen.sound
-    assert screen(delay.EFFECT, late_view()).apart
+        assert not seen.separable
+        assert not seen.physical
+    assert screen(delay.EFFECT, late_view()).separable

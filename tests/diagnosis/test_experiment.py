@@ -43,7 +43,7 @@ LATE = ("delay", "lag")
 def _slow() -> tuple[Hidden, Diagnosis]:
     case = hidden(3, {"creep": 0.6, "thermal_drift": 0.3}, ("sweep", "long_hold"))
     share = change_percent(case, "creep")
-    return case, diagnosis_of(case, [found("creep", share_percent=share, rivals=SLOW[1:])])
+    return case, diagnosis_of(case, [found("creep", share_percent=share, confounded=SLOW[1:])])
 
 
 @cache
@@ -80,7 +80,7 @@ def test_the_laboratory_plays_the_plan_and_separates_creep_from_drift_as_promise
 def test_the_laboratory_separates_delay_from_lag_once_small_motion_is_fast() -> None:
     case = hidden(4, {"delay": 0.5, "lag": 0.4}, ("sweep", "rates"), "bouc_wen")
     model = model_of(case)
-    late = found("delay", share_percent=change_percent(case, "delay"), rivals=LATE[1:])
+    late = found("delay", share_percent=change_percent(case, "delay"), confounded=LATE[1:])
     before = recordings_of(case.played(None)[0])
     diagnosis = diagnosis_of(case, [late])
     planned = plan(model, diagnosis, recordings=before, clock_Hz=CLOCK_Hz)

@@ -6,17 +6,17 @@ import pytest
 
 from piezoid.diagnosis import extended as engine
 from piezoid.diagnosis.effects import lag, slew_limit
-from piezoid.diagnosis.extended import SETTLED, Accepted, driven, extended
+from piezoid.diagnosis.extended import SETTLED, SelectedEffect, driven, extended
 from piezoid.diagnosis.refinement import refined
 
 from .bench import healthy_view
 
-LAG = Accepted(effect=lag.EFFECT, parameters={"time_s": 2e-4})
-LATER = Accepted(effect=lag.EFFECT, parameters={"time_s": 3e-4})
+LAG = SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 2e-4})
+LATER = SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 3e-4})
 
 
-def limited(speed: float) -> Accepted:
-    return Accepted(effect=slew_limit.EFFECT, parameters={"limit_per_s": speed})
+def limited(speed: float) -> SelectedEffect:
+    return SelectedEffect(effect=slew_limit.EFFECT, parameters={"limit_per_s": speed})
 
 
 def rounds_of(monkeypatch, near) -> tuple[int, float]:
@@ -49,7 +49,7 @@ def test_the_drive_behind_a_limit_is_made_once_while_it_stays_the_same() -> None
 
 
 def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afar_come() -> None:
-    clean, slow = healthy_view(), Accepted(effect=lag.EFFECT, parameters={"time_s": 2e-3})
+    clean, slow = healthy_view(), SelectedEffect(effect=lag.EFFECT, parameters={"time_s": 2e-3})
     from_afar = extended(clean, [slow])
     settled = from_afar
     for _ in range(8):

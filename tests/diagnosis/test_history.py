@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.bouc_wen import bent_states
-from piezoid.diagnosis.envelope import MEMORY, Envelope
+from piezoid.diagnosis.bouc_wen import states_under
 from piezoid.diagnosis.friction import rubbed, rubbing
 from piezoid.diagnosis.history import History, states_at, way_to
-from piezoid.diagnosis.pasts import past
+from piezoid.diagnosis.initial_states import memory_after
+from piezoid.diagnosis.nuisance import MEMORY, NuisanceClass
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape_columns
 from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import with_commands, with_free_memory, with_pasts, with_tracks
+from piezoid.diagnosis.view import with_commands, with_free_memory, with_reversals, with_tracks
 from piezoid.operators.play import first_carry, play_columns, play_tangents
 
 from .bench import healthy_view
 
-PASTS = ((-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2))
+RANDOM_HYPOTHESES = ((-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2))
 
 
 def drive_with_holds() -> np.ndarray:
@@ -42,36 +42,36 @@ def track(drive: np.ndarray) -> Track:
     )
 
 
-def every_state(drive: np.ndarray, turns: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    plays, _ = play_columns(drive, THRESHOLD, past(drive, turns))
-    return plays, rubbing(drive, rubbed(drive, turns))
+def every_state(drive: np.ndarray, reversals: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, reversals))
+    return plays, rubbing(drive, rubbed(drive, reversals))
 
 
-@pytest.mark.parametrize("turns", PASTS)
-def test_states_at_rows_follow_from_rows_and_turns_alone(turns) -> None:
+@pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)
+def test_states_at_rows_follow_from_rows_and_turns_alone(reversals) -> None:
     drive = drive_with_holds()
     place = track(drive).place
     assert len(way_to(drive, place)[0]) < len(place) + 60
-    plays, friction = every_state(drive, turns)
-    found = states_at(drive, turns, place)
+    plays, friction = every_state(drive, reversals)
+    found = states_at(drive, reversals, place)
     np.testing.assert_array_equal(found[0], plays[place])
     np.testing.assert_allclose(found[1], friction[place], atol=1e-11)
 
 
 def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
     view = healthy_view()
-    knee = (1.6, 0.6, 1.6, 0.1)
-    bent = replace(view.envelope, knee=knee)
+    bouc_wen = (1.6, 0.6, 1.6, 0.1)
+    bent = replace(view.nuisance, bouc_wen=bouc_wen)
     drive, place = drive_with_holds(), track(drive_with_holds()).place
-    every = bent_states(knee, PASTS[0], drive)[place]
-    np.testing.assert_allclose(bent.bent_at(PASTS[0], drive, place), every, atol=1e-4)
+    every = states_under(bouc_wen, RANDOM_HYPOTHESES[0], drive)[place]
+    np.testing.assert_allclose(bent.bent_at(RANDOM_HYPOTHESES[0], drive, place), every, atol=1e-4)
 
 
-@pytest.mark.parametrize("turns", PASTS)
-def test_first_states_are_kept_until_a_play_moves(turns) -> None:
-    history = History(track=track(drive_with_holds()), turns=turns)
+@pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)
+def test_first_states_are_kept_until_a_play_moves(reversals) -> None:
+    history = History(track=track(drive_with_holds()), reversals=reversals)
     drive, place = history.track.drive, history.track.place
-    carry = first_carry(past(drive, turns))
+    carry = first_carry(memory_after(drive, reversals))
     memory = play_tangents(drive, THRESHOLD, carry).memory[place]
     groups = np.array_split(np.arange(6, 18), 4)
     expected = np.column_stack([memory[:, group].mean(axis=1) for group in groups])
@@ -80,14 +80,14 @@ def test_first_states_are_kept_until_a_play_moves(turns) -> None:
 
 
 def test_the_static_response_is_the_shape_of_all_states_kept_or_not(monkeypatch) -> None:
-    envelope = healthy_view().envelope
+    nuisance = healthy_view().nuisance
     weight = np.random.default_rng(5).normal(size=SHARED)
-    history = envelope.histories[0]
-    states = every_state(history.track.drive, history.turns)
+    history = nuisance.histories[0]
+    states = every_state(history.track.drive, history.reversals)
     expected = shape_columns(*states, history.track.drive) @ weight
-    np.testing.assert_allclose(envelope.static(0, weight), expected, rtol=1e-9, atol=1e-9)
-    monkeypatch.setattr("piezoid.diagnosis.envelope.KEPT", 0)
-    fresh = Envelope(histories=(History(track=history.track, turns=history.turns),))
+    np.testing.assert_allclose(nuisance.static(0, weight), expected, rtol=1e-9, atol=1e-9)
+    monkeypatch.setattr("piezoid.diagnosis.nuisance.KEPT", 0)
+    fresh = NuisanceClass(histories=(History(track=history.track, reversals=history.reversals),))
     np.testing.assert_allclose(fresh.static(0, weight), expected, rtol=1e-9, atol=1e-9)
     assert "states" not in vars(fresh.histories[0])
 
@@ -95,27 +95,27 @@ def test_the_static_response_is_the_shape_of_all_states_kept_or_not(monkeypatch)
 def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
     whole = healthy_view()
     view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
-    first = view.envelope.histories[0]
-    assert not np.array_equal(first.states[0], whole.envelope.histories[0].states[0])
+    first = view.nuisance.histories[0]
+    assert not np.array_equal(first.states[0], whole.nuisance.histories[0].states[0])
     mended = [replace(track, response=track.response + 1.0) for track in view.tracks]
-    assert with_tracks(view, mended).envelope.histories[0].states is first.states
-    other = with_pasts(view, ((0.0,),) * len(view.tracks)).envelope.histories[0]
+    assert with_tracks(view, mended).nuisance.histories[0].states is first.states
+    other = with_reversals(view, ((0.0,),) * len(view.tracks)).nuisance.histories[0]
     assert not np.array_equal(other.states[0], first.states[0])
     assert other.after((0.0,)) is other
 
 
 def test_branches_lead_from_turns_to_where_the_drive_is_away_from_them() -> None:
     drive = np.sin(np.linspace(0.0, 40.0, 20_000))
-    turns, there = track(drive).branches
-    assert len(turns) == 13
-    assert (np.abs(drive[there] - drive[turns]) > 0.03).all()
-    assert (np.abs(drive[there - 1] - drive[turns]) <= 0.03).all()
+    reversals, there = track(drive).branches
+    assert len(reversals) == 13
+    assert (np.abs(drive[there] - drive[reversals]) > 0.03).all()
+    assert (np.abs(drive[there - 1] - drive[reversals]) <= 0.03).all()
 
 
 def test_what_is_poled_for_good_grows_only_where_the_drive_comes_for_the_first_time() -> None:
     way = np.array([-1.0, -0.2, 0.3, -0.4, 0.2, 0.8, -1.0, 1.0, -1.0, 1.0])
     drive = np.interp(np.linspace(0.0, 9.0, 9_001), np.arange(10.0), way)
-    history = History(track=track(drive), turns=PASTS[0])
+    history = History(track=track(drive), reversals=RANDOM_HYPOTHESES[0])
     above, far_above, *below = history.poled().T
     at = drive[history.track.place]
     first = history.track.place < 2_000
@@ -128,7 +128,7 @@ def test_what_is_poled_for_good_grows_only_where_the_drive_comes_for_the_first_t
 
 
 def test_each_track_corrects_its_own_memory_and_no_other() -> None:
-    free = with_free_memory(healthy_view()).envelope
+    free = with_free_memory(healthy_view()).nuisance
     columns = free.columns[:, list(free.memory_columns)]
     assert columns.shape[1] == MEMORY * len(free.tracks)
     for k in range(len(free.tracks)):

@@ -52,5 +52,5 @@ def test_rows_are_held_only_at_the_declared_clock_and_with_a_declared_pole():
 def test_a_fast_chirp_of_a_healthy_stage_leaves_the_noise():
     campaign = draw_campaign(70055, plans=("sweep", "chirp"))
     view = view_of_recordings(*recorded(campaign))
-    chirp = view.null.residual[slice(*view.envelope.edges[1:3])]
+    chirp = view.null.residual[slice(*view.nuisance.edges[1:3])]
     assert np.std(chirp) < 1.25 * view.noise

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.candidate import Candidate, structural_candidate
 from piezoid.diagnosis.effects import initial_state
-from piezoid.diagnosis.judgement import Judged, judged_structure
-from piezoid.diagnosis.memory import (
-    OTHER_PASTS,
-    does_as_well,
-    with_best_habit,
-    with_own_pasts,
+from piezoid.diagnosis.initial_state_search import (
+    OTHER_INITIAL_STATES,
+    shared_does_as_well,
+    with_own_initial_states,
+    with_shared_initial_state,
 )
 from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.records.lab import Lab
@@ -50,18 +50,18 @@ def forgotten(_: float) -> Sequence[float]:
 
 @cache
 def view_after(*before: Before | None) -> View:
-    """Record three drives after some pasts; None: each goes on from the one before it."""
+    """Record three drives after some initial states; None: each goes on from the one before it."""
     recordings, _ = healthy()
     chance, memory, last = np.random.default_rng(1), np.zeros(len(WIDTH)), 0.0
     found = []
-    for (name, part), turns in zip(STRETCH.items(), before, strict=True):
+    for (name, part), reversals in zip(STRETCH.items(), before, strict=True):
         whole = next(r for r in recordings if r.name.startswith(name))
         drive = whole.voltage_V()[part] / 5.0 - 1.0
-        if turns is None:
+        if reversals is None:
             steps = max(int(abs(drive[0] - last) / GLIDE), 2)
             drive = np.concatenate([np.linspace(last, drive[0], steps)[:-1], drive])
         else:
-            memory = memory_after(turns, float(drive[0]))
+            memory = memory_after(reversals, float(drive[0]))
         response, memory = moved(drive, memory)
         noise = NOISE * float(np.ptp(response)) * chance.normal(size=len(drive))
         rate_Hz = whole.sampling_rate_Hz / EVERY
@@ -70,11 +70,11 @@ def view_after(*before: Before | None) -> View:
     return view_of_recordings(tuple(found), Lab())
 
 
-def structure_of(view: View) -> Judged:
+def structure_of(view: View) -> Candidate:
     """Judge the memory of recordings as a search does in which nothing else is found."""
-    own = with_own_pasts(view, with_best_habit(view))
-    final = with_free_memory(own) if own.rms < OTHER_PASTS * view.rms else view
-    judgement = judged_structure(initial_state.EFFECT, final)
+    own = with_own_initial_states(view, with_shared_initial_state(view))
+    final = with_free_memory(own) if own.rms < OTHER_INITIAL_STATES * view.rms else view
+    judgement = structural_candidate(initial_state.EFFECT, final)
     assert judgement is not None
     return judgement[1]
 
@@ -92,22 +92,22 @@ def structure_of(view: View) -> Judged:
 )
 def test_what_a_laboratory_always_does_before_it_records_is_no_unknown_memory(before) -> None:
     view = view_after(*before)
-    assert not structure_of(view).speaks
+    assert not structure_of(view).is_significant
     if before[0] is not cycled:
         # though the memory that is taken for granted at first is none of it
-        assert with_own_pasts(view, with_best_habit(view)).rms < 0.6 * view.rms
+        assert with_own_initial_states(view, with_shared_initial_state(view)).rms < 0.6 * view.rms
 
 
 def test_one_recording_that_came_from_elsewhere_has_a_memory_that_nobody_recorded() -> None:
     structure = structure_of(view_after(cycled, forgotten, cycled))
-    assert structure.speaks
-    assert structure.held.gain > 2.0 * initial_state.EFFECT.worth
+    assert structure.is_significant
+    assert structure.cv.gain > 2.0 * initial_state.EFFECT.minimum_gain
 
 
 def test_a_ceramic_that_was_never_driven_so_far_is_poled_once_and_was_not_demagnetised() -> None:
     campaign = draw_campaign(104133, truth="preisach", effects={"initial_state": 2.5})
     view = view_of_recordings(*recorded(campaign))
-    habit = with_best_habit(view)
-    own = with_own_pasts(view, habit)
-    assert own.rms < 0.85 * habit.rms
-    assert not does_as_well(habit, own, view)
+    shared = with_shared_initial_state(view)
+    own = with_own_initial_states(view, shared)
+    assert own.rms < 0.85 * shared.rms
+    assert not shared_does_as_well(shared, own, view)

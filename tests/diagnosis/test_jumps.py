@@ -78,8 +78,8 @@ def test_a_mode_that_one_jump_struck_is_named_with_its_frequency() -> None:
     ringing = 0.5 * late + 0.5 * rung(late, 61.0, 15.0)
     (cause,) = searched(ringing).causes
     assert cause.effect.name == "resonance"
-    assert cause.accepted.parameters["frequency_Hz"] == pytest.approx(61.0, rel=0.02)
-    assert cause.accepted.parameters["quality"] == pytest.approx(15.0, rel=0.3)
+    assert cause.selected.parameters["frequency_Hz"] == pytest.approx(61.0, rel=0.02)
+    assert cause.selected.parameters["quality"] == pytest.approx(15.0, rel=0.3)
 
 
 def humming(followed: Array) -> Array:

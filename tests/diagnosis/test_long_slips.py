@@ -52,10 +52,10 @@ def test_stretches_of_equal_speed_that_tell_of_a_slip_longer_than_may_be_are_not
             slip=replace(slip, samples=round(slip.samples)),
             step=times * SAMPLES,
             deviation=1.0,
-            speaks=lambda **_: False,
+            is_significant=lambda **_: False,
         )
 
-    monkeypatch.setattr(timestamp_fault, "judged_of", told)
+    monkeypatch.setattr(timestamp_fault, "evidence_of", told)
     assert timestamp_fault.EFFECT.fault(wandering_view(2)) is None
     assert asked
     assert all(abs(slip.samples) < 0.5 * SAMPLES for slip in asked)

@@ -63,7 +63,7 @@ def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str)
     diagnosis = _open(**{effect: HIGH_m})
     (asked,) = questions_of(diagnosis, effect)
     best = _table().choice(asked).best
-    least = next(one.least for one in EFFECTS if one.name == effect)
+    least = next(one.minimum_share for one in EFFECTS if one.name == effect)
     if best.told is not None and best.score > 0.0:
         assert expected_limit_m(asked, None, best.told) >= least * diagnosis.stroke_m
 

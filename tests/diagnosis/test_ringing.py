@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.signals import mode
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
@@ -47,11 +47,11 @@ def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_a
     seen = screen(resonance.EFFECT, view)
     # nearer than two of the grid are to each other
     assert seen.trial.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.5 / QUALITY)
-    start = begun(resonance.EFFECT, seen.trial, float(seen.held.coefficient[0]))
+    start = begun(resonance.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
     one, there = refined(start, view, [])
     cause = judged(one, there, view, seen=seen)
-    assert cause.sound
-    assert cause.speaks
+    assert cause.physical
+    assert cause.is_significant
     assert one.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.005)
     assert one.parameters["quality"] == pytest.approx(QUALITY, rel=0.3)
     assert there.rms < 0.1 * view.rms

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
-import piezoid.diagnosis.rivals as rivals
+import piezoid.diagnosis.model_comparison as confounded
 import piezoid.diagnosis.search as search
 from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.growth import SLIP, Grown
-from piezoid.diagnosis.slips_instead import Instead, fault_beside
+from piezoid.diagnosis.forward_selection import SLIP, SelectionState
+from piezoid.diagnosis.slip_alternative import Instead, fault_beside
 from piezoid.numerics.hands import ALONE
 
 from .bench import healthy_view
@@ -26,20 +26,20 @@ class Cause:
 
     name: str
     gain: float
-    speaks: bool = True
+    is_significant: bool = True
     quiet: float = float("inf")
-    settles_it: bool = False
+    explains_the_rest: bool = False
 
     @property
-    def accepted(self) -> str:
+    def selected(self) -> str:
         return self.name
 
     @property
     def effect(self) -> SimpleNamespace:
-        return SimpleNamespace(name=self.name, quiet=self.quiet, worth=0.1)
+        return SimpleNamespace(name=self.name, largest_noise_ratio=self.quiet, minimum_gain=0.1)
 
     @property
-    def held(self) -> SimpleNamespace:
+    def cv(self) -> SimpleNamespace:
         return SimpleNamespace(gain=self.gain)
 
 
@@ -50,17 +50,17 @@ def of_noise(times: float) -> SimpleNamespace:
 def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatch) -> None:
     asked = []
 
-    def each(_, accepted, __):
-        asked.append(tuple(accepted))
+    def each(_, selected, __):
+        asked.append(tuple(selected))
         gains = {"creep": 0.5, "lag": 0.1, "delay": 0.2}
         # the delay is evidence once the lag is gone
         return [
-            Cause(name, gains[name], speaks=name == "creep" or "lag" not in accepted)
-            for name in accepted
+            Cause(name, gains[name], is_significant=name == "creep" or "lag" not in selected)
+            for name in selected
         ], {}
 
-    monkeypatch.setattr(rivals, "_each", each)
-    causes, _ = rivals.told_apart(None, ["creep", "lag", "delay"], ALONE)
+    monkeypatch.setattr(confounded, "_each", each)
+    causes, _ = confounded.told_apart(None, ["creep", "lag", "delay"], ALONE)
     assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
     assert [cause.name for cause in causes] == ["creep", "delay"]
 
@@ -87,13 +87,13 @@ def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, besid
 
 
 def test_structure_beside_what_looks_alike_is_named_where_it_takes_most_of_what_is_left() -> None:
-    structure = Cause("initial_state", 0.05, quiet=1.6, settles_it=True)
+    structure = Cause("initial_state", 0.05, quiet=1.6, explains_the_rest=True)
     assert search._stands(structure, of_noise(1.1), beside=True)
     assert not search._stands(structure, of_noise(1.55), beside=True)
 
 
 def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
-    found = search._with_rival({"asymmetry": (), "creep": ("lag",)}, non_congruence.EFFECT)
+    found = search._with_confounded({"asymmetry": (), "creep": ("lag",)}, non_congruence.EFFECT)
     assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
 
 
@@ -104,12 +104,12 @@ def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float
     cause = SimpleNamespace(
         effect=creep.EFFECT,
         share=0.01,
-        held=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
-        accepted=SimpleNamespace(parameters={}, struck=False),
+        cv=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
+        selected=SimpleNamespace(parameters={}, struck=False),
     )
     outcome = SimpleNamespace(
         first=SimpleNamespace(stroke_m=1e-5),
-        rivals={"creep": near},
+        confounded={"creep": near},
         causes=[cause, *(SimpleNamespace(effect=effect) for effect in found)],
     )
     numbers = SimpleNamespace(without={"creep": 0.02}, final=0.018)
@@ -156,7 +156,7 @@ def test_slips_go_where_the_causes_leave_less_without_them(
 ) -> None:
     fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
     slew = SimpleNamespace(struck=False)
-    far = Grown(clean="slipped", accepted=(slew,), faults={SLIP: fault}, screened={})
+    state = SelectionState(clean="slipped", selected=(slew,), faults={SLIP: fault}, screened={})
     spikes = {"outliers": replace(fault, value=3.0)}
     monkeypatch.setattr(
         search, "repaired", lambda *_, but: (SimpleNamespace(tracks=()), spikes if but else {})
@@ -165,7 +165,7 @@ def test_slips_go_where_the_causes_leave_less_without_them(
     monkeypatch.setattr(search, "refined", lambda one, *_, **__: (one, None))
     left = {"slipped": with_slips, "raw": without}
     monkeypatch.setattr(search, "extended", lambda view, _: SimpleNamespace(rms=left[view]))
-    found = search._without_slips("view", far, ALONE)
+    found = search._without_slips("view", state, ALONE)
     assert (SLIP in found.faults) is kept
     # spikes stay repaired whatever becomes of the slips
     assert found.clean == ("slipped" if kept else "raw")
@@ -208,15 +208,15 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
 ) -> None:
     asked = []
 
-    def grow(clean, faults, _) -> Grown:
+    def grow(clean, faults, _) -> SelectionState:
         asked.append(clean)
-        return Grown(clean=clean, accepted=(), faults=faults, screened={})
+        return SelectionState(clean=clean, selected=(), faults=faults, screened={})
 
-    monkeypatch.setattr(search, "grown", grow)
-    monkeypatch.setattr(search, "with_best_knee", lambda *_: "state")
+    monkeypatch.setattr(search, "select_forward", grow)
+    monkeypatch.setattr(search, "with_best_bouc_wen", lambda *_: "state")
     errors = {"plays": left, "state": from_the_state}
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
-    assert search._best_grown("plays", {}, ALONE).clean == begun
+    assert search._best_selection("plays", {}, ALONE).clean == begun
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
 
 

@@ -8,10 +8,10 @@ import pytest
 from scipy.signal import lfilter
 
 import piezoid
+from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling, mains_interference
-from piezoid.diagnosis.judgement import judged
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.sizes import size_of
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
@@ -38,11 +38,11 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
     )
     view = view_of_recordings(*recorded(campaign))
     seen = screen(amplifier_saturation.EFFECT, view)
-    start = begun(amplifier_saturation.EFFECT, seen.trial, float(seen.held.coefficient[0]))
+    start = begun(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
     one, there = refined(start, view, [])
     cause = judged(one, there, view, seen=seen)
     size, true = size_of(cause), cut_off_percent(campaign)
-    assert cause.speaks
+    assert cause.is_significant
     assert true > 1.0
     assert size.value == pytest.approx(true, rel=0.1)
     low, high = size.ci95

@@ -13,19 +13,19 @@ from piezoid.diagnosis.effects import (
     delay,
     timestamp_fault,
 )
-from piezoid.diagnosis.extended import Accepted
+from piezoid.diagnosis.extended import SelectedEffect
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.slip_evidence import judged_of
-from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
-from piezoid.diagnosis.slips_instead import (
+from piezoid.diagnosis.slip_alternative import (
     SURE,
     SURE_AGAIN,
     Instead,
     slips_instead,
     stand_better,
 )
+from piezoid.diagnosis.slip_evidence import evidence_of
+from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Problem, Quantity
@@ -86,8 +86,8 @@ def test_a_delay_that_only_fast_stretches_have_is_no_slip():
     view = view_on(recordings, axis="x", lab=Lab())
     null = beside(view)
     for slip in strongest(view, null):
-        judged = judged_of(view, null, replace(slip, samples=round(slip.samples) or 1))
-        assert judged is None or not judged.equal or not judged.speaks(again=False)
+        judged = evidence_of(view, null, replace(slip, samples=round(slip.samples) or 1))
+        assert judged is None or not judged.equal or not judged.is_significant(again=False)
 
 
 def test_a_slip_well_above_one_that_could_hide_is_found():
@@ -113,7 +113,7 @@ def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
         final=healthy(),
         faults={"timestamp_fault": slip},
         causes=(),
-        rivals={},
+        confounded={},
         screened={},
     )
     assert with_ingested(found, [whole], STROKE_m) is found
@@ -148,7 +148,7 @@ def elsewhere(*, samples):
 
 
 def with_delay(view):
-    one = Accepted(
+    one = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": 1e-3}, free={"delay_s": 1.5}, limits={}
     )
     return refined(one, view, [])[1]

@@ -1,4 +1,4 @@
-"""What ceramics do by themselves is in the envelope, and is named as no effect."""
+"""What ceramics do by themselves is in the nuisance class, and is named as no effect."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis import judgement
+from piezoid.diagnosis import candidate
+from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
+from piezoid.diagnosis.candidate import structural_candidate
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.judgement import judged_structure
-from piezoid.diagnosis.knee import with_best_knee
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.search import search
 from piezoid.diagnosis.shape import CURVED, SHARED
-from piezoid.diagnosis.view import View, with_knee
+from piezoid.diagnosis.view import View, with_bouc_wen
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import healthy_view, recorded, view_of_recordings
@@ -31,41 +31,45 @@ def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_noth
     straight = np.delete(view.null.every, range(SHARED - CURVED, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
     assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
-    assert abs(float(screen(non_congruence.EFFECT, view).held.coefficient[0])) < 0.05
+    assert abs(float(screen(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
 
 
 @pytest.mark.parametrize("seed", [3, 17])
 def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(seed) -> None:
     view = sound_stage("bouc_wen", seed)
     found = screen(non_congruence.EFFECT, view)
-    assert found.held.gain > non_congruence.EFFECT.worth
-    assert abs(float(found.held.coefficient[0])) > non_congruence.OPENING
+    assert found.cv.gain > non_congruence.EFFECT.minimum_gain
+    assert abs(float(found.cv.coefficient[0])) > non_congruence.OPENING
     assert not search(view).causes
 
 
 def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
     view = sound_stage("bouc_wen", 20)
-    _, alone = judged_structure(replace(non_congruence.EFFECT, knee=0.0), view)
-    _, beside = judged_structure(replace(non_congruence.EFFECT, knee=1.0), view)
-    assert alone.speaks
-    assert not beside.speaks
-    assert abs(beside.held.gain) < 0.1 * alone.held.gain
+    _, alone = structural_candidate(
+        replace(non_congruence.EFFECT, minimum_beside_bouc_wen=0.0), view
+    )
+    _, beside = structural_candidate(
+        replace(non_congruence.EFFECT, minimum_beside_bouc_wen=1.0), view
+    )
+    assert alone.is_significant
+    assert not beside.is_significant
+    assert abs(beside.cv.gain) < 0.1 * alone.cv.gain
 
 
 def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only() -> None:
-    bent = with_best_knee(sound_stage("bouc_wen", 5))
-    *law, bend = bent.envelope.knee
+    bent = with_best_bouc_wen(sound_stage("bouc_wen", 5))
+    *law, bend = bent.nuisance.bouc_wen
     assert abs(bend) > 0.1
     assert bent.rms < 1.1 * bent.noise
-    assert with_knee(bent, (*law, 0.0)).rms > 1.2 * bent.noise
+    assert with_bouc_wen(bent, (*law, 0.0)).rms > 1.2 * bent.noise
 
 
 def test_columns_behind_the_others_and_products_that_are_known_change_nothing() -> None:
     view = healthy_view()
-    columns, more = view.envelope.columns, np.linspace(-1.0, 1.0, len(view.response))[:, None]
+    columns, more = view.nuisance.columns, np.linspace(-1.0, 1.0, len(view.response))[:, None]
     rest = {"response": view.response, "block": view.block}
     made = Null(columns=np.hstack([columns, more]), **rest)
-    known = Null(columns=columns, more=more, known=view.envelope.gram, **rest)
+    known = Null(columns=columns, more=more, known=view.nuisance.gram, **rest)
     np.testing.assert_allclose(known.gram, made.gram, rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(known.residual, made.residual, atol=1e-9)
     assert known.rms == pytest.approx(made.rms, rel=1e-9)
@@ -87,14 +91,16 @@ def test_what_is_small_in_a_strange_material_must_be_there_still_beside_a_bouc_w
     monkeypatch, gain, left, noise, sound, z, alone
 ) -> None:
     final, bent = SimpleNamespace(rms=1.0, noise=noise), SimpleNamespace()
-    beside = SimpleNamespace(sound=sound, held=SimpleNamespace(z=z))
+    beside = SimpleNamespace(physical=sound, cv=SimpleNamespace(z=z))
     structures = {
-        id(final): SimpleNamespace(speaks=True, held=SimpleNamespace(gain=gain)),
-        id(bent): SimpleNamespace(speaks=False),
+        id(final): SimpleNamespace(is_significant=True, cv=SimpleNamespace(gain=gain)),
+        id(bent): SimpleNamespace(is_significant=False),
     }
-    monkeypatch.setattr(judgement, "screen", lambda _, view: beside if view is bent else "seen")
-    monkeypatch.setattr(judgement, "_of_structure", lambda _, view: structures[id(view)])
-    monkeypatch.setattr(judgement, "with_knee_of", lambda *_: bent)
-    effect = SimpleNamespace(knee=0.08, against=lambda _: SimpleNamespace(rms=left))
-    _, judged = judgement.judged_structure(effect, final)
+    monkeypatch.setattr(candidate, "screen", lambda _, view: beside if view is bent else "seen")
+    monkeypatch.setattr(candidate, "_structure_of", lambda _, view: structures[id(view)])
+    monkeypatch.setattr(candidate, "with_bouc_wen_of", lambda *_: bent)
+    effect = SimpleNamespace(
+        minimum_beside_bouc_wen=0.08, null_without=lambda _: SimpleNamespace(rms=left)
+    )
+    _, judged = candidate.structural_candidate(effect, final)
     assert judged is structures[id(final if alone else bent)]

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-import piezoid.diagnosis.candidates as candidates
+import piezoid.diagnosis.shortlist as candidates
 from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
 from piezoid.diagnosis.extended import SETTLED, extended
 from piezoid.diagnosis.refinement import begun, refined, refined_together
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded, view_of_recordings
@@ -24,7 +24,7 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
     found, view = [], clean
     for effect in (slew_limit.EFFECT, lag.EFFECT):
         seen = screen(effect, view)
-        one = begun(effect, seen.trial, float(seen.held.coefficient[0]))
+        one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
         better, view = refined(one, clean, found)
         found.append(better)
     together, left = refined_together(found, clean, [])
@@ -35,19 +35,19 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
     assert left.rms == pytest.approx(extended(clean, together).rms, rel=SETTLED)
 
 
-def is_rest(monkeypatch, before: float, after: float, gain: float, twin: float | None) -> bool:
+def is_rest(monkeypatch, before: float, after: float, gain: float, placebo: float | None) -> bool:
     """Say of a small drift beside a large change of gain whether it is what this leaves over."""
-    rival = SimpleNamespace(effect=gain_change.EFFECT)
+    alternative = SimpleNamespace(effect=gain_change.EFFECT)
     drift = SimpleNamespace(
         effect=thermal_drift.EFFECT,
         share=0.1,
-        held=SimpleNamespace(gain=gain),
-        twin=None if twin is None else SimpleNamespace(gain=twin),
+        cv=SimpleNamespace(gain=gain),
+        placebo=None if placebo is None else SimpleNamespace(gain=placebo),
         without=SimpleNamespace(rms=before),
         view=SimpleNamespace(rms=after, noise=NOISE),
     )
     monkeypatch.setattr(candidates, "extended", lambda *_: SimpleNamespace(rms=100.0))
-    beside = candidates.Beside(clean=None, accepted=(rival,), view=None)
+    beside = candidates.SelectionContext(clean=None, selected=(alternative,), view=None)
     return candidates._left_over(drift, beside)
 
 
@@ -66,15 +66,15 @@ def test_a_small_part_beside_a_rival_is_its_rest_unless_nothing_is_left_after(
 
 
 @pytest.mark.parametrize(
-    ("gain", "twin", "rest"),
+    ("gain", "placebo", "rest"),
     [
-        (0.5, 0.1, False),  # most of the error, and five times what its twin takes
-        (0.5, 0.2, True),  # the twin takes nearly as much
-        (0.5, None, True),  # there is no twin to tell by
-        (0.3, 0.05, True),  # far above the twin, but little of the error
+        (0.5, 0.1, False),  # most of the error, and five times what its placebo takes
+        (0.5, 0.2, True),  # the placebo takes nearly as much
+        (0.5, None, True),  # there is no placebo to tell by
+        (0.3, 0.05, True),  # far above the placebo, but little of the error
     ],
 )
 def test_what_takes_most_of_the_error_and_far_more_than_its_twin_is_nobodys_rest(
-    monkeypatch, gain, twin, rest
+    monkeypatch, gain, placebo, rest
 ) -> None:
-    assert is_rest(monkeypatch, 10.0, 10.0 * (1.0 - gain), gain, twin) is rest
+    assert is_rest(monkeypatch, 10.0, 10.0 * (1.0 - gain), gain, placebo) is rest

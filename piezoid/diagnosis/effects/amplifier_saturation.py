@@ -50,7 +50,7 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, way),
             parameters=way,
-            within=ALLOWED,
+            coefficient_range=ALLOWED,
             free={name: 0.015 for name in way},
         )
         for way in ways
@@ -88,13 +88,13 @@ EFFECT = Effect(
     unit="percent of the drive range that is cut off",
     experiment="Record slow loops to the full range and to four fifths of it, with the "
     "amplifier's monitor output: a clip is there in the first and not in the second.",
-    rivals=("slew_limit",),
+    confounded=("slew_limit",),
     trials=_trials,
-    drive=_clip,
+    drive_filter=_clip,
     size=_size,
     inject=inject,
     extend=extend,
-    shows_at=8e-3,
-    least=8e-5,
-    worth=0.02,  # only the tips meet the limit
+    detectable_share=8e-3,
+    minimum_share=8e-5,
+    minimum_gain=0.02,  # only the tips meet the limit
 )

@@ -33,7 +33,7 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of the stroke, rms",
     experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
-    rivals=("non_congruence",),
+    confounded=("non_congruence",),
     untestable=lambda _: REASON,
     inject=inject,
 )

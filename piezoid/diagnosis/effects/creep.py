@@ -73,8 +73,8 @@ def _trials(view: View) -> list[Trial]:
                 Trial(
                     columns=columns,
                     parameters={"first_s": first, "last_s": last},
-                    real=not backwards,
-                    within=ALLOWED,
+                    physical=not backwards,
+                    coefficient_range=ALLOWED,
                 )
             )
     return found
@@ -124,15 +124,15 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of a step per decade of time",
     # a small one, near the noise, is 28 % low on the bundled stage: hysteresis takes up a part
-    known_to=0.2,
+    model_error=0.2,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
-    rivals=("thermal_drift",),
-    sure=2.7,
-    least=5e-5,  # what its past takes for itself does not count
+    confounded=("thermal_drift",),
+    minimum_z=2.7,
+    minimum_share=5e-5,  # what its initial state takes for itself does not count
     untestable=_untestable,
     trials=_trials,
-    beside=_decays,
+    covariates=_decays,
     columns=_columns,
     size=_size,
     inject=inject,

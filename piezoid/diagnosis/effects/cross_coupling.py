@@ -35,7 +35,7 @@ def _untestable(view: View) -> str:
 def _trials(view: View) -> list[Trial]:
     return [
         Trial(columns=answers_of_others(view)),
-        Trial(columns=answers_of_others(view, backwards=True), real=False),
+        Trial(columns=answers_of_others(view, backwards=True), physical=False),
     ]
 
 

@@ -51,8 +51,8 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, {name: value}),
             parameters={name: value},
-            within=ALLOWED,
-            apart=APART,
+            coefficient_range=ALLOWED,
+            minimum_separation=APART,
             free={name: 1.5},
         )
         for name, value in ways
@@ -86,12 +86,12 @@ EFFECT = Effect(
     name="delay",
     explanation=__doc__ or "",
     unit="us, in the fastest recording",
-    known_to=0.004,
+    model_error=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
-    rivals=("lag", "rate_dependence", "resonance"),
+    confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
-    passes=_passed,
+    response_filter=_passed,
     size=_size,
     inject=inject,
     extend=extend,

@@ -78,9 +78,9 @@ def _trial(view: View, k: int, place: float, kind: str) -> Trial:
     return Trial(
         columns=_change(view, k, place, kind),
         parameters={"track": float(k), "place": place},
-        real=kind == "step",
-        within=(-0.3, 0.3),
-        least=LEAST_CHANGE,
+        physical=kind == "step",
+        coefficient_range=(-0.3, 0.3),
+        minimum_coefficient=LEAST_CHANGE,
         free={"place": 0.02},
     )
 
@@ -97,7 +97,7 @@ def _later(view: View, first: int) -> Array:
 def _steps_between(view: View) -> list[Trial]:
     """Return changes between two recordings, where others as fast were made on the other side.
 
-    A change in one recording alone, undone before the next, is their twin.
+    A change in one recording alone, undone before the next, is their placebo.
     """
     speed = [float(np.sqrt(np.mean(np.gradient(s) ** 2))) * t.rate_Hz for s, t in _read(view)]
     count = len(speed)
@@ -120,9 +120,9 @@ def _between(first: int, columns: Array, *, real: bool = True) -> Trial:
     return Trial(
         columns=columns,
         parameters={"track": float(first), "place": 0.0},
-        real=real,
-        within=(-0.3, 0.3),
-        least=LEAST_BETWEEN,
+        physical=real,
+        coefficient_range=(-0.3, 0.3),
+        minimum_coefficient=LEAST_BETWEEN,
     )
 
 
@@ -163,20 +163,20 @@ WITHIN = Effect(
     unit="percent",
     experiment="Record equal full cycles for the whole time, and write down when anything on the "
     "stage is touched; a small multisine tells a load, which moves the resonance, from the rest.",
-    rivals=("creep", "thermal_drift"),
+    confounded=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,
-    beside=_beside,
+    covariates=_beside,
     size=_size,
     inject=inject,
     extend=extend,
-    shows_at=8e-3,
-    worth=0.1,  # a memory that is not quite known bends the heights of cycles as well
+    detectable_share=8e-3,
+    minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )
 BETWEEN = replace(
     WITHIN,
     trials=_steps_between,
     columns=lambda view, parameters: _later(view, int(parameters["track"])),
-    beside=None,
+    covariates=None,
 )
-EFFECT = replace(WITHIN, between=BETWEEN)
+EFFECT = replace(WITHIN, between_recordings=BETWEEN)

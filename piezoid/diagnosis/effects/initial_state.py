@@ -18,27 +18,27 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.memory import with_one_habit
+from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
 from piezoid.diagnosis.signals import scaled_to, with_displacement
 from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.records.recording import Recording
 
-CHANGE = 1e-6  # of half the stroke: pasts that differ by less are one
+CHANGE = 1e-6  # of half the stroke: initial states that differ by less are one
 
 
 def _against(view: View) -> Null:
-    """Return the envelope as it would be had the same been done before every recording."""
-    return with_one_habit(view).null
+    """Return the nuisance class as it would be had the same been done before every recording."""
+    return with_shared_where_as_good(view).null
 
 
 def _trials(view: View) -> list[Trial]:
-    before, free = with_one_habit(view), with_free_memory(view)
+    before, free = with_shared_where_as_good(view), with_free_memory(view)
     columns = []
     for k in range(len(view.tracks)):
         drive = view.tracks[k].drive
-        known = before.envelope.static_rows(k, view.weight, drive)
+        known = before.nuisance.static_rows(k, view.weight, drive)
         columns.append(view.of_track(k, view.static[k][view.tracks[k].place] - known))
-    memory = free.envelope.columns[:, list(free.envelope.memory_columns)]
+    memory = free.nuisance.columns[:, list(free.nuisance.memory_columns)]
     both = np.column_stack([*columns, memory])
     return [Trial(columns=both[:, np.abs(both).max(axis=0) > CHANGE])]
 
@@ -59,11 +59,11 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
-    rivals=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
+    confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
-    against=_against,
-    sure=3.6,
-    quiet=1.6,
-    worth=0.1,
+    null_without=_against,
+    minimum_z=3.6,
+    largest_noise_ratio=1.6,
+    minimum_gain=0.1,
     inject=inject,
 )

@@ -51,8 +51,8 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
-            within=ALLOWED,
-            apart=APART,
+            coefficient_range=ALLOWED,
+            minimum_separation=APART,
             free={"time_s": 1.5},
         )
         for t in times_s
@@ -80,15 +80,15 @@ BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
     unit="us",
-    known_to=0.015,
+    model_error=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",
-    rivals=("delay", "rate_dependence", "resonance"),
+    confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
-    passes=_passed,
+    response_filter=_passed,
     size=_size,
     inject=inject,
     extend=extend,
 )
-IN_FRONT = replace(BEHIND, passes=None, drive=_passed, elsewhere=BEHIND)
-EFFECT = replace(BEHIND, elsewhere=IN_FRONT)
+IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)
+EFFECT = replace(BEHIND, other_side=IN_FRONT)

@@ -107,7 +107,7 @@ def _lines(view: View, lines: Lines, grid_Hz: float, harmonics: tuple[int, ...])
 def _strongest(view: View, lines: Lines, nominal_Hz: float) -> tuple[float, int]:
     """Return the frequency and the harmonic at which the residual follows a line best."""
     tried = nominal_Hz + np.arange(-OFF_Hz, OFF_Hz + 1e-9, OFF_STEP_Hz)
-    edges, best = view.envelope.edges, (0.0, nominal_Hz, 1)
+    edges, best = view.nuisance.edges, (0.0, nominal_Hz, 1)
     for n in HARMONICS:
         power = np.zeros(len(tried))
         for k, track in enumerate(view.tracks):
@@ -120,15 +120,15 @@ def _strongest(view: View, lines: Lines, nominal_Hz: float) -> tuple[float, int]
     return best[1], best[2]
 
 
-def _powers(signal: Array, turns: Array, place: Places) -> Array:
+def _powers(signal: Array, reversals: Array, place: Places) -> Array:
     """Return how strongly a signal follows waves of equally spaced turns per sample, (turns,).
 
     The next wave is the last one times a slow one: a product instead of a sine for every sample.
     """
-    wave = signal * np.exp(1j * turns[0] * place)
-    slow = np.exp(1j * (turns[1] - turns[0]) * place)
+    wave = signal * np.exp(1j * reversals[0] * place)
+    slow = np.exp(1j * (reversals[1] - reversals[0]) * place)
     sums = [wave.sum()]
-    for _ in turns[1:]:
+    for _ in reversals[1:]:
         wave *= slow
         sums.append(wave.sum())
     return np.asarray(np.abs(sums) ** 2)
@@ -141,7 +141,7 @@ def _trials(view: View) -> list[Trial]:
         columns = _lines(view, lines, frequency_Hz, (harmonic,))
         if columns.shape[1]:
             way = {"frequency_Hz": frequency_Hz}
-            found.append(Trial(columns=columns, parameters=way, real=nominal_Hz in GRIDS_Hz))
+            found.append(Trial(columns=columns, parameters=way, physical=nominal_Hz in GRIDS_Hz))
     return found
 
 

@@ -9,7 +9,7 @@ How it is detected
     their states and the Bouc-Wen state that serves these best cannot; a good part of what any
     products of states with the drive explain, and it opens by more than ceramics do by themselves.
 What the extension adds
-    An envelope in front of the plays (the generalised model), as far as it can follow.
+    An nuisance class in front of the plays (the generalised model), as far as it can follow.
 Source
     Mayergoyz (1991); Al Janaideh, Rakheja & Su (2009)
 """
@@ -35,20 +35,22 @@ POINTS = 401
 
 
 def _against(view: View) -> Null:
-    """Return the envelope without products with the drive."""
-    columns = np.delete(view.null.every, list(view.envelope.bias_columns), axis=1)
+    """Return the nuisance class without products with the drive."""
+    columns = np.delete(view.null.every, list(view.nuisance.bias_columns), axis=1)
     return Null(columns=columns, response=view.response, block=view.block)
 
 
 def _trials(view: View) -> list[Trial]:
     place, width = [t.drive[t.place] for t in view.tracks], _irreversible(view)
     column = np.concatenate(place) * width
-    return [Trial(columns=column[:, None], least=OPENING, alone=_is_alone(view, column))]
+    return [
+        Trial(columns=column[:, None], minimum_coefficient=OPENING, unique=_is_alone(view, column))
+    ]
 
 
 def _is_alone(view: View, column: Array) -> bool:
     """Tell whether one column explains a good part of what all products with the drive do."""
-    null, bias = _against(view), len(view.envelope.bias_columns)
+    null, bias = _against(view), len(view.nuisance.bias_columns)
     across, residual = null.without(column), null.residual
     one = float(across @ residual) ** 2 / (float(across @ across) + 1e-300)
     left = float(np.sum(view.null.residual**2))
@@ -58,17 +60,17 @@ def _is_alone(view: View, column: Array) -> bool:
 
 def _irreversible(view: View) -> Array:
     """Return what congruent loops are away from the middle line of the largest, at the rows."""
-    null, envelope = _against(view), view.envelope
-    kept = np.setdiff1d(np.arange(view.null.every.shape[1]), envelope.bias_columns)
-    weight = np.zeros(envelope.shared)
-    shared = kept[kept < envelope.shared]
+    null, nuisance = _against(view), view.nuisance
+    kept = np.setdiff1d(np.arange(view.null.every.shape[1]), nuisance.bias_columns)
+    weight = np.zeros(nuisance.shared)
+    shared = kept[kept < nuisance.shared]
     weight[shared] = null.fit(view.response)[: len(shared)]
     up = np.linspace(-1.0, 1.0, POINTS)
-    loop = envelope.along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
+    loop = nuisance.along(np.concatenate([up, up[::-1]]), (1.0, -1.0), weight)
     middle = 0.5 * (loop[:POINTS] + loop[POINTS:][::-1])
     parts = []
     for k, track in enumerate(view.tracks):
-        static = envelope.static(k, weight)
+        static = nuisance.static(k, weight)
         parts.append((static - np.interp(track.drive, up, middle))[track.place])
     return np.concatenate(parts)
 
@@ -99,15 +101,15 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Record the same small loop at five biases, each reached from above and "
     "from below.",
-    rivals=("asymmetry",),
+    confounded=("asymmetry",),
     trials=_trials,
-    against=_against,
+    null_without=_against,
     inject=inject,
-    shows_at=4e-3,
-    quiet=2.0,
-    knee=KNEE,
-    least=LEAST,
-    worth=WORTH,
-    sure=3.3,
-    common=True,
+    detectable_share=4e-3,
+    largest_noise_ratio=2.0,
+    minimum_beside_bouc_wen=KNEE,
+    minimum_share=LEAST,
+    minimum_gain=WORTH,
+    minimum_z=3.3,
+    in_every_material=True,
 )

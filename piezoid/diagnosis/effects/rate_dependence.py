@@ -76,8 +76,8 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, {"time_s": time_s, "strain": strain}),
             parameters={"time_s": time_s, "strain": strain},
-            within=ALLOWED,
-            apart=APART,
+            coefficient_range=ALLOWED,
+            minimum_separation=APART,
             free={"time_s": 1.8, "strain": 2.0},
             limits={"time_s": LONGEST, "strain": STRAINS},
         )
@@ -116,7 +116,7 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
-    rivals=("delay", "lag", "resonance", "slew_limit"),
+    confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
     inject=inject,

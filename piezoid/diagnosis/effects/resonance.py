@@ -69,7 +69,7 @@ def _trial(view: View, way: Parameters, highest_Hz: float) -> Trial:
     return Trial(
         columns=_columns(view, way),
         parameters=way,
-        within=ALLOWED,
+        coefficient_range=ALLOWED,
         free={"frequency_Hz": 1.06, "quality": 1.6},
         limits={"quality": DAMPED, "frequency_Hz": (LOWEST_Hz, highest_Hz)},
     )
@@ -132,15 +132,15 @@ EFFECT = Effect(
     name="resonance",
     explanation=__doc__ or "",
     unit="Hz",
-    known_to=0.001,
+    model_error=0.001,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
-    rivals=("delay", "lag"),
+    confounded=("delay", "lag"),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
     size=_size,
-    rings=True,
+    may_be_absorbed=True,
     inject=inject,
     extend=extend,
 )

@@ -61,7 +61,7 @@ def _waves(view: View, periods: float) -> Array:
 
 def _power(view: View) -> tuple[Array, Array]:
     """Return spatial frequencies, and how much of the residual one wave of each follows."""
-    edges = view.envelope.edges
+    edges = view.nuisance.edges
     tried = STEP * np.arange(round(MOST / STEP) + 1, dtype=np.float64)
     power: Array = np.zeros(len(tried))
     for k in range(len(view.tracks)):
@@ -96,16 +96,16 @@ def _trials(view: View) -> list[Trial]:
     found = [_trial(view, best, real=True)]
     away = np.where(np.abs(tried - best) > SHARP, power, 0.0)
     for _ in range(3):
-        twin = float(tried[int(np.argmax(away))])
+        placebo = float(tried[int(np.argmax(away))])
         # half and twice the frequency belong to the same error
-        if min(abs(twin - 2 * best), abs(twin - best / 2)) > 2 * SHARP:
-            found.append(_trial(view, twin, real=False))
-        away = np.where(np.abs(tried - twin) > SHARP, away, 0.0)
+        if min(abs(placebo - 2 * best), abs(placebo - best / 2)) > 2 * SHARP:
+            found.append(_trial(view, placebo, real=False))
+        away = np.where(np.abs(tried - placebo) > SHARP, away, 0.0)
     return found
 
 
 def _trial(view: View, periods: float, *, real: bool) -> Trial:
-    return Trial(columns=_waves(view, periods), parameters={"periods": periods}, real=real)
+    return Trial(columns=_waves(view, periods), parameters={"periods": periods}, physical=real)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
@@ -141,8 +141,8 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
-    worth=0.06,
-    common=True,  # of many waves one always fits best
+    minimum_gain=0.06,
+    in_every_material=True,  # of many waves one always fits best
     inject=inject,
     extend=extend,
 )

@@ -53,7 +53,7 @@ def _trials(view: View) -> list[Trial]:
         Trial(
             columns=_columns(view, way),
             parameters=way,
-            within=ALLOWED,
+            coefficient_range=ALLOWED,
             free={"limit_per_s": 1.12},
         )
         for way in ways
@@ -83,12 +83,12 @@ EFFECT = Effect(
     name="slew_limit",
     explanation=__doc__ or "",
     unit="V/s, at the command",
-    known_to=0.002,
+    model_error=0.002,
     experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
     "limit is where its slope stops rising.",
-    rivals=("delay", "lag", "rate_dependence"),
+    confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
-    drive=_limited,
+    drive_filter=_limited,
     size=_size,
     inject=inject,
     extend=extend,

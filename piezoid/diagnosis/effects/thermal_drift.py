@@ -26,7 +26,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 DEGREES_s = (5.0, 15.0, 60.0)  # from which duration drift has a slope, a bend, an inflection
-TWINS = (8, 11)  # half waves, that many and the next
+PLACEBOS = (8, 11)  # half waves, that many and the next
 
 
 def _untestable(view: View) -> str:
@@ -41,7 +41,7 @@ def _degree(duration_s: float) -> int:
 
 
 def _curves(view: View, first_wave: int = 0) -> Array:
-    """Return a smooth curve for every long track; or, for twins, as many half waves."""
+    """Return a smooth curve for every long track; or, for placebos, as many half waves."""
     columns = []
     for k, track in enumerate(view.tracks):
         share = 2.0 * track.place / len(track.drive) - 1.0
@@ -55,7 +55,7 @@ def _curves(view: View, first_wave: int = 0) -> Array:
 def _trials(view: View) -> list[Trial]:
     return [
         Trial(columns=_curves(view)),
-        *(Trial(columns=_curves(view, wave), real=False) for wave in TWINS),
+        *(Trial(columns=_curves(view, wave), physical=False) for wave in PLACEBOS),
     ]
 
 
@@ -84,15 +84,15 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
-    rivals=("creep",),
+    confounded=("creep",),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
     inject=inject,
     extend=extend,
-    shows_at=4e-3,
-    least=6e-5,
-    sure=4.0,
-    worth=0.045,  # slow errors of structure are smooth as well
+    detectable_share=4e-3,
+    minimum_share=6e-5,
+    minimum_z=4.0,
+    minimum_gain=0.045,  # slow errors of structure are smooth as well
 )

@@ -21,7 +21,7 @@ import numpy as np
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.slip_evidence import Judged, hidden, judged_of
+from piezoid.diagnosis.slip_evidence import SlipEvidence, evidence_of, hidden
 from piezoid.diagnosis.slip_placing import in_step, placed, undone, width_of
 from piezoid.diagnosis.slips import Slip, beside, longest, places_of, strongest
 from piezoid.diagnosis.view import View, with_tracks
@@ -41,7 +41,7 @@ def _fault(view: View) -> Fault | None:
         if all(a is b for a, b in zip(quiet, view.tracks, strict=True))
         else with_tracks(view, quiet)
     )
-    found: list[Judged] = []
+    found: list[SlipEvidence] = []
     while len(found) < MOST:
         judged = _next(calm, bool(found))
         if judged is None:
@@ -68,7 +68,7 @@ def _fault(view: View) -> Fault | None:
     )
 
 
-def _believed(calm: View, better: View, judged: Judged) -> bool:
+def _believed(calm: View, better: View, judged: SlipEvidence) -> bool:
     """Tell whether less is left with a slip put right; one that is none makes the true one larger.
 
     Where other tracks slip as well, less may be left only beside all that looks like a delay: then
@@ -77,7 +77,7 @@ def _believed(calm: View, better: View, judged: Judged) -> bool:
     if better.rms < calm.rms:
         return True
     before, after = beside(calm), beside(better)
-    track = slice(*calm.envelope.edges[judged.slip.track : judged.slip.track + 2])
+    track = slice(*calm.nuisance.edges[judged.slip.track : judged.slip.track + 2])
     promised = judged.slip.gain * float(np.sum(before.residual[track] ** 2))
     gone = float(np.sum(before.residual**2) - np.sum(after.residual**2))
     return judged.slip.gain > CLEAR and gone > KEPT * promised
@@ -89,30 +89,36 @@ def _near(one: Slip, other: Slip, view: View) -> bool:
     return one.track == other.track and abs(one.instant - other.instant) <= width
 
 
-def _next(view: View, again: bool) -> Judged | None:
+def _next(view: View, again: bool) -> SlipEvidence | None:
     """Return the clearest slip that is left."""
     null = beside(view)
     for slip in strongest(view, null):
         if slip.gain < LOOK:
             break
-        judged = judged_of(view, null, placed(view, slip))
+        judged = evidence_of(view, null, placed(view, slip))
         if judged is not None and abs(judged.step - judged.slip.samples) > 2.0 * judged.deviation:
             # fitted in the midst of other slips: stretches of equal speed know the length better
             length = round(judged.step) or int(np.sign(slip.samples))
             if abs(length) > longest(len(view.tracks[slip.track].drive)):
                 continue
-            judged = judged_of(view, null, placed(view, replace(slip, samples=length), fixed=True))
-        if judged is not None and judged.speaks(again=again) and _alone(view, judged, again=again):
+            judged = evidence_of(
+                view, null, placed(view, replace(slip, samples=length), fixed=True)
+            )
+        if (
+            judged is not None
+            and judged.is_significant(again=again)
+            and _alone(view, judged, again=again)
+        ):
             return judged
     return None
 
 
-def _alone(view: View, judged: Judged, *, again: bool) -> bool:
+def _alone(view: View, judged: SlipEvidence, *, again: bool) -> bool:
     """Tell whether a slip speaks beside what other axes may move as well."""
     if not any(track.others for track in view.tracks):
         return True
-    there = judged_of(view, beside(view, others=True), judged.slip)
-    return there is not None and there.speaks(again=again)
+    there = evidence_of(view, beside(view, others=True), judged.slip)
+    return there is not None and there.is_significant(again=again)
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -131,9 +137,9 @@ EFFECT = Effect(
     unit="samples",
     experiment="Record a steady sine for as long, with the acquisition's own sample counter in a "
     "column, and nothing else running on the computer.",
-    rivals=("delay",),
+    confounded=("delay",),
     fault=_fault,
     bound=hidden,
-    shows_at=1.2e-2,
+    detectable_share=1.2e-2,
     inject=inject,
 )

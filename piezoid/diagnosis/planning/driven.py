@@ -7,7 +7,8 @@ The model's own Jacobian along the drive has the columns
     Psi'(h) z_i,  Psi'(h) w_i dz_i/dr_i,  s_j(h),  1{h beyond r_j},  Psi'(h) D[u^p],  dy/dt
 
 of play weights and thresholds, dead-zone weights and thresholds, a bent input (p = 0, 2, 3), and
-a lag; beside them, for each drive of its own, a zero and what other pasts would have left.
+a lag; beside them, for each drive of its own, a zero and what other initial states
+would have left.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +25,7 @@ from piezoid.operators.play import PlayTangents, first_carry, play_tangents
 
 BENT = (0, 2, 3)  # powers of the input that the model might have bent
 BEND = 1e-3  # of half the range, for the difference that stands for a derivative
-SETTLED = 2  # cycles over the range before a drive of which the past is not known
+SETTLED = 2  # cycles over the range before a drive of which the initial state is not known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,7 +121,7 @@ class Driven:
 
     @cached_property
     def own(self) -> Array:
-        """Return the columns of this drive alone: its zero, and what other pasts would leave."""
+        """Return the columns of this drive alone: its zero and other initial states."""
         others = [self._after(way) for way in (-1.0, 1.0)] + [self.model.virgin_memory_V]
         parts = [np.ones(len(self.rows))]
         for memory_V in others:
@@ -149,8 +150,8 @@ class Driven:
         """Return the memory after cycles over the range that came from above (1) or below."""
         reach_V, start_V = self.half_range_V, float(self.drive_V[0])
         middle_V = sum(self.model.voltage_V) / 2 - self.model.hysteresis.voltage_offset_V
-        turns = [middle_V - way * reach_V, middle_V + way * reach_V] * SETTLED
-        history_V = np.array([*turns, start_V])
+        reversals = [middle_V - way * reach_V, middle_V + way * reach_V] * SETTLED
+        history_V = np.array([*reversals, start_V])
         plays = self.model.hysteresis.plays
         return plays.run(history_V, plays.virgin_memory())[1]
 

@@ -66,7 +66,7 @@ def driven_recording(axis: AxisModel, recording: Recording) -> Driven:
 
 
 def driven_drive(axis: AxisModel, drive: Drive) -> Driven:
-    """Return a planned drive, from a past that cycled over the range."""
+    """Return a planned drive, from an initial state that cycled over the range."""
     others = {name: drive.voltage_V[:, k] for k, name in enumerate(drive.axes) if k > 0}
     return Driven(
         name=drive.name,

@@ -102,9 +102,9 @@ def _to_separate(diagnosis: Diagnosis) -> list[Question]:
     questions = []
     for finding in diagnosis.findings:
         own = suspect_of(finding, diagnosis.stroke_m)
-        for rival in finding.not_separable_from:
-            share = found[rival].share if rival in found else finding.share
-            other = _suspect(rival, share, diagnosis)
+        for alternative in finding.not_separable_from:
+            share = found[alternative].share if alternative in found else finding.share
+            other = _suspect(alternative, share, diagnosis)
             if own and other:
                 questions.append(Question(kind="separate", suspects=(own, other), finding=finding))
     return questions
@@ -142,8 +142,8 @@ def _to_detect(diagnosis: Diagnosis) -> list[Question]:
 def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
     """Return the rms below which an effect is not named, m: as the diagnosis itself has it."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
-    worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.worth)
-    return max(effect.least * diagnosis.stroke_m, worth_m)
+    worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
+    return max(effect.minimum_share * diagnosis.stroke_m, worth_m)
 
 
 def _suspect(name: str, share: float, diagnosis: Diagnosis) -> Suspect | None:

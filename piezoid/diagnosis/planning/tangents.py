@@ -111,8 +111,8 @@ def _gain(drive: Driven, _: float) -> Array:
 
 def _hum(drive: Driven, _: float) -> Array:
     heard = [f for f in MAINS_Hz if f < 0.4 * drive.rate_Hz]
-    turns = [2 * np.pi * f * drive.time_s for f in heard]
-    waves = [wave(turn) for turn in turns for wave in (np.cos, np.sin)]
+    reversals = [2 * np.pi * f * drive.time_s for f in heard]
+    waves = [wave(turn) for turn in reversals for wave in (np.cos, np.sin)]
     return 1e-6 * np.column_stack(waves or [np.zeros(len(drive.voltage_V))])
 
 

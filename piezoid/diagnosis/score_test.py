@@ -1,4 +1,4 @@
-"""Screening: what every effect would bring to a view by its tangent, and its twins by theirs.
+"""Screening: what every effect would bring to a view by its tangent, and its placebos by theirs.
 
 It tells where to look. What counts is said in ``judgement``, with the real thing in place.
 """
@@ -21,55 +21,55 @@ Row = tuple[Trial, Held, Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Screened:
+class ScoreTest:
     """The best of an effect's trials.
 
     trial  the best real one that physics allows, or the best real one
-    held   what it brings
-    twin   what the best unphysical twin brings, None where there is none
+    cv   what it brings
+    placebo   what the best placebo brings, None where there is none
     share  rms of what it adds, of the whole stroke
     bound  the largest such share the data allow, one-sided 95 %
     floor  the share below which the trial counts its first coefficient as none
-    veiled  how many times more it adds than that: the rest the null takes up
-    sound  whether physics allows it
-    apart  whether the null leaves enough of it to tell it from hysteresis
-    total  1 - rms / rms without, all that comes with it included
+    absorption  how many times more it adds than that: the rest the null takes up
+    physical  whether physics allows it
+    separable  whether the null leaves enough of it to tell it from hysteresis
+    total_gain  1 - rms / rms without, all that comes with it included
     """
 
     effect: Effect
     trial: Trial
-    held: Held
-    twin: Held | None
+    cv: Held
+    placebo: Held | None
     share: float
     bound: float
     floor: float
-    veiled: float
-    sound: bool
-    apart: bool
-    total: float
+    absorption: float
+    physical: bool
+    separable: bool
+    total_gain: float
 
 
-def screen(effect: Effect, view: View) -> Screened | None:
+def screen(effect: Effect, view: View) -> ScoreTest | None:
     """Return the best of an effect's trials, None where it has none on these recordings."""
     trials = [t for t in effect.trials(view) if np.any(t.columns)] if effect.trials else []
     null = null_of(effect, view)
-    if not any(trial.real for trial in trials):
+    if not any(trial.physical for trial in trials):
         return None
     found = screened(effect, null, trials)
-    beside = null.rms / view.null.rms if effect.beside is not None else 1.0
-    return replace(found, total=1.0 - (1.0 - found.held.gain) * beside)
+    beside = null.rms / view.null.rms if effect.covariates is not None else 1.0
+    return replace(found, total_gain=1.0 - (1.0 - found.cv.gain) * beside)
 
 
 def null_of(effect: Effect, view: View) -> Null:
     """Return what an effect has to beat."""
-    if effect.against is not None:
-        return effect.against(view)
-    if effect.beside is None:
+    if effect.null_without is not None:
+        return effect.null_without(view)
+    if effect.covariates is None:
         return view.null
-    return replace(view, accepted=np.hstack([view.accepted, effect.beside(view)])).null
+    return replace(view, selected=np.hstack([view.selected, effect.covariates(view)])).null
 
 
-def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
+def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
     """Judge trials against a null."""
     widths = np.cumsum([0, *(t.columns.shape[1] for t in trials)])
     across = null.without(np.hstack([t.columns for t in trials]))
@@ -77,23 +77,23 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> Screened:
         (t, null.held(across[:, a:b], projected=True), across[:, a:b])
         for t, a, b in zip(trials, widths[:-1], widths[1:], strict=True)
     ]
-    twins = [held for t, held, _ in judged if not t.real]
-    real = [(t, held, c) for t, held, c in judged if t.real]
+    placebos = [held for t, held, _ in judged if not t.physical]
+    real = [(t, held, c) for t, held, c in judged if t.physical]
     allowed = [row for row in real if _sound(effect, row[0], row[1]) and _apart(row[0], row[2])]
     trial, held, columns = _best(effect, allowed or real)
     share, bound = _shares(held, columns)
-    return Screened(
+    return ScoreTest(
         effect=effect,
         trial=trial,
-        held=held,
-        twin=max(twins, key=lambda held: held.gain, default=None),
+        cv=held,
+        placebo=max(placebos, key=lambda held: held.gain, default=None),
         share=share,
         bound=bound,
-        floor=trial.least * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
-        veiled=_veiled(trial, columns),
-        sound=bool(allowed),
-        apart=any(_apart(trial, across) for trial, _, across in real),
-        total=held.gain,
+        floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
+        absorption=_veiled(trial, columns),
+        physical=bool(allowed),
+        separable=any(_apart(trial, across) for trial, _, across in real),
+        total_gain=held.gain,
     )
 
 
@@ -103,25 +103,28 @@ def _best(effect: Effect, rows: Sequence[Row]) -> Row:
     A clip a tenth as deep has the same tangent with ten times the share, and clips nothing.
     """
     best = max(rows, key=lambda row: row[1].gain)
-    if effect.drive is None or best[1].gain <= 0.0:
+    if effect.drive_filter is None or best[1].gain <= 0.0:
         return best
     near = [row for row in rows if row[1].gain >= AS_MUCH * best[1].gain]
     return min(near, key=lambda row: abs(log(abs(float(row[1].coefficient[0])) + 1e-12)))
 
 
 def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
-    low, high = trial.within
-    if not trial.alone:
+    low, high = trial.coefficient_range
+    if not trial.unique:
         return False
-    if effect.drive is not None or effect.passes is not None:
+    if effect.drive_filter is not None or effect.response_filter is not None:
         # such a tangent errs by factors, but not in its sign; the share is one after the refit
         low, high = LEAST_SHARE, float("inf")
-    return bool(low <= held.coefficient[0] <= high and abs(held.coefficient[0]) >= trial.least)
+    return bool(
+        low <= held.coefficient[0] <= high
+        and abs(held.coefficient[0]) >= trial.minimum_coefficient
+    )
 
 
 def _apart(trial: Trial, across: Array) -> bool:
     whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
-    return bool(np.linalg.norm(across[:, 0]) >= trial.apart * np.linalg.norm(whole))
+    return bool(np.linalg.norm(across[:, 0]) >= trial.minimum_separation * np.linalg.norm(whole))
 
 
 def _veiled(trial: Trial, across: Array) -> float:

@@ -9,54 +9,56 @@ came alone.
 from collections.abc import Iterable, Sequence
 from functools import partial
 
-from piezoid.diagnosis.candidates import Beside
+from piezoid.diagnosis.candidate import CERTAIN, Candidate, asked, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import compared
-from piezoid.diagnosis.judgement import CERTAIN, Judged, asked, judged
 from piezoid.diagnosis.refinement import Refined, begun, refined, refined_together
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.shortlist import SelectionContext
 from piezoid.diagnosis.view import View
 from piezoid.numerics.hands import ALONE, Hands
 
 MUCH = 0.4  # of the error: what one of the two takes off where it stands for both
 SURE = 4.0  # standard errors: one cause for what two would explain is the simpler tale
 LEAST = 0.01  # of the error: what a round of both must gain to be gone on with
-ROUNDS = 2  # along their valley; the rest of the way is gone when rivals are asked
+ROUNDS = 2  # along their valley; the rest of the way is gone when confounded effects are asked
 NOISY = 1.1  # times the noise: an error below it leaves nothing for a second effect
-WIDE = 2  # parameters: what has fewer is refined beside what was accepted whenever it is tried
-Pair = tuple[Sequence[Accepted], View]
+WIDE = 2  # parameters: what has fewer is refined beside what was selected whenever it is tried
+Pair = tuple[Sequence[SelectedEffect], View]
 
 
-def pair_of(tried: Sequence[Judged], beside: Beside, hands: Hands = ALONE) -> tuple[Accepted, ...]:
+def pair_of(
+    tried: Sequence[Candidate], beside: SelectionContext, hands: Hands = ALONE
+) -> tuple[SelectedEffect, ...]:
     """Return two effects of which neither was possible alone, none where they are no evidence.
 
-    tried  effects refitted alone beside what was accepted
+    tried  effects refitted alone beside what was selected
     """
     one = min(tried, key=lambda j: j.view.rms, default=None)
-    if one is None or one.sound or one.held.gain < MUCH or one.held.z < CERTAIN:
+    if one is None or one.physical or one.cv.gain < MUCH or one.cv.z < CERTAIN:
         return ()
     alike = [j for j in tried if j is not one and _alike(j.effect, one.effect)]
-    alone = (one.accepted, one.view)
-    others = [(j.accepted, j.view) for j in alike]
+    alone = (one.selected, one.view)
+    others = [(j.selected, j.view) for j in alike]
     return _best(
-        hands.each(lambda other: _pair(alone, other, beside.clean, beside.accepted), others)
+        hands.each(lambda other: _pair(alone, other, beside.clean, beside.selected), others)
     )
 
 
-def pair_in_place(beside: Beside, hands: Hands = ALONE) -> tuple[Accepted, ...]:
-    """Return what was accepted with two effects in the place of one, none where that is no better.
+def pair_in_place(beside: SelectionContext, hands: Hands = ALONE) -> tuple[SelectedEffect, ...]:
+    """Return what was selected with two effects in the place of one, none where that is no better.
 
-    Looked for is one of more parameters than the time of what was accepted.
+    Looked for is one of more parameters than the time of what was selected.
     """
     if beside.view.rms < NOISY * beside.view.noise:
         return ()
-    named = {one.effect.name for one in beside.accepted}
-    for one in beside.accepted:
+    named = {one.effect.name for one in beside.selected}
+    for one in beside.selected:
         if not one.free or one.struck:
             continue
-        rest = tuple(other for other in beside.accepted if other is not one)
+        rest = tuple(other for other in beside.selected if other is not one)
         alike = [e for e in EFFECTS if e.name not in named and _alike(e, one.effect)]
         without = extended(beside.clean, rest)
         here = (one, beside.view)
@@ -68,17 +70,19 @@ def pair_in_place(beside: Beside, hands: Hands = ALONE) -> tuple[Accepted, ...]:
 
 def _alike(effect: Effect, other: Effect) -> bool:
     """Tell whether one may be taken for both; what rings is nowhere taken for a lag."""
-    return effect.against is None and not effect.rings and effect.resembles(other)
+    return effect.null_without is None and not effect.may_be_absorbed and effect.resembles(other)
 
 
 def _beside(
-    here: Refined, without: View, clean: View, rest: Sequence[Accepted], effect: Effect
+    here: Refined, without: View, clean: View, rest: Sequence[SelectedEffect], effect: Effect
 ) -> Pair | None:
     other = _alone(effect, without, clean, rest)
     return _pair(here, other, clean, rest) if other else None
 
 
-def _alone(effect: Effect, without: View, clean: View, rest: Sequence[Accepted]) -> Refined | None:
+def _alone(
+    effect: Effect, without: View, clean: View, rest: Sequence[SelectedEffect]
+) -> Refined | None:
     """Return an effect refined in the place of another, None where it cannot be or is narrow.
 
     without  the view with the rest at work
@@ -86,18 +90,20 @@ def _alone(effect: Effect, without: View, clean: View, rest: Sequence[Accepted])
     if effect.untestable(without):
         return None
     seen = screen(effect, without)
-    if seen is None or not seen.sound or len(seen.trial.free) < WIDE:
+    if seen is None or not seen.physical or len(seen.trial.free) < WIDE:
         return None
-    return refined(begun(effect, seen.trial, float(seen.held.coefficient[0])), clean, rest)
+    return refined(begun(effect, seen.trial, float(seen.cv.coefficient[0])), clean, rest)
 
 
-def _best(pairs: Iterable[Pair | None]) -> tuple[Accepted, ...]:
+def _best(pairs: Iterable[Pair | None]) -> tuple[SelectedEffect, ...]:
     found = [pair for pair in pairs if pair is not None]
     best = min(found, key=lambda pair: pair[1].rms, default=((), None))
     return tuple(best[0])
 
 
-def _pair(one: Refined, other: Refined, clean: View, rest: Sequence[Accepted]) -> Pair | None:
+def _pair(
+    one: Refined, other: Refined, clean: View, rest: Sequence[SelectedEffect]
+) -> Pair | None:
     """Return both and the view with them, None where one alone does as well or is impossible."""
     two = [one[0], other[0]]
     alone = min(one[1], other[1], key=lambda view: view.rms)
@@ -110,14 +116,14 @@ def _pair(one: Refined, other: Refined, clean: View, rest: Sequence[Accepted]) -
     return (two, view) if all(_is_needed(*each, view) for each in needed) else None
 
 
-def _is_needed(one: Accepted, without: View, single: View, view: View) -> bool:
+def _is_needed(one: SelectedEffect, without: View, single: View, view: View) -> bool:
     """Tell whether one of two is evidence beside the other, and beside the other as it was alone.
 
     without  the view with the other as it is now
     single   the view with the other as it was alone
     """
     seen = screen(one.effect, without)
-    if seen is None or not judged(one, view, without, seen=seen).speaks:
+    if seen is None or not judged(one, view, without, seen=seen).is_significant:
         return False
     held = compared(single.null, view.null)
-    return held.z > SURE and held.gain > one.effect.worth * asked(single)
+    return held.z > SURE and held.gain > one.effect.minimum_gain * asked(single)

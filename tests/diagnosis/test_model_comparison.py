@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effects import delay, lag, thermal_drift
-from piezoid.diagnosis.rivals import SEPARABLE, is_close, takes_the_place
+from piezoid.diagnosis.model_comparison import SEPARABLE, is_confounded, replaces_it
 
 BLOCKS = 40
 WITHOUT = 2.0
@@ -17,41 +17,41 @@ def left(rms: float, *, sound: bool = True, sure: bool = True) -> SimpleNamespac
     """Return a cause beside which so much is left, in all blocks alike or here and there."""
     uneven = np.zeros(BLOCKS) if sure else np.random.default_rng(2).normal(0.0, 1.0, BLOCKS)
     return SimpleNamespace(
-        sound=sound,
+        physical=sound,
         without=SimpleNamespace(rms=WITHOUT),
-        held=SimpleNamespace(rms=rms, loss=rms**2 + uneven - uneven.mean()),
+        cv=SimpleNamespace(rms=rms, loss=rms**2 + uneven - uneven.mean()),
     )
 
 
 @pytest.mark.parametrize("rms", [1.0 + 1e-9, 1.005, 1.01])
 def test_causes_that_leave_within_one_percent_are_close_however_sure_blocks_are(rms) -> None:
-    cause, rival = left(1.0), left(rms)
-    assert surely(rival.held.loss, cause.held.loss) > SEPARABLE
-    assert is_close(rival, cause)
+    cause, alternative = left(1.0), left(rms)
+    assert surely(alternative.cv.loss, cause.cv.loss) > SEPARABLE
+    assert is_confounded(alternative, cause)
 
 
 def test_one_percent_of_what_is_left_is_much_where_hardly_anything_was_explained() -> None:
-    cause, rival = left(1.0), left(1.01)
+    cause, alternative = left(1.0), left(1.01)
     cause.without.rms = 1.05  # of whose square a tenth was explained
-    assert not is_close(rival, cause)
+    assert not is_confounded(alternative, cause)
 
 
 def test_one_percent_of_what_was_explained_is_much_where_hardly_anything_is_left() -> None:
-    cause, rival = left(0.1), left(0.2)
-    assert rival.held.rms**2 - cause.held.rms**2 < 0.01 * (WITHOUT**2 - cause.held.rms**2)
-    assert not is_close(rival, cause)
+    cause, alternative = left(0.1), left(0.2)
+    assert alternative.cv.rms**2 - cause.cv.rms**2 < 0.01 * (WITHOUT**2 - cause.cv.rms**2)
+    assert not is_confounded(alternative, cause)
 
 
 @pytest.mark.parametrize(("sure", "close"), [(True, False), (False, True)])
 def test_a_rival_that_leaves_a_tenth_more_is_close_only_where_blocks_are_not_sure(
     sure, close
 ) -> None:
-    assert is_close(left(1.1, sure=sure), left(1.0)) is close
+    assert is_confounded(left(1.1, sure=sure), left(1.0)) is close
 
 
 def test_an_unsound_rival_is_close_where_it_leaves_less_and_only_there() -> None:
-    assert is_close(left(0.9, sound=False), left(1.0))
-    assert not is_close(left(1.0 + 1e-9, sound=False, sure=False), left(1.0))
+    assert is_confounded(left(0.9, sound=False), left(1.0))
+    assert not is_confounded(left(1.0 + 1e-9, sound=False, sure=False), left(1.0))
 
 
 def standing(effect, ahead: float, free: int = 1, speaks: bool = True) -> SimpleNamespace:
@@ -60,14 +60,14 @@ def standing(effect, ahead: float, free: int = 1, speaks: bool = True) -> Simple
     less = ahead / np.sqrt(BLOCKS) * np.std(uneven, ddof=1)
     return SimpleNamespace(
         effect=effect,
-        speaks=speaks,
-        accepted=SimpleNamespace(free=dict.fromkeys(range(free), 2.0)),
-        held=SimpleNamespace(loss=(uneven if ahead else 0.0) - less + np.zeros(BLOCKS)),
+        is_significant=speaks,
+        selected=SimpleNamespace(free=dict.fromkeys(range(free), 2.0)),
+        cv=SimpleNamespace(loss=(uneven if ahead else 0.0) - less + np.zeros(BLOCKS)),
     )
 
 
 @pytest.mark.parametrize(
-    ("rival", "ahead", "free", "speaks", "takes"),
+    ("alternative", "ahead", "free", "speaks", "takes"),
     [
         (delay.EFFECT, 1.5, 1, True, True),  # as simple, and likelier
         (delay.EFFECT, 0.5, 1, True, False),
@@ -79,7 +79,7 @@ def standing(effect, ahead: float, free: int = 1, speaks: bool = True) -> Simple
     ],
 )
 def test_of_two_filters_as_simple_as_each_other_the_likelier_stands_and_no_other_unless_surely(
-    rival, ahead, free, speaks, takes
+    alternative, ahead, free, speaks, takes
 ) -> None:
     cause = standing(lag.EFFECT, 0.0)
-    assert takes_the_place(standing(rival, ahead, free, speaks), cause) is takes
+    assert replaces_it(standing(alternative, ahead, free, speaks), cause) is takes

@@ -45,8 +45,8 @@ def diagnosed(*, in_front: bool) -> Diagnosis:
 
 @pytest.mark.parametrize("in_front", [True, False], ids=["in front", "behind"])
 def test_a_lag_is_named_alone_and_sized_on_either_side_of_the_walls(in_front) -> None:
-    lag, past = diagnosed(in_front=in_front).findings
-    assert (lag.effect, past.effect) == ("lag", "initial_state")
+    lag, memory_after = diagnosed(in_front=in_front).findings
+    assert (lag.effect, memory_after.effect) == ("lag", "initial_state")
     low_us, high_us = lag.size.ci95
     assert low_us < 1e6 * LAG_s < high_us
     assert lag.size.value == pytest.approx(1e6 * LAG_s, rel=0.03)

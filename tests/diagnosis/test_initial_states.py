@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 
-from piezoid.diagnosis import memory
-from piezoid.diagnosis.pasts import FREE, HABITS, habits, past, pasts
+from piezoid.diagnosis import initial_state_search
+from piezoid.diagnosis.initial_states import (
+    FREE,
+    HABITS,
+    hypotheses,
+    memory_after,
+    shared_hypotheses,
+)
 from piezoid.diagnosis.shape import THRESHOLD
 from piezoid.diagnosis.view import with_commands
 from piezoid.numerics.arrays import Array
@@ -36,19 +42,19 @@ def random_drives(seed: int) -> list[Array]:
 @pytest.mark.parametrize("seed", range(12))
 def test_turns_that_nothing_wiped_out_leave_the_memory_of_the_whole_drive(seed) -> None:
     drives = random_drives(seed)
-    after_another = habits(drives, ZERO_VOLTS)[HABITS:]
+    after_another = shared_hypotheses(drives, ZERO_VOLTS)[HABITS:]
     assert len(after_another) == HABITS
-    for turns in after_another:
-        memory = past(drives[0], turns[0])
+    for reversals in after_another:
+        memory = memory_after(drives[0], reversals[0])
         for k in (1, 2):
             memory = left_by(np.append(drives[k - 1], drives[k][0]), memory)
-            np.testing.assert_array_equal(past(drives[k], turns[k]), memory)
+            np.testing.assert_array_equal(memory_after(drives[k], reversals[k]), memory)
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
-    for turns in habits(random_drives(seed), ZERO_VOLTS)[HABITS:]:
-        for kept in turns[1:]:
+    for reversals in shared_hypotheses(random_drives(seed), ZERO_VOLTS)[HABITS:]:
+        for kept in reversals[1:]:
             steps = np.diff(kept)
             assert np.all(steps[1:] * steps[:-1] < 0.0)
             assert np.all(np.diff(np.abs(steps)) < 0.0)
@@ -56,38 +62,41 @@ def test_turns_that_are_kept_alternate_and_close_in_on_the_last(seed) -> None:
 
 def test_the_same_habit_before_every_drive_is_the_same_place_among_its_pasts() -> None:
     drives = random_drives(1)
-    for place, alike in enumerate(habits(drives, ZERO_VOLTS)[:FREE]):
-        assert alike == tuple(pasts(drive)[place] for drive in drives)
-    cycled, other_way = habits(drives, ZERO_VOLTS)[:2]
-    assert [turns[::-1] for turns in cycled] == list(other_way)
+    for place, alike in enumerate(shared_hypotheses(drives, ZERO_VOLTS)[:FREE]):
+        assert alike == tuple(hypotheses(drive)[place] for drive in drives)
+    cycled, other_way = shared_hypotheses(drives, ZERO_VOLTS)[:2]
+    assert [reversals[::-1] for reversals in cycled] == list(other_way)
 
 
 def test_a_stage_that_rests_after_it_was_cycled_lies_at_0_V() -> None:
     drives = random_drives(1)
-    cycled, other_way, *_ = ways = habits(drives, ZERO_VOLTS)[:HABITS]
+    cycled, other_way, *_ = ways = shared_hypotheses(drives, ZERO_VOLTS)[:HABITS]
     for before, at_rest in zip((cycled, other_way), ways[FREE:], strict=True):
-        assert at_rest == tuple((*turns, ZERO_VOLTS) for turns in before)
+        assert at_rest == tuple((*reversals, ZERO_VOLTS) for reversals in before)
 
 
 @pytest.mark.parametrize("first", [-1.0, -0.37, 0.0, 0.8, 1.0])
 def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
     drive = np.array([first, 0.2])
     cycled, other_way, _, decaying = (
-        np.abs(past(drive, turns) - first).max() for turns in pasts(drive)[:FREE]
+        np.abs(memory_after(drive, reversals) - first).max()
+        for reversals in hypotheses(drive)[:FREE]
     )
     assert decaying < AT_REST
     assert max(cycled, other_way) > 0.4
 
 
-@pytest.mark.parametrize("turns", [(-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2)])
-def test_a_sketch_misses_what_the_whole_response_does_behind_a_past(monkeypatch, turns) -> None:
+@pytest.mark.parametrize("reversals", [(-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2)])
+def test_a_sketch_misses_what_the_whole_response_does_behind_a_past(
+    monkeypatch, reversals
+) -> None:
     whole = healthy_view()
     view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
     track, weight = view.tracks[1], whole.weight
-    monkeypatch.setattr(memory, "POINTS", len(track.drive))
-    missed = view.envelope.along(track.drive, turns, weight) - track.response
-    sketch = memory._sketch(view, 1, weight)
-    assert sketch.misfit(turns) == pytest.approx(float(np.std(missed)), rel=1e-9)
+    monkeypatch.setattr(initial_state_search, "POINTS", len(track.drive))
+    missed = view.nuisance.along(track.drive, reversals, weight) - track.response
+    sketch = initial_state_search._sketch(view, 1, weight)
+    assert sketch.misfit(reversals) == pytest.approx(float(np.std(missed)), rel=1e-9)
 
 
 @pytest.mark.parametrize("phase", np.linspace(0.1, 6.0, 7))
@@ -96,7 +105,10 @@ def test_a_drive_that_goes_round_and_round_may_have_run_before_its_recording(pha
     sweep, running = np.linspace(-1.0, 1.0, 100), 0.6 * np.sin(turn + phase) - 0.1
     long_before = 0.6 * np.sin(np.linspace(-80.0, 0.0, 9000) + phase) - 0.1
     met = left_by(running[:1], left_by(long_before, np.zeros(len(THRESHOLD))))
-    found = [past(running, turns[1]) for turns in habits([sweep, running], ZERO_VOLTS)]
+    found = [
+        memory_after(running, reversals[1])
+        for reversals in shared_hypotheses([sweep, running], ZERO_VOLTS)
+    ]
     assert len(found) == 4 * HABITS
     assert min(np.abs(memory - met).max() for memory in found) < 2e-3
 
@@ -110,4 +122,4 @@ def test_a_drive_that_does_not_go_round_and_round_began_with_its_recording(kind)
         "growing": turn / 60.0 * np.sin(turn),
         "walk": np.repeat(np.random.default_rng(2).uniform(-1.0, 1.0, 60), 20),
     }
-    assert len(habits([drives[kind]], ZERO_VOLTS)) == 2 * HABITS
+    assert len(shared_hypotheses([drives[kind]], ZERO_VOLTS)) == 2 * HABITS

@@ -23,7 +23,7 @@ from piezoid.records.recording import Quantity, Recording
 Tracks = Sequence[Track]
 
 
-def worth_of(
+def attributed(
     explained: Explained,
     recordings: Sequence[Recording],
     *,
@@ -42,9 +42,9 @@ def worth_of(
     found = [
         Found(
             effect=cause.effect.name,
-            parameters=cause.accepted.parameters,
-            coefficient=cause.held.coefficient,
-            struck=cause.accepted.struck,
+            parameters=cause.selected.parameters,
+            coefficient=cause.cv.coefficient,
+            struck=cause.selected.struck,
         )
         for cause in outcome.causes
     ]

@@ -1,5 +1,4 @@
-"""The structural envelope: a wide class of hysteresis that does not know of rate, time or other
-axes.
+"""The nuisance class: hysteresis of nearly any kind, without rate, time or other axes.
 
     y = sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
         + zero of the track
@@ -23,14 +22,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import Knee, bent_states
+from piezoid.diagnosis.bouc_wen import BoucWenLaw, states_under
 from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of, way_to
-from piezoid.diagnosis.pasts import Turns
+from piezoid.diagnosis.initial_states import Reversals
 from piezoid.diagnosis.shape import (
-    KNEE_COLUMNS,
+    BOUC_WEN_COLUMNS,
     SHARED,
     bias_places,
-    knee_columns,
+    bouc_wen_columns,
     shape,
     write_shape,
 )
@@ -44,16 +43,16 @@ KEPT = 1 << 20  # samples of which all states are kept: some 300 MB
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Envelope:
-    """The class on some tracks, each with a past.
+class NuisanceClass:
+    """The class on some tracks, each with an initial state.
 
-    histories  tracks with their pasts
-    knee       a Bouc-Wen state beside the others, or none
+    histories  tracks with their initial states
+    bouc_wen       a Bouc-Wen state beside the others, or none
     free       whether the first states of every track may be corrected
     """
 
     histories: tuple[History, ...]
-    knee: Knee | None = None
+    bouc_wen: BoucWenLaw | None = None
     free: bool = False
 
     @Once
@@ -62,9 +61,9 @@ class Envelope:
         return tuple(history.track for history in self.histories)
 
     @Once
-    def turns(self) -> tuple[Turns, ...]:
+    def reversals(self) -> tuple[Reversals, ...]:
         """Return the values at which the drive turned before each track."""
-        return tuple(history.turns for history in self.histories)
+        return tuple(history.reversals for history in self.histories)
 
     @Once
     def edges(self) -> Places:
@@ -74,7 +73,7 @@ class Envelope:
     @Once
     def shared(self) -> int:
         """Return how many columns all tracks share."""
-        return SHARED + (KNEE_COLUMNS if self.knee else 0)
+        return SHARED + (BOUC_WEN_COLUMNS if self.bouc_wen else 0)
 
     @property
     def own(self) -> int:
@@ -108,8 +107,8 @@ class Envelope:
                 history, poled = self.histories[k], first + 1 + FORGETTING
                 columns[rows, first + 1 : poled] = history.kept(FORGETTING)
                 columns[rows, poled : first + self.own] = history.poled()
-        if self.knee:
-            columns[:, SHARED : self.shared] = self.bent_rows
+        if self.bouc_wen:
+            columns[:, SHARED : self.shared] = self.bouc_wen_rows
         return columns
 
     @Once
@@ -118,11 +117,12 @@ class Envelope:
         return np.asarray(self.columns.T @ self.columns)
 
     @property
-    def bent_rows(self) -> Array:
+    def bouc_wen_rows(self) -> Array:
         """Return the columns of the Bouc-Wen state at all rows."""
         parts = [
-            knee_columns(
-                self.bent_at(h.turns, h.track.drive, h.track.place), h.track.drive[h.track.place]
+            bouc_wen_columns(
+                self.bent_at(h.reversals, h.track.drive, h.track.place),
+                h.track.drive[h.track.place],
             )
             for h in self.histories
         ]
@@ -135,40 +135,44 @@ class Envelope:
 
     @Once
     def _bends(self) -> tuple[Array, ...]:
-        return tuple(self.bent(h.turns, h.track.drive) for h in self.histories)
+        return tuple(self.bent(h.reversals, h.track.drive) for h in self.histories)
 
     def static(self, k: int, weight: Array) -> Array:
         """Return what the shared columns make of a track's drive, (samples,)."""
         drive = self.tracks[k].drive
         if not self._keeps:
-            return self.along(drive, self.turns[k], weight)
+            return self.along(drive, self.reversals[k], weight)
         total = self.histories[k].static(weight)
-        return total + bent_part(self._bends[k], drive, weight) if self.knee else total
+        return total + bent_part(self._bends[k], drive, weight) if self.bouc_wen else total
 
-    def along(self, drive: Array, turns: Turns, weight: Array) -> Array:
+    def along(self, drive: Array, reversals: Reversals, weight: Array) -> Array:
         """Return what the shared columns make of any drive that turned before, (samples,)."""
-        total = static_of(drive, turns, weight)
-        return total + bent_part(self.bent(turns, drive), drive, weight) if self.knee else total
+        total = static_of(drive, reversals, weight)
+        return (
+            total + bent_part(self.bent(reversals, drive), drive, weight)
+            if self.bouc_wen
+            else total
+        )
 
-    def bent(self, turns: Turns, drive: Array) -> Array:
+    def bent(self, reversals: Reversals, drive: Array) -> Array:
         """Return the Bouc-Wen state along a drive that turned before, (samples,)."""
-        assert self.knee is not None
-        return bent_states(self.knee, turns, drive)
+        assert self.bouc_wen is not None
+        return states_under(self.bouc_wen, reversals, drive)
 
-    def bent_at(self, turns: Turns, drive: Array, place: Places) -> Array:
+    def bent_at(self, reversals: Reversals, drive: Array, place: Places) -> Array:
         """Return the Bouc-Wen state at some samples of a drive that turned before, (rows,)."""
         way, rows = way_to(drive, place)
-        return self.bent(turns, drive[way])[rows]
+        return self.bent(reversals, drive[way])[rows]
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""
-        place, turns = self.tracks[k].place, self.turns[k]
-        rows = shape(*states_at(drive, turns, place), drive[place], weight[:SHARED])
-        if not self.knee:
+        place, reversals = self.tracks[k].place, self.reversals[k]
+        rows = shape(*states_at(drive, reversals, place), drive[place], weight[:SHARED])
+        if not self.bouc_wen:
             return rows
-        return rows + bent_part(self.bent_at(turns, drive, place), drive[place], weight)
+        return rows + bent_part(self.bent_at(reversals, drive, place), drive[place], weight)
 
 
 def bent_part(state: Array, drive: Array, weight: Array) -> Array:
     """Return what the columns of a Bouc-Wen state make, weighted by the last shared ones."""
-    return np.asarray(knee_columns(state, drive) @ weight[SHARED:])
+    return np.asarray(bouc_wen_columns(state, drive) @ weight[SHARED:])

@@ -13,7 +13,7 @@ from piezoid.diagnosis.shape import PLAYS, THRESHOLD
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 
-PASTS = 16
+RANDOM_HYPOTHESES = 16
 ONCE, TWICE = 9, 5  # places of turns to try
 FREE = 4  # of the histories are what a laboratory does on purpose wherever 0 V lies,
 HABITS = FREE + 2  # and so many with the two that end there
@@ -21,16 +21,16 @@ DECAYING = 24  # turns that end at rest
 ROUND = 0.03  # of a drive's span: so near an end it has come there
 ROUNDS = 3  # that show that a drive goes round
 SAME = 1.4  # times the mean round: a first one that is longer begins a sweep of the frequency
-Turns = tuple[float, ...]
+Reversals = tuple[float, ...]
 
 
-def past(drive: Array, turns: Sequence[float]) -> Array:
+def memory_after(drive: Array, reversals: Sequence[float]) -> Array:
     """Return the memory a drive leaves that turned at these values before the first sample."""
-    way = np.array([*turns, float(drive[0])])
+    way = np.array([*reversals, float(drive[0])])
     return play_columns(way, THRESHOLD, np.zeros(PLAYS))[1]
 
 
-def pasts(drive: Array) -> tuple[Turns, ...]:
+def hypotheses(drive: Array) -> tuple[Reversals, ...]:
     """Return histories to choose from, cycled over the range first, then what people do instead.
 
     They cycle the other way, come from rest, or from ever smaller turns about the first value.
@@ -39,10 +39,10 @@ def pasts(drive: Array) -> tuple[Turns, ...]:
     low, high = min(-1.0, float(drive.min())), max(1.0, float(drive.max()))
     once = np.linspace(low, high, ONCE + 2)[1:-1].tolist()
     twice = np.linspace(low, high, TWICE + 2)[1:-1].tolist()
-    chance = np.random.default_rng(PASTS)
+    chance = np.random.default_rng(RANDOM_HYPOTHESES)
     drawn = [
         (*chance.uniform((-0.3, -1, -0.3, -1, -0.3, -1), (1, 0.3, 1, 0.3, 1, 0.3)).tolist(),)
-        for _ in range(PASTS)
+        for _ in range(RANDOM_HYPOTHESES)
     ]
     return (
         (low, high),
@@ -55,13 +55,13 @@ def pasts(drive: Array) -> tuple[Turns, ...]:
     )
 
 
-def _decaying(about: float) -> Turns:
+def _decaying(about: float) -> Reversals:
     away = np.linspace(1.0, 0.0, DECAYING, endpoint=False)
     away[1::2] *= -1.0
     return (*(about + away).tolist(),)
 
 
-def habits(drives: Sequence[Array], rest: float) -> tuple[tuple[Turns, ...], ...]:
+def shared_hypotheses(drives: Sequence[Array], rest: float) -> tuple[tuple[Reversals, ...], ...]:
     """Return what was done before drives by a laboratory that does it always alike.
 
     Before each of them, or before the first, and each goes on where the one before it ended. A
@@ -71,15 +71,15 @@ def habits(drives: Sequence[Array], rest: float) -> tuple[tuple[Turns, ...], ...
     """
     known = [_on_purpose(drive, rest) for drive in drives]
     rounds = [_round_of(drive) for drive in drives]
-    found: list[tuple[Turns, ...]] = []
+    found: list[tuple[Reversals, ...]] = []
     for led in (False, True) if any(rounds) else (False,):
         lead = rounds if led else [()] * len(drives)
-        found += [tuple(map(_led, turns, lead)) for turns in zip(*known, strict=True)]
-        found += [_one_after_another(turns, drives, lead) for turns in known[0]]
+        found += [tuple(map(_led, reversals, lead)) for reversals in zip(*known, strict=True)]
+        found += [_one_after_another(reversals, drives, lead) for reversals in known[0]]
     return tuple(found)
 
 
-def _round_of(drive: Array) -> Turns:
+def _round_of(drive: Array) -> Reversals:
     """Return the last two turns of a drive that goes round and round, before it began."""
     low, high = float(drive.min()), float(drive.max())
     near = ROUND * (high - low)
@@ -92,30 +92,30 @@ def _round_of(drive: Array) -> Turns:
     return (high, low) if above[0] != began_there else (low, high)
 
 
-def _led(turns: Turns, lead: Turns) -> Turns:
-    return _left_by(turns, np.array(lead)) if lead else turns
+def _led(reversals: Reversals, lead: Reversals) -> Reversals:
+    return _left_by(reversals, np.array(lead)) if lead else reversals
 
 
-def _on_purpose(drive: Array, rest: float) -> tuple[Turns, ...]:
-    free = pasts(drive)[:FREE]
+def _on_purpose(drive: Array, rest: float) -> tuple[Reversals, ...]:
+    free = hypotheses(drive)[:FREE]
     return (*free, *((*cycled, rest) for cycled in free[:2]))
 
 
 def _one_after_another(
-    turns: Turns, drives: Sequence[Array], lead: Sequence[Turns]
-) -> tuple[Turns, ...]:
-    found = [_led(turns, lead[0])]
+    reversals: Reversals, drives: Sequence[Array], lead: Sequence[Reversals]
+) -> tuple[Reversals, ...]:
+    found = [_led(reversals, lead[0])]
     for drive, first in zip(drives[:-1], lead[1:], strict=True):
         found.append(_led(_left_by(found[-1], drive), first))
     return (*found,)
 
 
-def _left_by(turns: Turns, drive: Array) -> Turns:
+def _left_by(reversals: Reversals, drive: Array) -> Reversals:
     """Return the turns that nothing later wiped out: seen from the end, each goes farther.
 
     The end itself is one: the next drive may go either way from there.
     """
-    way = np.array([*turns, *drive])[::-1]
+    way = np.array([*reversals, *drive])[::-1]
     higher = np.diff(np.maximum.accumulate(way)) > 0.0
     lower = np.diff(np.minimum.accumulate(way)) < 0.0
     places = np.flatnonzero(higher | lower)

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezoid.diagnosis import candidates
+from piezoid.diagnosis import shortlist
 from piezoid.numerics.hands import ALONE
 
 
@@ -13,7 +13,7 @@ def found(name: str, total: float, sound: bool = True) -> SimpleNamespace:
     held = SimpleNamespace(gain=total, coefficient=[1.0])
     effect = SimpleNamespace(name=name)
     return SimpleNamespace(
-        effect=effect, trial=trial, held=held, twin=None, total=total, sound=sound
+        effect=effect, trial=trial, cv=held, placebo=None, total_gain=total, physical=sound
     )
 
 
@@ -26,20 +26,20 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
     def judged(one, *_, **__) -> SimpleNamespace:
         held = SimpleNamespace(rms=0.5)
         name = one.effect.name
-        return SimpleNamespace(name=name, speaks=name == evidence, held=held, accepted=one)
+        return SimpleNamespace(name=name, is_significant=name == evidence, cv=held, selected=one)
 
     stand_ins = {
         "begun": lambda effect, *_: SimpleNamespace(effect=effect),
-        "extended": lambda _, accepted: SimpleNamespace(rms=left(accepted[-1].effect.name)),
+        "extended": lambda _, selected: SimpleNamespace(rms=left(selected[-1].effect.name)),
         "refined": lambda one, *_: (one, None),
         "judged": judged,
         "_together": lambda alone, *_: alone,
         "_left_over": lambda *_: False,
     }
     for name, what in stand_ins.items():
-        monkeypatch.setattr(candidates, name, what)
-    beside = candidates.Beside(clean=None, accepted=(), view=None)
-    return [one.name for one in candidates.refitted(screenings, beside, ALONE)]
+        monkeypatch.setattr(shortlist, name, what)
+    beside = shortlist.SelectionContext(clean=None, selected=(), view=None)
+    return [one.name for one in shortlist.refitted(screenings, beside, ALONE)]
 
 
 SCREENED = [

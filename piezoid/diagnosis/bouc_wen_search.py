@@ -1,7 +1,7 @@
-"""Knee: the Bouc-Wen state that would serve the envelope best.
+"""Search for the Bouc-Wen state that serves the nuisance class best.
 
-It is structure, not a cause: it is taken in only where it leaves less than any effect does. What
-else is said to be structure has to beat the class without it, where that has a knee of its own.
+It is structure, not a cause: it is taken in only where it leaves less than any effect does. Other
+structure has to beat the class without it, which may then have a Bouc-Wen state of its own.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import Knee
+from piezoid.diagnosis.bouc_wen import BoucWenLaw
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.view import View, with_knee
+from piezoid.diagnosis.view import View, with_bouc_wen
 from piezoid.numerics.hands import ALONE, Hands
 
 BETAS = (0.8, 1.6, 3.2)
@@ -29,39 +29,39 @@ Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 Left = Callable[[Law], float]
 
 
-def with_best_knee(view: View, hands: Hands = ALONE) -> View:
+def with_best_bouc_wen(view: View, hands: Hands = ALONE) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
-    bare = with_knee(view, None)
+    bare = with_bouc_wen(view, None)
 
     def left(law: Law) -> float:
         # the view's own columns are taken out of all
-        across = bare.null.without(with_knee(bare, _knee(law)).envelope.bent_rows)
+        across = bare.null.without(with_bouc_wen(bare, _law_of(law)).nuisance.bouc_wen_rows)
         found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
         return float(np.sum((bare.null.residual - across @ found) ** 2))
 
-    return with_knee(view, _best(left, hands=hands))
+    return with_bouc_wen(view, _best(left, hands=hands))
 
 
-def with_knee_of(view: View, against: Callable[[View], Null]) -> View:
-    """Return the view with the knee that serves a smaller class best.
+def with_bouc_wen_of(view: View, against: Callable[[View], Null]) -> View:
+    """Return the view with the Bouc-Wen state that serves a smaller class best.
 
     against  (view) -> the smaller class
     """
 
     def left(law: Law) -> float:
-        return against(with_knee(view, _knee(law))).rms
+        return against(with_bouc_wen(view, _law_of(law))).rms
 
-    return with_knee(view, _best(left, BENDS))
+    return with_bouc_wen(view, _best(left, BENDS))
 
 
-def _best(left: Left, bends: Sequence[float] = (0.0,), hands: Hands = ALONE) -> Knee:
+def _best(left: Left, bends: Sequence[float] = (0.0,), hands: Hands = ALONE) -> BoucWenLaw:
     """Return the state that leaves least: the best of a grid, then one step after another."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
     best = min(zip(hands.each(left, laws), laws, strict=True), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
             best = _better(left, best, place, part)
-    return _knee(best[1])
+    return _law_of(best[1])
 
 
 def _better(left: Left, best: tuple[float, Law], place: int, part: float) -> tuple[float, Law]:
@@ -87,6 +87,6 @@ def _stepped(law: Law, place: int, part: float) -> Law:
     return there[0], there[1], there[2], there[3]
 
 
-def _knee(law: Law) -> Knee:
+def _law_of(law: Law) -> BoucWenLaw:
     beta, ratio, exponent, bend = law
     return beta, ratio * beta, exponent, bend

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezoid.diagnosis import pairs
-from piezoid.diagnosis.candidates import Beside
+from piezoid.diagnosis import joint_candidates
+from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import (
     creep,
@@ -16,9 +16,9 @@ from piezoid.diagnosis.effects import (
     rate_dependence,
     resonance,
 )
-from piezoid.diagnosis.judgement import Judged, judged
 from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.screening import screen
+from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.shortlist import SelectionContext
 from piezoid.diagnosis.view import View
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -28,10 +28,10 @@ from .bench import recorded, view_of_recordings
 def tried(effect, *, left: float, gain: float = 0.6, z: float = 10.0, sound: bool = False):
     return SimpleNamespace(
         effect=effect,
-        accepted=effect.name,
+        selected=effect.name,
         view=SimpleNamespace(rms=left),
-        held=SimpleNamespace(gain=gain, z=z),
-        sound=sound,
+        cv=SimpleNamespace(gain=gain, z=z),
+        physical=sound,
     )
 
 
@@ -42,8 +42,10 @@ def taken(monkeypatch, *tried_ones, lone: str = "") -> tuple[str, ...]:
         both, left = (one[0], other[0]), one[1].rms * other[1].rms
         return None if lone in both else (both, SimpleNamespace(rms=left))
 
-    monkeypatch.setattr(pairs, "_pair", pair)
-    return pairs.pair_of(tried_ones, Beside(clean=None, accepted=(), view=None))
+    monkeypatch.setattr(joint_candidates, "_pair", pair)
+    return joint_candidates.pair_of(
+        tried_ones, SelectionContext(clean=None, selected=(), view=None)
+    )
 
 
 LAG = tried(lag.EFFECT, left=0.4)
@@ -75,8 +77,8 @@ def test_what_looks_like_something_else_or_rings_or_is_structure_is_no_partner(
     assert taken(monkeypatch, tried(other, left=0.4), RATE) == ()
 
 
-def in_place(monkeypatch, *accepted, left: float = 1.2, wide: str = "rate_dependence"):
-    """Return what is accepted after one of them may be two; only one effect is wide."""
+def in_place(monkeypatch, *selected, left: float = 1.2, wide: str = "rate_dependence"):
+    """Return what is selected after one of them may be two; only one effect is wide."""
 
     def alone(effect, *_) -> tuple[str, SimpleNamespace] | None:
         return (effect.name, SimpleNamespace(rms=1.5)) if effect.name == wide else None
@@ -84,11 +86,13 @@ def in_place(monkeypatch, *accepted, left: float = 1.2, wide: str = "rate_depend
     def pair(one, other, *_) -> tuple[tuple[object, str], SimpleNamespace]:
         return (one[0], other[0]), SimpleNamespace(rms=0.9)
 
-    monkeypatch.setattr(pairs, "extended", lambda *_: None)
-    monkeypatch.setattr(pairs, "_alone", alone)
-    monkeypatch.setattr(pairs, "_pair", pair)
+    monkeypatch.setattr(joint_candidates, "extended", lambda *_: None)
+    monkeypatch.setattr(joint_candidates, "_alone", alone)
+    monkeypatch.setattr(joint_candidates, "_pair", pair)
     view = SimpleNamespace(rms=left, noise=1.0)
-    return pairs.pair_in_place(Beside(clean=None, accepted=accepted, view=view))
+    return joint_candidates.pair_in_place(
+        SelectionContext(clean=None, selected=selected, view=view)
+    )
 
 
 def at_work(effect, *, struck: bool = False) -> SimpleNamespace:
@@ -122,18 +126,22 @@ def test_nothing_is_put_beside_what_leaves_the_noise_was_struck_or_has_its_other
 def test_one_of_two_is_needed_where_it_speaks_and_the_other_alone_surely_leaves_more(
     monkeypatch, speaks, z, gain, needed
 ) -> None:
-    monkeypatch.setattr(pairs, "screen", lambda *_: "seen")
-    monkeypatch.setattr(pairs, "judged", lambda *_, **__: SimpleNamespace(speaks=speaks))
-    monkeypatch.setattr(pairs, "compared", lambda *_: SimpleNamespace(z=z, gain=gain))
+    monkeypatch.setattr(joint_candidates, "screen", lambda *_: "seen")
+    monkeypatch.setattr(
+        joint_candidates, "judged", lambda *_, **__: SimpleNamespace(is_significant=speaks)
+    )
+    monkeypatch.setattr(joint_candidates, "compared", lambda *_: SimpleNamespace(z=z, gain=gain))
     one, view = SimpleNamespace(effect=lag.EFFECT), SimpleNamespace(null=None, rms=1.0, noise=0.1)
-    assert pairs._is_needed(one, view, view, view) is needed
+    assert joint_candidates._is_needed(one, view, view, view) is needed
 
 
 def test_a_lag_and_a_rate_dependence_are_a_pair_and_a_lag_alone_is_none() -> None:
     for sizes, found in (({"rate_dependence": 0.4, "lag": 0.3}, True), ({"lag": 0.3}, False)):
         clean = campaign_of(12, ("sweep", "rates"), sizes)
         both = [alone(effect, clean) for effect in (rate_dependence.EFFECT, lag.EFFECT)]
-        pair = pairs.pair_of(both, Beside(clean=clean, accepted=(), view=clean))
+        pair = joint_candidates.pair_of(
+            both, SelectionContext(clean=clean, selected=(), view=clean)
+        )
         assert [one.effect.name for one in pair] == (list(sizes) if found else [])
 
 
@@ -142,8 +150,8 @@ def campaign_of(seed: int, plans: tuple[str, ...], effects: dict[str, float]) ->
     return view_of_recordings(*recorded(campaign))
 
 
-def alone(effect: Effect, clean: View) -> Judged:
+def alone(effect: Effect, clean: View) -> Candidate:
     """Return an effect that was refitted alone, and that physics is said not to allow there."""
     seen = screen(effect, clean)
-    one, view = refined(begun(effect, seen.trial, float(seen.held.coefficient[0])), clean, [])
-    return replace(judged(one, view, clean, seen=seen), sound=False)
+    one, view = refined(begun(effect, seen.trial, float(seen.cv.coefficient[0])), clean, [])
+    return replace(judged(one, view, clean, seen=seen), physical=False)

@@ -8,15 +8,15 @@ import pytest
 
 import piezoid.diagnosis.diagnose as engine
 from piezoid.diagnosis import something_else
+from piezoid.diagnosis.attribution import mending, repaired
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import delay, rate_dependence
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import compared
-from piezoid.diagnosis.judgement import Judged
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.worth import mending, repaired
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.simulation import simulate_recording
@@ -27,19 +27,19 @@ from tests.identification.joint.stage import NOISE_m, disturbed, known_model, re
 DELAY_s = 2e-3
 
 
-def outcome_of(recordings: Sequence[Recording], *found: Accepted) -> Outcome:
+def outcome_of(recordings: Sequence[Recording], *found: SelectedEffect) -> Outcome:
     """Return a search that came to these causes."""
     view = view_on(recordings, axis="x", lab=Lab())
     causes = []
     for one in found:
         there = extended(view, [one])
         causes.append(
-            Judged(
-                accepted=one,
-                held=compared(view.null, there.null),
-                twin=None,
+            Candidate(
+                selected=one,
+                cv=compared(view.null, there.null),
+                placebo=None,
                 share=0.01,
-                sound=True,
+                physical=True,
                 without=view,
                 view=there,
             )
@@ -51,7 +51,7 @@ def outcome_of(recordings: Sequence[Recording], *found: Accepted) -> Outcome:
         final=final,
         faults={},
         causes=tuple(causes),
-        rivals={},
+        confounded={},
         screened={},
     )
 
@@ -60,7 +60,7 @@ def test_a_diagnosis_of_a_model_carries_it_with_what_was_found(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     recordings = recordings_of(Delay(delay_s=DELAY_s))
-    late = Accepted(
+    late = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": 1.3 * DELAY_s}, free={"delay_s": 1.5}
     )
     outcome = outcome_of(recordings, late)
@@ -115,11 +115,11 @@ def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
 
 def test_a_share_of_the_stroke_is_known_the_better_the_surer_its_effect_is() -> None:
     slow = {"time_s": 0.01, "strain": 0.03}
-    answer = Accepted(effect=rate_dependence.EFFECT, parameters=slow)
+    answer = SelectedEffect(effect=rate_dependence.EFFECT, parameters=slow)
     (cause,) = outcome_of(recordings_of(), answer).causes
     reach = []
     for z in (0.5, 4.0, 8.0):
-        size = size_of(replace(cause, held=replace(cause.held, z=z)))
+        size = size_of(replace(cause, cv=replace(cause.cv, z=z)))
         low, high = size.ci95
         assert 0.0 <= low < size.value < high
         reach.append((high - low) / size.value)

@@ -1,4 +1,4 @@
-"""What counts as evidence: how much, how sure, and how much better than an unphysical twin."""
+"""What counts as evidence: how much, how sure, and how much better than a placebo."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
     amplifier_saturation,
@@ -17,8 +18,7 @@ from piezoid.diagnosis.effects import (
     thermal_drift,
 )
 from piezoid.diagnosis.folds import Held
-from piezoid.diagnosis.judgement import Judged
-from piezoid.diagnosis.screening import _best
+from piezoid.diagnosis.score_test import _best
 
 BLOCKS = 40
 
@@ -34,20 +34,22 @@ def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> H
     )
 
 
-def judged(effect, mine: Held, twin: Held | None = None, *, left: float, noise: float) -> Judged:
-    return Judged(
-        accepted=SimpleNamespace(effect=effect),
-        held=mine,
-        twin=twin,
+def judged(
+    effect, mine: Held, placebo: Held | None = None, *, left: float, noise: float
+) -> Candidate:
+    return Candidate(
+        selected=SimpleNamespace(effect=effect),
+        cv=mine,
+        placebo=placebo,
         share=0.01,
-        sound=True,
+        physical=True,
         without=SimpleNamespace(rms=left, noise=noise),
         view=SimpleNamespace(rms=mine.rms, noise=noise),
     )
 
 
 def ahead(standard_errors: float) -> np.ndarray:
-    """Losses of a twin, by so many standard errors above one in every block."""
+    """Losses of a placebo, by so many standard errors above one in every block."""
     spread = np.where(np.arange(BLOCKS) % 2, 1.0, -1.0)
     loss = 1.0 + spread + standard_errors / np.sqrt(BLOCKS) * np.std(spread, ddof=1)
     np.testing.assert_allclose(surely(loss, np.ones(BLOCKS)), standard_errors)
@@ -56,16 +58,20 @@ def ahead(standard_errors: float) -> np.ndarray:
 
 def test_half_the_worth_is_enough_where_hardly_more_than_noise_is_left():
     drift = thermal_drift.EFFECT
-    small = held(gain=0.7 * drift.worth, z=5.0)
-    assert judged(drift, small, left=1.05, noise=1.0).speaks
-    assert not judged(drift, small, left=3.0, noise=1.0).speaks
-    assert judged(drift, held(gain=1.1 * drift.worth, z=5.0), left=3.0, noise=1.0).speaks
+    small = held(gain=0.7 * drift.minimum_gain, z=5.0)
+    assert judged(drift, small, left=1.05, noise=1.0).is_significant
+    assert not judged(drift, small, left=3.0, noise=1.0).is_significant
+    assert judged(
+        drift, held(gain=1.1 * drift.minimum_gain, z=5.0), left=3.0, noise=1.0
+    ).is_significant
 
 
 def test_of_what_ceramics_have_by_themselves_all_the_worth_is_asked_for():
     opening = non_congruence.EFFECT
-    assert opening.common
-    assert not judged(opening, held(gain=0.9 * opening.worth, z=9.0), left=1.01, noise=1.0).speaks
+    assert opening.in_every_material
+    assert not judged(
+        opening, held(gain=0.9 * opening.minimum_gain, z=9.0), left=1.01, noise=1.0
+    ).is_significant
 
 
 @pytest.mark.parametrize(
@@ -80,16 +86,19 @@ def test_of_what_ceramics_have_by_themselves_all_the_worth_is_asked_for():
 def test_other_pasts_are_evidence_where_they_take_off_most_of_what_is_no_noise(
     gain, left, z, speaks
 ):
-    past = initial_state.EFFECT
-    assert gain < 0.5 * past.worth
-    assert judged(past, held(rms=left, gain=gain, z=z), left=left, noise=1.0).speaks is speaks
+    memory_after = initial_state.EFFECT
+    assert gain < 0.5 * memory_after.minimum_gain
+    assert (
+        judged(memory_after, held(rms=left, gain=gain, z=z), left=left, noise=1.0).is_significant
+        is speaks
+    )
 
 
 def test_what_most_ceramics_have_is_no_evidence_for_being_all_that_is_left():
-    opening = held(rms=1.0, gain=0.4 * non_congruence.EFFECT.worth, z=9.0)
-    drift = held(rms=1.0, gain=0.4 * thermal_drift.EFFECT.worth, z=5.0)
-    assert not judged(non_congruence.EFFECT, opening, left=1.0, noise=1.0).speaks
-    assert not judged(thermal_drift.EFFECT, drift, left=1.0, noise=1.0).speaks
+    opening = held(rms=1.0, gain=0.4 * non_congruence.EFFECT.minimum_gain, z=9.0)
+    drift = held(rms=1.0, gain=0.4 * thermal_drift.EFFECT.minimum_gain, z=5.0)
+    assert not judged(non_congruence.EFFECT, opening, left=1.0, noise=1.0).is_significant
+    assert not judged(thermal_drift.EFFECT, drift, left=1.0, noise=1.0).is_significant
 
 
 @pytest.mark.parametrize(
@@ -103,9 +112,9 @@ def test_what_most_ceramics_have_is_no_evidence_for_being_all_that_is_left():
     ],
 )
 def test_a_twin_is_beaten_far_or_above_the_noise(mine_rms, noise, standard_errors, speaks):
-    twin = held(rms=1.06, gain=0.45, loss=ahead(standard_errors))
-    one = judged(creep.EFFECT, held(rms=mine_rms), twin, left=2.0, noise=noise)
-    assert one.speaks is speaks
+    placebo = held(rms=1.06, gain=0.45, loss=ahead(standard_errors))
+    one = judged(creep.EFFECT, held(rms=mine_rms), placebo, left=2.0, noise=noise)
+    assert one.is_significant is speaks
 
 
 def test_of_clips_that_explain_as_much_the_one_that_is_as_deep_as_its_share_is_begun_from():

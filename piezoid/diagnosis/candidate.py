@@ -6,18 +6,18 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.consistency import is_alike
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import Accepted, calm_for
+from piezoid.diagnosis.extended import SelectedEffect, calm_for
 from piezoid.diagnosis.folds import Held, compared
-from piezoid.diagnosis.knee import with_knee_of
-from piezoid.diagnosis.screening import Screened, null_of, screen, screened
+from piezoid.diagnosis.score_test import ScoreTest, null_of, screen, screened
 from piezoid.diagnosis.view import View
 
 CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
 SMALL = 0.5  # may be that part of the gain which is asked for
-OVER_TWIN = 1.6  # times the twin's gain, or
-BEYOND_TWIN = 0.9  # times what the twin leaves, or leaves above the noise, and that
+OVER_PLACEBO = 1.6  # times the placebo's gain, or
+BEYOND_PLACEBO = 0.9  # times what the placebo leaves, or leaves above the noise, and that
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
 STRANGE = 1.25  # times the noise: what a class leaves of a material that it does not follow
 STILL = 2.5  # standard errors of what is there beside it
@@ -27,69 +27,69 @@ FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one a
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
+class Candidate:
     """An effect beside others.
 
-    accepted  the effect with its parameters
-    held      what it brings
-    twin      what its best unphysical twin brings, None where there is none
+    selected  the effect with its parameters
+    cv      what it brings
+    placebo      what its best placebo brings, None where there is none
     share     rms of what it adds beyond the null, of the whole stroke
-    sound     whether physics allows it
+    physical     whether physics allows it
     without   the view with the others at work
     view      the view with it at work as well
     """
 
-    accepted: Accepted
-    held: Held
-    twin: Held | None
+    selected: SelectedEffect
+    cv: Held
+    placebo: Held | None
     share: float
-    sound: bool
+    physical: bool
     without: View
     view: View
 
     @property
     def effect(self) -> Effect:
         """Return the effect."""
-        return self.accepted.effect
+        return self.selected.effect
 
     @property
-    def speaks(self) -> bool:
+    def is_significant(self) -> bool:
         """Tell whether this is evidence, and enough of it to be named."""
-        return self.is_evidence and self.share > self.effect.least
+        return self.is_evidence and self.share > self.effect.minimum_share
 
     @property
     def is_evidence(self) -> bool:
-        """Tell whether this is sure, worth it, physical, and better than its twins."""
+        """Tell whether this is sure, worth it, physical, and better than its placebos."""
         return (
-            self.sound
-            and self.held.z > self.effect.sure
-            and (self.held.gain > self.effect.worth * self._asked or self.settles_it)
-            and self._beats_its_twin
+            self.physical
+            and self.cv.z > self.effect.minimum_z
+            and (self.cv.gain > self.effect.minimum_gain * self._asked or self.explains_the_rest)
+            and self._beats_placebo
         )
 
     @property
-    def settles_it(self) -> bool:
+    def explains_the_rest(self) -> bool:
         """Tell whether structure that not every ceramic has takes off much of what is left."""
-        if self.effect.against is None or self.effect.common:
+        if self.effect.null_without is None or self.effect.in_every_material:
             return False
-        return part_explained(self.held.gain, self.held.rms, self.view.noise) > MUCH
+        return part_explained(self.cv.gain, self.cv.rms, self.view.noise) > MUCH
 
     @property
     def _asked(self) -> float:
         """Return which part of the worth is asked for."""
-        if self.effect.common:
+        if self.effect.in_every_material:
             return 1.0
-        return SMALL if self.held.z > CERTAIN else asked(self.without)
+        return SMALL if self.cv.z > CERTAIN else asked(self.without)
 
     @property
-    def _beats_its_twin(self) -> bool:
-        if self.twin is None or self.held.gain > OVER_TWIN * self.twin.gain:
+    def _beats_placebo(self) -> bool:
+        if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
             return True
-        clear = surely(self.twin.loss, self.held.loss)
-        if self.held.rms < BEYOND_TWIN * self.twin.rms:
+        clear = surely(self.placebo.loss, self.cv.loss)
+        if self.cv.rms < BEYOND_PLACEBO * self.placebo.rms:
             return clear > FAR_SURER
-        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.held, self.twin))
-        return own < BEYOND_TWIN**2 * others and clear > SURER
+        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.cv, self.placebo))
+        return own < BEYOND_PLACEBO**2 * others and clear > SURER
 
 
 def part_explained(gain: float, left: float, noise: float) -> float:
@@ -108,54 +108,54 @@ def asked(without: View) -> float:
     return max(SMALL, sqrt(excess))
 
 
-def judged(one: Accepted, view: View, without: View, *, seen: Screened) -> Judged:
+def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -> Candidate:
     """Judge an effect beside others.
 
     view     with it and all others at work
     without  with the others
-    seen     its screening there, for its twins and for what physics allows
+    seen     its screening there, for its placebos and for what physics allows
     """
     if one.adds:
         return _of_columns(one, seen, without, view)
-    return Judged(
-        accepted=one,
-        held=compared(without.null, view.null),
-        twin=seen.twin,
+    return Candidate(
+        selected=one,
+        cv=compared(without.null, view.null),
+        placebo=seen.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        sound=one.inside and (one.effect.passes is None or is_alike(one, view)),
+        physical=one.inside and (one.effect.response_filter is None or is_alike(one, view)),
         without=without,
         view=view,
     )
 
 
-def _of_columns(one: Accepted, seen: Screened, without: View, view: View) -> Judged:
+def _of_columns(one: SelectedEffect, seen: ScoreTest, without: View, view: View) -> Candidate:
     assert one.effect.columns is not None
     columns = one.effect.columns(calm_for(view, [one]), one.parameters)
     if not np.any(columns):  # refitted with it, the stage itself does what it would have added
-        return Judged(
-            accepted=one,
-            held=seen.held,
-            twin=seen.twin,
+        return Candidate(
+            selected=one,
+            cv=seen.cv,
+            placebo=seen.placebo,
             share=0.0,
-            sound=False,
+            physical=False,
             without=without,
             view=view,
         )
     trial = replace(seen.trial, columns=columns, parameters=one.parameters)
     found = screened(one.effect, null_of(one.effect, without), [trial])
-    return Judged(
-        accepted=one,
-        held=found.held,
-        twin=seen.twin,
+    return Candidate(
+        selected=one,
+        cv=found.cv,
+        placebo=seen.placebo,
         share=found.share,
-        sound=found.sound and one.inside,
+        physical=found.physical and one.inside,
         without=without,
         view=view,
     )
 
 
-def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | None:
-    """Judge a part of the envelope's own structure, with all causes at work; None without trials.
+def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candidate] | None:
+    """Judge a part of the nuisance class itself, with all causes at work; None without trials.
 
     The class without it may have a Bouc-Wen state instead. Where that leaves as little, the part
     has to speak beside the state that serves that class best; where little is at stake, in a
@@ -164,28 +164,30 @@ def judged_structure(effect: Effect, final: View) -> tuple[Screened, Judged] | N
     found = screen(effect, final)
     if found is None:
         return None
-    structure = _of_structure(found, final)
-    if not (structure.speaks and effect.knee and effect.against):
+    structure = _structure_of(found, final)
+    if not (structure.is_significant and effect.minimum_beside_bouc_wen and effect.null_without):
         return found, structure
-    bent = with_knee_of(final, effect.against)
-    as_well = effect.against(bent).rms < AS_LITTLE * final.rms
+    bent = with_bouc_wen_of(final, effect.null_without)
+    as_well = effect.null_without(bent).rms < AS_LITTLE * final.rms
     again = screen(effect, bent)
-    small = structure.held.gain < effect.knee and final.rms > STRANGE * final.noise
+    small = (
+        structure.cv.gain < effect.minimum_beside_bouc_wen and final.rms > STRANGE * final.noise
+    )
     if again is None or not (as_well or small):
         return found, structure
-    if not as_well and again.sound and again.held.z > STILL:
+    if not as_well and again.physical and again.cv.z > STILL:
         return found, structure
-    return again, _of_structure(again, bent)
+    return again, _structure_of(again, bent)
 
 
-def _of_structure(found: Screened, final: View) -> Judged:
-    accepted = Accepted(effect=found.effect, parameters=found.trial.parameters)
-    return Judged(
-        accepted=accepted,
-        held=found.held,
-        twin=found.twin,
+def _structure_of(found: ScoreTest, final: View) -> Candidate:
+    selected = SelectedEffect(effect=found.effect, parameters=found.trial.parameters)
+    return Candidate(
+        selected=selected,
+        cv=found.cv,
+        placebo=found.placebo,
         share=found.share,
-        sound=found.sound,
+        physical=found.physical,
         without=final,
         view=final,
     )

@@ -4,7 +4,7 @@ A slip in the fast half of a chirp looks like a delay of all of the chirp: nothi
 So slips are tried once more against what was found instead. Each must leave no more of its track
 than a delay of the track's own with lags and relaxations beside it could,
 
-    rms_k(slips) <= A rms_k(envelope, all that looks like a delay),
+    rms_k(slips) <= A rms_k(nuisance class, all that looks like a delay),
 
 and together they must leave less, block by block, than the cause that stands there.
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from piezoid.diagnosis.blocks import surely
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.extended import Accepted, extended
+from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.slip_placing import placed, tracks_without
 from piezoid.diagnosis.slips import Slip, beside, late, places_of, strongest
@@ -45,7 +45,7 @@ class Instead:
     """Slips that stand better than what stood there.
 
     clean  the tracks with these put back in step
-    view   the same with what was accepted at work
+    view   the same with what was selected at work
     fault  what they are
     """
 
@@ -54,10 +54,12 @@ class Instead:
     fault: Fault
 
 
-def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> Instead | None:
+def slips_instead(
+    clean: View, selected: Sequence[SelectedEffect], without: View
+) -> Instead | None:
     """Return the slips that follow the tracks as well as all that looks like a delay would.
 
-    without  the view with everything accepted
+    without  the view with everything selected
     """
     null = beside(without)
     could = _rms_of_tracks(without, null)
@@ -66,7 +68,7 @@ def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> I
     for slip in strongest(without, without.null):
         if slip.gain < TAKES:
             break
-        there = _put_right(best, accepted, slip)
+        there = _put_right(best, selected, slip)
         if there is not None and there[1].rms < best[1].rms:
             found[slip.track], best = there[2], there[:2]
     kept = {k: s for k, s in found.items() if _follows(best[1], k, could[k])}
@@ -74,7 +76,7 @@ def slips_instead(clean: View, accepted: Sequence[Accepted], without: View) -> I
         return None
     if len(kept) < len(found):
         repaired = with_tracks(clean, tracks_without(clean, *kept.values()))
-        best = repaired, extended(repaired, accepted)
+        best = repaired, extended(repaired, selected)
     return Instead(
         clean=best[0], view=best[1], fault=_fault(without, list(kept.values()), best[0])
     )
@@ -116,19 +118,19 @@ def _clear(instead: Instead, cause: View) -> float:
 
 
 def _put_right(
-    before: tuple[View, View], accepted: Sequence[Accepted], slip: Slip
+    before: tuple[View, View], selected: Sequence[SelectedEffect], slip: Slip
 ) -> tuple[View, View, Slip] | None:
     """Return the tracks with a slip put right, the view of it, the slip where it is."""
     clean, view = before
 
     def again(tracks: Sequence[Track]) -> View:
-        return extended(with_tracks(clean, tracks), accepted)
+        return extended(with_tracks(clean, tracks), selected)
 
     there = placed(view, slip, again=again)
     if abs(slip.samples / there.samples - 1.0) > WHOLE:
         return None
     repaired = with_tracks(clean, tracks_without(clean, there))
-    return repaired, extended(repaired, accepted), there
+    return repaired, extended(repaired, selected), there
 
 
 def _follows(view: View, k: int, could: float) -> bool:
@@ -136,7 +138,7 @@ def _follows(view: View, k: int, could: float) -> bool:
 
 
 def _rms_of_tracks(view: View, null: Null) -> list[float]:
-    edges = view.envelope.edges
+    edges = view.nuisance.edges
     parts = [null.residual[a:b] for a, b in pairwise(edges)]
     return [float(np.sqrt(np.mean(part**2))) for part in parts]
 

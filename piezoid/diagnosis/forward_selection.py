@@ -1,0 +1,190 @@
+"""Forward selection: one effect after another is added to those selected before.
+
+Every step all effects get a score test; the shortlist is refitted with the whole model, and the
+effect that leaves the smallest error is selected, unless slips of a clock, other initial states or
+a Bouc-Wen state leave less. Where no effect is evidence alone, confounded pairs are tried.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
+from piezoid.diagnosis.candidate import Candidate
+from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.extended import SelectedEffect, extended
+from piezoid.diagnosis.initial_state_search import (
+    OTHER_INITIAL_STATES,
+    shared_does_as_well,
+    with_own_initial_states,
+    with_shared_initial_state,
+)
+from piezoid.diagnosis.joint_candidates import pair_in_place, pair_of
+from piezoid.diagnosis.jumps import struck
+from piezoid.diagnosis.other_side import placed_elsewhere
+from piezoid.diagnosis.refinement import refined
+from piezoid.diagnosis.score_test import ScoreTest, screen
+from piezoid.diagnosis.shortlist import SelectionContext, best_of, refitted
+from piezoid.diagnosis.slip_alternative import Instead, fault_beside, slips_instead, stand_better
+from piezoid.diagnosis.view import (
+    View,
+    with_bouc_wen,
+    with_free_memory,
+    with_reversals,
+    with_shared_reversals,
+)
+from piezoid.numerics.hands import Hands
+
+MOST_CAUSES = 5
+SLIP = "timestamp_fault"
+NOISY = 1.1  # residual/noise below which no structure of hysteresis is looked for
+BOUC_WEN = 0.97  # largest relative error at which a Bouc-Wen state is taken in
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SelectionState:
+    """The state of the selection after a step.
+
+    clean     the view of repaired tracks, with the initial states and Bouc-Wen state taken in
+    selected  effects, in the order in which they were selected
+    faults    of the data, by effect
+    screened  the last score test of each effect that was not selected, also ``BETWEEN`` recordings
+    """
+
+    clean: View
+    selected: tuple[SelectedEffect, ...]
+    faults: Mapping[str, Fault]
+    screened: Mapping[str, ScoreTest]
+
+
+def select_forward(clean: View, faults: Mapping[str, Fault], hands: Hands) -> SelectionState:
+    """Select one effect after another until none is evidence."""
+    hands.say("looking behind jumps of the drive")
+    state = SelectionState(clean=clean, selected=struck(clean), faults=faults, screened={})
+    for _ in range(MOST_CAUSES + 2):
+        view = extended(state.clean, state.selected)
+        named = {one.effect.name for one in state.selected}
+        state = replace(state, screened=_score_all(view, named, hands))
+        next_state = _next_state(state, view, hands)
+        if next_state is None:
+            break
+        state = next_state
+    return state
+
+
+def _next_state(state: SelectionState, view: View, hands: Hands) -> SelectionState | None:
+    """Return the state after the step that leaves the smallest error; None where none helps.
+
+    A step takes in slips, a Bouc-Wen state, other initial states or an effect.
+
+    view  with everything selected, on which the score tests were made
+    """
+    beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
+    tried = refitted(state.screened.values(), beside, hands)
+    best = best_of(tried, beside)
+    least = best.view.rms if best else np.inf
+    moved = placed_elsewhere(beside, best)
+    if moved is not None:
+        return replace(state, selected=moved)
+    shared = with_shared_initial_state(view, hands)
+    own, (bent, slips) = hands.both(
+        lambda: with_own_initial_states(view, shared), lambda: _bent_and_slipped(state, view, best)
+    )
+    if slips is not None and slips[1] < min(own.rms, bent.rms):
+        return slips[0]
+    if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
+        return replace(state, clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
+    # an effect that is evidence but too small to name speaks against other initial states
+    least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
+    if shared.rms < min(OTHER_INITIAL_STATES * view.rms, least) and shared_does_as_well(
+        shared, own, view
+    ):
+        return replace(state, clean=with_shared_reversals(state.clean, shared.nuisance.reversals))
+    if own.rms < min(OTHER_INITIAL_STATES * view.rms, least):
+        return replace(
+            state, clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals))
+        )
+    if best is None:
+        return _with_slips_in_place(state, view) or _with_pair(state, beside, tried, hands)
+    return replace(state, selected=_settled(state.clean, [*state.selected, best.selected]))
+
+
+def _bent_and_slipped(
+    state: SelectionState, view: View, best: Candidate | None
+) -> tuple[View, tuple[SelectionState, float] | None]:
+    """Return the view with one more state of hysteresis, and what slips come to."""
+    bent = with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
+    return bent, _with_slips(state, view, best)
+
+
+def _with_pair(
+    state: SelectionState, beside: SelectionContext, tried: Sequence[Candidate], hands: Hands
+) -> SelectionState | None:
+    """Take in two effects at once that one of them, or both, stood for alone."""
+    hands.say("looking for two that are taken for one")
+    pair = pair_of(tried, beside, hands)
+    selected = (*beside.selected, *pair) if pair else pair_in_place(beside, hands)
+    return replace(state, selected=selected) if selected else None
+
+
+def _with_slips(
+    state: SelectionState, view: View, best: Candidate | None
+) -> tuple[SelectionState, float] | None:
+    """Take in slips where they stand better than a filter, or than nothing; and the error left."""
+    if view.rms < NOISY * view.noise or (best and best.effect.response_filter is None):
+        return None
+    slips = slips_instead(state.clean, state.selected, view)
+    cause = best.view if best else None
+    if slips is None or not stand_better(slips, view, cause, state.faults.get(SLIP)):
+        return None
+    fault = fault_beside(slips, best.effect.name, best.view) if best else slips.fault
+    return _slipped(state, slips, fault, state.selected), slips.view.rms
+
+
+def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | None:
+    """Take in slips that stand better than a filter selected before, in its place."""
+    for one in state.selected:
+        if one.effect.response_filter is None:
+            continue
+        rest = tuple(other for other in state.selected if other is not one)
+        without = extended(state.clean, rest)
+        slips = slips_instead(state.clean, rest, without)
+        if slips and stand_better(slips, without, view, state.faults.get(SLIP)):
+            return _slipped(state, slips, fault_beside(slips, one.effect.name, view), rest)
+    return None
+
+
+def _slipped(
+    state: SelectionState, slips: Instead, fault: Fault, selected: tuple[SelectedEffect, ...]
+) -> SelectionState:
+    faults = {**state.faults, SLIP: fault.after(state.faults.get(SLIP))}
+    return replace(state, clean=slips.clean, selected=selected, faults=faults)
+
+
+def _score_all(view: View, named: set[str], hands: Hands) -> dict[str, ScoreTest]:
+    def screened(effect: Effect) -> ScoreTest | None:
+        hands.say(f"testing {effect.name.replace('_', ' ')}")
+        return screen(effect, view)
+
+    others = [e for e in EFFECTS if e.null_without is None and e.name not in named]
+    others = [effect for effect in others if not effect.untestable(view)]
+    between = {
+        f"{e.name} {BETWEEN}": e.between_recordings
+        for e in others
+        if e.between_recordings is not None
+    }
+    asked = {**{effect.name: effect for effect in others}, **between}
+    found = zip(asked, hands.each(screened, asked.values()), strict=True)
+    return {name: one for name, one in found if one is not None}
+
+
+def _settled(clean: View, selected: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
+    """Refine the older effects beside the newest."""
+    settled = list(selected)
+    for k, one in enumerate(selected[:-1]):
+        if one.free:
+            rest = [other for other in settled if other is not one]
+            settled[k], _ = refined(one, clean, rest, finer=1)
+    return tuple(settled)

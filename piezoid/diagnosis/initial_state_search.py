@@ -1,0 +1,188 @@
+"""The initial state of each track: what hysteresis remembers from before its first sample.
+
+The nuisance class is fitted to rows where that is forgotten: before them the drive has covered its
+whole range since the track began. Hypotheses about the initial state are then compared by how well
+such a class follows a track from its first sample on, each track by itself and all with one, since
+a person cycles a stage the same way every time. Nothing else may pass for memory: a hypothesis
+must lower the error of all tracks together once everything is refitted.
+
+Source: Krejci (1996) on forgetting; Mayergoyz (1991) on wiping out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.diagnosis.bouc_wen import BoucWenLaw, states_under
+from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.friction import REACH, rubbed, rubbing
+from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, bouc_wen_columns, shape
+from piezoid.diagnosis.view import (
+    View,
+    cycled,
+    with_free_memory,
+    with_reversals,
+    with_shared_reversals,
+)
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.hands import ALONE, Hands
+from piezoid.operators.play import play_columns
+
+COVERED = 0.97  # of the whole range: the initial state is then forgotten
+FEWEST = 4  # rows for a column, or all rows are taken
+CLEARLY = 0.9  # largest misfit, relative to a cycled track, at which another hypothesis is taken
+# A shared hypothesis does as well as individual ones if it leaves at most NEARLY of the power that
+# these remove and AS_GOOD of what they leave; from POOR times the noise on the second is waived.
+NEARLY = 0.025
+AS_GOOD = 1.06
+POOR = 2.0
+OTHER_INITIAL_STATES = 0.92  # largest relative error at which other initial states are taken
+POINTS = 500  # samples of a track that are compared
+PARTS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are moved
+FARTHEST = 1.2
+
+
+def with_shared_initial_state(view: View, hands: Hands = ALONE) -> View:
+    """Return the view with the shared hypothesis that leaves the smallest error."""
+    ways = shared_hypotheses(_drives(view), view.rest)
+    # a view holds columns for all rows: the best is made again, sooner than that all are kept
+    left = hands.each(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
+    return with_shared_reversals(view, ways[left.index(min(left))])
+
+
+def with_own_initial_states(view: View, shared: View) -> View:
+    """Return the view in which every track has the initial state that fits it best.
+
+    The first states of every track may be corrected besides.
+
+    shared  the view with the best shared hypothesis, which is among those tried
+    """
+    view = cycled(view)
+    weight = _forgetful_weight(view)
+    sketches = [_sketch(view, k, weight) for k in range(len(view.tracks))]
+    own = tuple(_best_hypothesis(view.nuisance.reversals[k], [s]) for k, s in enumerate(sketches))
+    alike = (_best_hypothesis(view.nuisance.reversals[0], sketches),) * len(sketches)
+    view = with_free_memory(view)
+    ways = (own, alike, shared.nuisance.reversals)
+    view = min(view, *(with_reversals(view, reversals) for reversals in ways), key=_error)
+    for k, best in enumerate(own):
+        here = view.nuisance.reversals
+        view = min(view, with_reversals(view, (*here[:k], best, *here[k + 1 :])), key=_error)
+    return view
+
+
+def with_shared_where_as_good(view: View) -> View:
+    """Return the view with one initial state shared by all tracks.
+
+    A shared hypothesis other than cycling the drive over its range must do as well as initial
+    states fitted track by track.
+    """
+    if not view.nuisance.free:
+        return view
+    first, best = cycled(view), with_shared_initial_state(view)
+    return best if shared_does_as_well(best, view, first) else first
+
+
+def shared_does_as_well(shared: View, own: View, first: View) -> bool:
+    """Tell whether one shared hypothesis leaves as little as initial states fitted track by track.
+
+    A wide class follows almost any initial state almost as well as another; only the true one
+    needs no correction.
+
+    first  the view with drives that were cycled
+    """
+    least, excess = own.rms**2, shared.rms**2 - own.rms**2
+    as_good = excess < (AS_GOOD - 1.0) * least or own.rms > POOR * own.noise
+    return as_good and excess < NEARLY * (first.rms**2 - least)
+
+
+def _drives(view: View) -> list[Array]:
+    return [track.drive for track in view.tracks]
+
+
+def _error(view: View) -> float:
+    return view.rms
+
+
+def _forgetful_weight(view: View) -> Array:
+    """Return the shared coefficients from rows where every initial state is forgotten."""
+    kept = np.concatenate([_forgotten(t.drive)[t.place] for t in view.tracks])
+    columns = np.hstack([view.nuisance.columns, view.selected])
+    if np.count_nonzero(kept) < FEWEST * columns.shape[1]:
+        return view.weight
+    null = Null(columns=columns[kept], response=view.response[kept], block=view.block[kept])
+    return null.fit(null.response)[: view.nuisance.shared]
+
+
+def _forgotten(drive: Array) -> Array:
+    """Return at which samples the drive has covered the whole range, 2, since the first."""
+    span = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
+    return np.asarray(span > COVERED * 2.0)
+
+
+def _best_hypothesis(first: Reversals, sketches: Sequence["_Sketch"]) -> Reversals:
+    """Return the hypothesis of least misfit, refined reversal by reversal."""
+
+    def misfit(reversals: Reversals) -> float:
+        return sum(sketch.misfit(reversals) ** 2 for sketch in sketches)
+
+    best = min(hypotheses(sketches[0].drive), key=misfit)
+    for part in PARTS:
+        for place in range(len(best)):
+            near = [_turned(best, place, sign * part) for sign in (1.0, -1.0)]
+            best = min(best, *near, key=misfit)
+    return best if misfit(best) < CLEARLY**2 * misfit(first) else first
+
+
+def _turned(reversals: Reversals, place: int, step: float) -> Reversals:
+    moved = min(max(reversals[place] + step, -FARTHEST), FARTHEST)
+    return (*reversals[:place], moved, *reversals[place + 1 :])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Sketch:
+    """A track at few samples and its reversals, on which hypotheses are tried.
+
+    began      (states,)         friction after a drive that was cycled before
+    friction   (points, states)  from there
+    remembers  (points, states)  the part of its beginning that is not forgotten
+    """
+
+    weight: Array
+    bouc_wen: BoucWenLaw | None
+    drive: Array
+    response: Array
+    began: Array
+    friction: Array
+    remembers: Array
+
+    def misfit(self, reversals: Reversals) -> float:
+        """Return the standard deviation of the residual under a hypothesis."""
+        states, _ = play_columns(self.drive, THRESHOLD, memory_after(self.drive, reversals))
+        rubs = self.friction + (rubbed(self.drive, reversals) - self.began) * self.remembers
+        model = shape(states, rubs, self.drive, self.weight[:SHARED])
+        if self.bouc_wen:
+            bent = states_under(self.bouc_wen, reversals, self.drive)
+            model = model + bouc_wen_columns(bent, self.drive) @ self.weight[SHARED:]
+        return float(np.std(model - self.response))
+
+
+def _sketch(view: View, k: int, weight: Array) -> _Sketch:
+    track = view.tracks[k]
+    step = np.sign(np.diff(track.drive))
+    reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
+    spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
+    points = np.unique([*spread, *reversals[:POINTS]])
+    began = rubbed(track.drive, hypotheses(track.drive)[0])
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
+    return _Sketch(
+        weight=weight,
+        bouc_wen=view.nuisance.bouc_wen,
+        drive=np.asarray(track.drive[points]),
+        response=np.asarray(track.response[points]),
+        began=began,
+        friction=rubbing(track.drive, began)[points],
+        remembers=np.exp(-way[points][:, None] / REACH),
+    )

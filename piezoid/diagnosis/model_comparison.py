@@ -1,0 +1,142 @@
+"""Model comparison: which confounded effect could stand in the place of a selected one.
+
+Each is refitted in its place with everything else at work. Where blocks do not lose significantly
+less with the selected effect (Vuong), the two are not separable on these recordings; where they
+lose significantly less with the other, that replaces it. Blocks may be sure of no more than a
+drive that turned between two samples, so a small part of what a cause explains separates nothing.
+
+Source: Vuong, Econometrica 57 (1989).
+"""
+
+from collections.abc import Sequence
+
+from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.effect import Effect
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.extended import SelectedEffect, extended
+from piezoid.diagnosis.jumps import behind_jumps
+from piezoid.diagnosis.refinement import begun, refined
+from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.view import View
+from piezoid.numerics.hands import ALONE, Hands
+
+NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
+SEPARABLE = 1.96  # standard errors between two that are told apart
+ALIKE = 0.02  # of what a cause explains, and of what it leaves: so close is no difference
+BETTER = 3.0  # standard errors from which a confounded effect takes the place,
+LIKELIER = 1.0  # and one that can do no more than what stands there
+
+Confounded = dict[str, tuple[str, ...]]
+
+
+def told_apart(
+    clean: View, selected: Sequence[SelectedEffect], hands: Hands
+) -> tuple[list[Candidate], Confounded]:
+    """Judge every selected effect or what replaces it, and name the effects that do as well.
+
+    What no longer speaks beside all others goes, the least of it first.
+    """
+    selected = list(selected)
+    while True:
+        causes, confounded = _each(clean, selected, hands)
+        mute = [cause for cause in causes if not cause.is_significant]
+        if not mute:
+            return causes, confounded
+        least = min(mute, key=lambda cause: cause.cv.gain)
+        selected = [cause.selected for cause in causes if cause is not least]
+
+
+def _each(
+    clean: View, selected: list[SelectedEffect], hands: Hands
+) -> tuple[list[Candidate], Confounded]:
+    selected, causes, near = list(selected), [], {}
+    for k, one in enumerate(selected):
+        hands.say(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        others = [other for n, other in enumerate(selected) if n != k]
+        there, beside = _where_seen(one, clean, others)
+        cause = _cause(there, beside, one)
+        confounded = confounded_with(cause, there, beside, hands)
+        if confounded and replaces_it(confounded[0], cause):
+            selected[k] = confounded[0].selected
+            cause, confounded = confounded[0], confounded_with(confounded[0], there, beside, hands)
+        causes.append(cause)
+        near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
+    return causes, near
+
+
+def _where_seen(
+    one: SelectedEffect, clean: View, others: list[SelectedEffect]
+) -> tuple[View, list[SelectedEffect]]:
+    """Return where an effect is judged, and which others are yet to be put to work there."""
+    jumps = behind_jumps(extended(clean, others)) if one.struck else None
+    if jumps is None:
+        return clean, others
+    return jumps, [other for other in others if other.effect.drive_filter is None]
+
+
+def _cause(clean: View, others: Sequence[SelectedEffect], one: SelectedEffect) -> Candidate:
+    """Judge a selected effect once more, refined beside all others."""
+    better, view = refined(one, clean, others, finer=1)
+    without = extended(clean, others)
+    seen = screen(one.effect, without)
+    assert seen is not None
+    return judged(better, view, without, seen=seen)
+
+
+def confounded_with(
+    cause: Candidate, clean: View, others: Sequence[SelectedEffect], hands: Hands = ALONE
+) -> tuple[Candidate, ...]:
+    """Return the effects that these recordings do not separate from a cause, the best first."""
+    taken = {one.effect.name for one in others}
+    asked = [e for e in EFFECTS if e.name in cause.effect.confounded and e.name not in taken]
+    tried = hands.each(lambda effect: _in_place(effect, cause, clean, others), asked)
+    near = [
+        alternative
+        for alternative in tried
+        if alternative is not None and is_confounded(alternative, cause)
+    ]
+    return tuple(sorted(near, key=lambda alternative: alternative.cv.rms))
+
+
+def replaces_it(alternative: Candidate, cause: Candidate) -> bool:
+    """Tell whether a confounded effect is significantly better than the selected one.
+
+    Of two filters with as many parameters, neither of which surely is, the likelier one stands:
+    the other came first because of what was found only after it.
+    """
+    filters = (
+        alternative.effect.response_filter is not None and cause.effect.response_filter is not None
+    )
+    as_free = filters and len(alternative.selected.free) == len(cause.selected.free)
+    least = LIKELIER if as_free else BETTER
+    return alternative.is_significant and surely(cause.cv.loss, alternative.cv.loss) > least
+
+
+def is_confounded(alternative: Candidate, cause: Candidate) -> bool:
+    """Tell whether these recordings do not tell a confounded effect from a cause."""
+    if not alternative.physical:
+        # physics does not allow it, and yet it leaves less: something else is not what it seems
+        return alternative.cv.rms < cause.cv.rms
+    worse = alternative.cv.rms**2 - cause.cv.rms**2
+    explained = cause.without.rms**2 - cause.cv.rms**2
+    if worse < ALIKE * explained and alternative.cv.rms < (1.0 + ALIKE) * cause.cv.rms:
+        return True
+    return surely(alternative.cv.loss, cause.cv.loss) < SEPARABLE
+
+
+def _in_place(
+    effect: Effect, cause: Candidate, clean: View, others: Sequence[SelectedEffect]
+) -> Candidate | None:
+    if (
+        effect.trials is None
+        or effect.null_without is not None
+        or effect.untestable(cause.without)
+    ):
+        return None
+    seen = screen(effect, cause.without)
+    if seen is None or not seen.physical or seen.total_gain < NEAR * cause.cv.gain:
+        return None
+    one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
+    better, view = refined(one, clean, others, finer=1)
+    return judged(better, view, cause.without, seen=seen)

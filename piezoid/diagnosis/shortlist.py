@@ -1,0 +1,133 @@
+"""Candidates: the effects of one round that are refitted, and the one that leaves least.
+
+Tangents tell which to refit: those that bring a good part of the best, and where none of them is
+evidence all others that bring anything.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.extended import SelectedEffect, extended
+from piezoid.diagnosis.refinement import begun, refined, refined_together
+from piezoid.diagnosis.score_test import ScoreTest
+from piezoid.diagnosis.view import View
+from piezoid.numerics.hands import Hands
+
+TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
+LEAST_GAIN = 0.012
+NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
+LEFT_OVER = 0.3  # of a confounded effect's share
+CLEAR = 1.25  # times the noise: an error that is there
+REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
+MOST = 0.4  # of the error, so much taken off, and
+OVER_PLACEBO = (
+    3.0  # times what its placebo takes: a wrong shape for somebody's rest does no such thing
+)
+NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
+FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SelectionContext:
+    """What candidates are refitted beside.
+
+    clean     the view without any effect
+    selected  effects that are at work already
+    view      the view with them
+    """
+
+    clean: View
+    selected: tuple[SelectedEffect, ...]
+    view: View
+
+
+def refitted(
+    found: Iterable[ScoreTest], beside: SelectionContext, hands: Hands
+) -> list[Candidate]:
+    """Return the telling effects with everything refitted, and if none is evidence the others."""
+    hopeful = [f for f in found if f.physical and f.total_gain > LEAST_GAIN]
+    telling = TELLING * max((f.total_gain for f in hopeful), default=0.0)
+    hopeful = [f for f in hopeful if _above_placebo(f)]
+    tried = _refined([f for f in hopeful if f.total_gain > telling], beside, hands)
+    if best_of(tried, beside) is None:
+        tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, hands)
+    return tried
+
+
+def best_of(tried: Sequence[Candidate], beside: SelectionContext) -> Candidate | None:
+    """Return the effect that leaves least among those that are evidence."""
+    own = [j for j in tried if j.is_significant and not _left_over(j, beside)]
+    return min(own, key=lambda j: j.cv.rms, default=None)
+
+
+def _refined(
+    telling: Sequence[ScoreTest], beside: SelectionContext, hands: Hands
+) -> list[Candidate]:
+    """Return effects with everything refitted, but those that begin far behind the best."""
+    best = max((found.total_gain for found in telling), default=0.0)
+    first = [begun(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
+    left = hands.each(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
+    least = min(left, default=0.0)
+
+    def refit(begin: tuple[SelectedEffect, ScoreTest]) -> Candidate:
+        one, found = begin
+        hands.say(f"refitting with {one.effect.name.replace('_', ' ')}")
+        better, view = refined(one, beside.clean, beside.selected)
+        return _together(judged(better, view, beside.view, seen=found), beside, found)
+
+    near = [
+        (one, found)
+        for one, found, rms in zip(first, telling, left, strict=True)
+        if rms <= NEAR * least or found.total_gain >= FOREMOST * best
+    ]
+    return hands.each(refit, near)
+
+
+def _together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:
+    """Refine what was selected alone for both, where these look alike, and the effect again.
+
+    A delay that is none may be one then: beside a limit that follows a part of it, it differs from
+    recording to recording. Where more is free than a time, that costs too much to hope for.
+    """
+    free = len(alone.selected.free)
+    moving = [one for one in beside.selected if one.free and not one.struck]
+    alike = [one for one in moving if one.effect.resembles(alone.effect)]
+    if not alike or not (free == 1 or (free and alone.physical)):
+        return alone
+    others = [one for one in beside.selected if one not in alike]
+    better, view = refined_together([*alike, alone.selected], beside.clean, others)
+    return judged(better[-1], view, alone.without, seen=seen)
+
+
+def _above_placebo(found: ScoreTest) -> bool:
+    """Tell whether a refit may help: tangents of what is looked for on a grid err by factors."""
+    if found.placebo is None or found.trial.free:
+        return True
+    return found.cv.gain > NEAR_PLACEBO * found.placebo.gain
+
+
+def _left_over(found: Candidate, beside: SelectionContext) -> bool:
+    """Tell whether this may be what a selected, imperfectly modelled effect leaves over.
+
+    What takes a clear error down to the noise is no wrong shape for somebody's rest, nor is what
+    takes most of it and far more than its placebo.
+    """
+    noise, before = found.view.noise, found.without.rms
+    if (
+        found.cv.gain > MOST
+        and found.placebo
+        and found.cv.gain > OVER_PLACEBO * found.placebo.gain
+    ):
+        return False
+    if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
+        return False
+    for one in beside.selected:
+        if found.effect.name not in one.effect.confounded:
+            continue
+        rest = extended(beside.clean, [other for other in beside.selected if other is not one])
+        taken = sqrt(max(rest.rms**2 - found.without.rms**2, 0.0)) / 2.0
+        if found.share < LEFT_OVER * taken:
+            return True
+    return False

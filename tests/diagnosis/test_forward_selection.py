@@ -1,0 +1,131 @@
+"""What a round of the search takes in, and which view faults are looked for in; with stand-ins."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from piezoid.diagnosis import forward_selection, repair
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.initial_state_search import AS_GOOD, NEARLY, POOR, shared_does_as_well
+from piezoid.numerics.hands import ALONE
+
+CYCLED, HABIT, OWN = "cycled", "habit", "own"
+
+
+def of_memory(reversals: str, rms: float, noise: float = 0.1) -> SimpleNamespace:
+    return SimpleNamespace(
+        rms=rms, noise=noise, nuisance=SimpleNamespace(reversals=reversals), tracks=()
+    )
+
+
+def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.4) -> str | None:
+    """Return what a round takes in that begins with an error of 1."""
+    view = of_memory(CYCLED, 1.0, noise)
+    stand_ins = {
+        "refitted": lambda *_: list(tried),
+        "_with_pair": lambda *_: None,
+        "_with_slips": lambda *_: None,
+        "_with_slips_in_place": lambda *_: None,
+        "with_shared_initial_state": lambda *_: of_memory(HABIT, shared, noise),
+        "with_own_initial_states": lambda *_: of_memory(OWN, own, noise),
+        "with_best_bouc_wen": lambda *_: view,
+        "with_shared_reversals": lambda _, reversals: reversals,
+        "with_reversals": lambda _, reversals: reversals,
+        "with_free_memory": lambda reversals: reversals,
+    }
+    for name, what in stand_ins.items():
+        monkeypatch.setattr(forward_selection, name, what)
+    state = forward_selection.SelectionState(clean=CYCLED, selected=(), faults={}, screened={})
+    next_state = forward_selection._next_state(state, view, ALONE)
+    return None if next_state is None else next_state.clean
+
+
+@pytest.mark.parametrize(
+    ("shared", "own", "took"),
+    [
+        (0.500, 0.495, HABIT),  # as good as initial states fitted one by one
+        (0.500, 0.470, OWN),  # these know more than any shared initial state
+        (0.500, 0.500, HABIT),
+        (0.990, 0.500, OWN),
+        (0.950, 0.940, None),  # hardly anything is wrong with the memory
+    ],
+)
+def test_a_habit_is_taken_where_pasts_fitted_one_by_one_do_no_better(
+    monkeypatch, shared, own, took
+) -> None:
+    assert taken(monkeypatch, shared=shared, own=own) == took
+
+
+@pytest.mark.parametrize(("left", "evident", "took"), [(0.4, True, None), (0.4, False, HABIT)])
+def test_what_is_evident_and_too_small_to_be_named_speaks_against_other_pasts(
+    monkeypatch, left, evident, took
+) -> None:
+    small = SimpleNamespace(
+        view=SimpleNamespace(rms=left), is_significant=False, is_evidence=evident
+    )
+    assert taken(monkeypatch, shared=0.5, own=0.5, tried=[small]) == took
+
+
+def test_what_is_evident_and_leaves_more_than_other_pasts_does_not(monkeypatch) -> None:
+    small = SimpleNamespace(view=SimpleNamespace(rms=0.6), is_significant=False, is_evidence=True)
+    assert taken(monkeypatch, shared=0.5, own=0.5, tried=[small]) == HABIT
+
+
+def test_a_habit_does_as_well_where_it_leaves_little_more_or_the_class_follows_nothing() -> None:
+    first, own = of_memory(CYCLED, 1.0), of_memory(OWN, 0.3, noise=0.2)
+    close, state = (0.3 * (1.0 + s * (AS_GOOD - 1.0)) ** 0.5 for s in (0.9, 1.1))
+    assert shared_does_as_well(of_memory(HABIT, close), own, first)
+    assert not shared_does_as_well(of_memory(HABIT, state), own, first)
+    poor = of_memory(OWN, 0.3, noise=0.3 / (1.1 * POOR))
+    assert not shared_does_as_well(of_memory(HABIT, state), own, first)
+    assert shared_does_as_well(of_memory(HABIT, state), poor, first)
+    much = (0.3**2 + 1.1 * NEARLY * (1.0 - 0.3**2)) ** 0.5
+    assert not shared_does_as_well(of_memory(HABIT, much), poor, first)
+
+
+@pytest.mark.parametrize(
+    ("shared", "own", "looked_at", "left_with"),
+    [
+        (0.40, 0.40, HABIT, HABIT),  # evident
+        (0.40, 0.30, OWN, CYCLED),  # initial states fitted one by one do far better
+        (
+            0.60,
+            0.60,
+            OWN,
+            CYCLED,
+        ),  # no shared initial state is beyond doubt; faults are looked for beside initial states
+        (0.98, 0.95, CYCLED, CYCLED),
+    ],
+)
+def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
+    monkeypatch, shared, own, looked_at, left_with
+) -> None:
+    seen = []
+
+    def fault(view) -> Fault | None:
+        seen.append(view.nuisance.reversals)
+
+    effect = SimpleNamespace(name="timestamp_fault", fault=fault)
+    monkeypatch.setattr(repair, "EFFECTS", (effect,))
+    monkeypatch.setattr(repair, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
+    monkeypatch.setattr(repair, "with_own_initial_states", lambda *_: of_memory(OWN, own))
+    monkeypatch.setattr(repair, "with_shared_reversals", lambda _, reversals: reversals)
+    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), ALONE)
+    assert (seen, clean, faults) == ([looked_at], left_with, {})
+
+
+@pytest.mark.parametrize(
+    ("pair", "replaced", "selected"),
+    [(("a", "b"), (), ("old", "a", "b")), ((), ("old", "c"), ("old", "c")), ((), (), None)],
+)
+def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
+    monkeypatch, pair, replaced, selected
+) -> None:
+    monkeypatch.setattr(forward_selection, "pair_of", lambda *_: pair)
+    monkeypatch.setattr(forward_selection, "pair_in_place", lambda *_: replaced)
+    state = forward_selection.SelectionState(
+        clean=CYCLED, selected=("old",), faults={}, screened={}
+    )
+    beside = forward_selection.SelectionContext(clean=CYCLED, selected=("old",), view=None)
+    next_state = forward_selection._with_pair(state, beside, [], ALONE)
+    assert (None if next_state is None else next_state.selected) == selected
