@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.mutation_trial import ROOT
 from piezoid.export.bundle import bundle
 from piezoid.export.parameter_file import ParameterFile
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 from piezoid.verification.limit_proof import LimitProof, prove_axis
 from tests.verification.rig import stage
 
@@ -188,7 +188,7 @@ def main(given: list[str] | None = None) -> None:
             raise SystemExit("the unbroken runtime must be proved first")
     count = chosen.first or None
     wanted = [(place, slip) for place, all_ in enumerate((LATERAL, TIP)) for slip in all_[:count]]
-    tried = Hands(count=2).each(_trier(file, source), wanted)
+    tried = Executor(threads=2).map(_trier(file, source), wanted)
     chosen.page.write_text(table(tried), encoding="utf-8")
     print(f"{sum(bool(proof.alarms) for _, _, proof in tried)} of {len(tried)} refused")
 

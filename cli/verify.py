@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from piezoid.export.parameter_file import ParameterFile
-    from piezoid.numerics.hands import Hands
+    from piezoid.numerics.executor import Executor
     from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.proof import Proof
     from piezoid.verification.verification import Verification
@@ -60,7 +60,7 @@ def verify(
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
     from piezoid.export.parameter_file import from_json
     from piezoid.identification.store import read_model
-    from piezoid.numerics.hands import Hands
+    from piezoid.numerics.executor import Executor
     from piezoid.verification.limits import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
@@ -78,7 +78,9 @@ def verify(
         told("compiling and comparing" if rebuild or target else "running the controller")
         held = _held(stage / "bundle")
         proofs = _proofs(file, held, is_host=rebuild, is_target=target != "")
-        proved = _proved(file, held, Hands(told=told, count=usable_cores())) if prove else ()
+        proved = (
+            _proved(file, held, Executor(progress=told, threads=usable_cores())) if prove else ()
+        )
         told("running the compiled controller against the stage")
         found = verify_stage(
             file,
@@ -115,12 +117,12 @@ def _proofs(
 
 
 def _proved(
-    file: "ParameterFile", held: Mapping[str, bytes], hands: "Hands"
+    file: "ParameterFile", held: Mapping[str, bytes], executor: "Executor"
 ) -> "tuple[LimitProof, ...]":
     from piezoid.verification.limit_proof import prove
 
-    hands.say("proving that no input leads past a limit, about a minute an axis")
-    return prove(file, held, hands=hands)
+    executor.report("proving that no input leads past a limit, about a minute an axis")
+    return prove(file, held, executor=executor)
 
 
 def show(found: "Verification", file: "ParameterFile") -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen import BoucWenLaw
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.view import View, with_bouc_wen
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 
 BETAS = (0.8, 1.6, 3.2)
 RATIOS = (0.0, 0.4)  # gamma over beta
@@ -29,7 +29,7 @@ Law = tuple[float, float, float, float]  # beta, gamma / beta, exponent, bend
 Left = Callable[[Law], float]
 
 
-def with_best_bouc_wen(view: View, hands: Hands = ALONE) -> View:
+def with_best_bouc_wen(view: View, executor: Executor = SERIAL) -> View:
     """Return the view with the Bouc-Wen state that leaves least."""
     bare = with_bouc_wen(view, None)
 
@@ -39,7 +39,7 @@ def with_best_bouc_wen(view: View, hands: Hands = ALONE) -> View:
         found = np.linalg.lstsq(across, bare.null.residual, rcond=RCOND)[0]
         return float(np.sum((bare.null.residual - across @ found) ** 2))
 
-    return with_bouc_wen(view, _best(left, hands=hands))
+    return with_bouc_wen(view, _best(left, executor=executor))
 
 
 def with_bouc_wen_of(view: View, against: Callable[[View], Null]) -> View:
@@ -54,10 +54,10 @@ def with_bouc_wen_of(view: View, against: Callable[[View], Null]) -> View:
     return with_bouc_wen(view, _best(left, BENDS))
 
 
-def _best(left: Left, bends: Sequence[float] = (0.0,), hands: Hands = ALONE) -> BoucWenLaw:
+def _best(left: Left, bends: Sequence[float] = (0.0,), executor: Executor = SERIAL) -> BoucWenLaw:
     """Return the state that leaves least: the best of a grid, then one step after another."""
     laws: list[Law] = [*product(BETAS, RATIOS, EXPONENTS, bends)]
-    best = min(zip(hands.each(left, laws), laws, strict=True), key=lambda pair: pair[0])
+    best = min(zip(executor.map(left, laws), laws, strict=True), key=lambda pair: pair[0])
     for part in PARTS:
         for place in range(len(LIMITS)):
             best = _better(left, best, place, part)

@@ -28,7 +28,7 @@ from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, ri
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.rest import is_at_rest
@@ -74,19 +74,19 @@ def diagnose(
         return diagnose_at_rest(resting, wanted)
     progress("fitting the envelope")
     chosen, shaped = told_apart(moving(recordings, wanted), wanted, model, declared)
-    scales, hands = scales_of(chosen, wanted), Hands(told=progress, count=threads)
+    scales, executor = scales_of(chosen, wanted), Executor(progress=progress, threads=threads)
     view = view_on(chosen, axis=wanted, lab=declared)
     if model is None:
         against = reason_in_loops(pieces_of(chosen, wanted, scales, rig_of(declared, wanted)))
     else:
         against = "" if model.verdict.applies else model.verdict.reason
-    found = _nothing_in(view, against, hands) if against else explained(view, hands)
+    found = _nothing_in(view, against, executor) if against else explained(view, executor)
     progress("refitting the simulation")
     if model is None:
         found, numbers = _worth_most(found, simulated)
         if numbers.final > 2.0 * UNEXPLAINED and not against:
             against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
-            found = _nothing_in(view, against, hands)
+            found = _nothing_in(view, against, executor)
             numbers = simulated(found)
     else:
         weighed = partial(
@@ -131,9 +131,9 @@ def _names_of(found: Explained) -> set[str]:
     return {cause.effect.name for cause in found.outcome.causes}
 
 
-def _nothing_in(view: View, against: str, hands: Hands) -> Explained:
+def _nothing_in(view: View, against: str, executor: Executor) -> Explained:
     """Look for faults of the data alone, and name no cause."""
-    return without_names(view, without_causes(view, against, hands))
+    return without_names(view, without_causes(view, against, executor))
 
 
 def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:

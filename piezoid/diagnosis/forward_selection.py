@@ -35,7 +35,7 @@ from piezoid.diagnosis.view import (
     with_reversals,
     with_shared_reversals,
 )
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 
 MOST_CAUSES = 5
 SLIP = "timestamp_fault"
@@ -59,22 +59,22 @@ class SelectionState:
     screened: Mapping[str, ScoreTest]
 
 
-def select_forward(clean: View, faults: Mapping[str, Fault], hands: Hands) -> SelectionState:
+def select_forward(clean: View, faults: Mapping[str, Fault], executor: Executor) -> SelectionState:
     """Select one effect after another until none is evidence."""
-    hands.say("looking behind jumps of the drive")
+    executor.report("looking behind jumps of the drive")
     state = SelectionState(clean=clean, selected=struck(clean), faults=faults, screened={})
     for _ in range(MOST_CAUSES + 2):
         view = extended(state.clean, state.selected)
         named = {one.effect.name for one in state.selected}
-        state = replace(state, screened=_score_all(view, named, hands))
-        next_state = _next_state(state, view, hands)
+        state = replace(state, screened=_score_all(view, named, executor))
+        next_state = _next_state(state, view, executor)
         if next_state is None:
             break
         state = next_state
     return state
 
 
-def _next_state(state: SelectionState, view: View, hands: Hands) -> SelectionState | None:
+def _next_state(state: SelectionState, view: View, executor: Executor) -> SelectionState | None:
     """Return the state after the step that leaves the smallest error; None where none helps.
 
     A step takes in slips, a Bouc-Wen state, other initial states or an effect.
@@ -82,14 +82,14 @@ def _next_state(state: SelectionState, view: View, hands: Hands) -> SelectionSta
     view  with everything selected, on which the score tests were made
     """
     beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
-    tried = refitted(state.screened.values(), beside, hands)
+    tried = refitted(state.screened.values(), beside, executor)
     best = best_of(tried, beside)
     least = best.view.rms if best else np.inf
     moved = placed_elsewhere(beside, best)
     if moved is not None:
         return replace(state, selected=moved)
-    shared = with_shared_initial_state(view, hands)
-    own, (bent, slips) = hands.both(
+    shared = with_shared_initial_state(view, executor)
+    own, (bent, slips) = executor.both(
         lambda: with_own_initial_states(view, shared), lambda: _bent_and_slipped(state, view, best)
     )
     if slips is not None and slips[1] < min(own.rms, bent.rms):
@@ -107,7 +107,7 @@ def _next_state(state: SelectionState, view: View, hands: Hands) -> SelectionSta
             state, clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals))
         )
     if best is None:
-        return _with_slips_in_place(state, view) or _with_pair(state, beside, tried, hands)
+        return _with_slips_in_place(state, view) or _with_pair(state, beside, tried, executor)
     return replace(state, selected=_settled(state.clean, [*state.selected, best.selected]))
 
 
@@ -120,12 +120,12 @@ def _bent_and_slipped(
 
 
 def _with_pair(
-    state: SelectionState, beside: SelectionContext, tried: Sequence[Candidate], hands: Hands
+    state: SelectionState, beside: SelectionContext, tried: Sequence[Candidate], executor: Executor
 ) -> SelectionState | None:
     """Take in two effects at once that one of them, or both, stood for alone."""
-    hands.say("looking for two that are taken for one")
-    pair = pair_of(tried, beside, hands)
-    selected = (*beside.selected, *pair) if pair else pair_in_place(beside, hands)
+    executor.report("looking for two that are taken for one")
+    pair = pair_of(tried, beside, executor)
+    selected = (*beside.selected, *pair) if pair else pair_in_place(beside, executor)
     return replace(state, selected=selected) if selected else None
 
 
@@ -163,9 +163,9 @@ def _slipped(
     return replace(state, clean=slips.clean, selected=selected, faults=faults)
 
 
-def _score_all(view: View, named: set[str], hands: Hands) -> dict[str, ScoreTest]:
+def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:
     def screened(effect: Effect) -> ScoreTest | None:
-        hands.say(f"testing {effect.name.replace('_', ' ')}")
+        executor.report(f"testing {effect.name.replace('_', ' ')}")
         return screen(effect, view)
 
     others = [e for e in EFFECTS if e.null_without is None and e.name not in named]
@@ -176,7 +176,7 @@ def _score_all(view: View, named: set[str], hands: Hands) -> dict[str, ScoreTest
         if e.between_recordings is not None
     }
     asked = {**{effect.name: effect for effect in others}, **between}
-    found = zip(asked, hands.each(screened, asked.values()), strict=True)
+    found = zip(asked, executor.map(screened, asked.values()), strict=True)
     return {name: one for name, one in found if one is not None}
 
 

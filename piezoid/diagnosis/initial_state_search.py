@@ -27,7 +27,7 @@ from piezoid.diagnosis.view import (
     with_shared_reversals,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.operators.play import play_columns
 
 COVERED = 0.97  # of the whole range: the initial state is then forgotten
@@ -44,11 +44,11 @@ PARTS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are moved
 FARTHEST = 1.2
 
 
-def with_shared_initial_state(view: View, hands: Hands = ALONE) -> View:
+def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
     """Return the view with the shared hypothesis that leaves the smallest error."""
     ways = shared_hypotheses(_drives(view), view.rest)
     # a view holds columns for all rows: the best is made again, sooner than that all are kept
-    left = hands.each(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
+    left = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
     return with_shared_reversals(view, ways[left.index(min(left))])
 
 

@@ -18,7 +18,7 @@ from piezoid.diagnosis.refinement import Refined, begun, refined, refined_togeth
 from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.shortlist import SelectionContext
 from piezoid.diagnosis.view import View
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 
 MUCH = 0.4  # of the error: what one of the two takes off where it stands for both
 SURE = 4.0  # standard errors: one cause for what two would explain is the simpler tale
@@ -30,7 +30,7 @@ Pair = tuple[Sequence[SelectedEffect], View]
 
 
 def pair_of(
-    tried: Sequence[Candidate], beside: SelectionContext, hands: Hands = ALONE
+    tried: Sequence[Candidate], beside: SelectionContext, executor: Executor = SERIAL
 ) -> tuple[SelectedEffect, ...]:
     """Return two effects of which neither was possible alone, none where they are no evidence.
 
@@ -43,11 +43,13 @@ def pair_of(
     alone = (one.selected, one.view)
     others = [(j.selected, j.view) for j in alike]
     return _best(
-        hands.each(lambda other: _pair(alone, other, beside.clean, beside.selected), others)
+        executor.map(lambda other: _pair(alone, other, beside.clean, beside.selected), others)
     )
 
 
-def pair_in_place(beside: SelectionContext, hands: Hands = ALONE) -> tuple[SelectedEffect, ...]:
+def pair_in_place(
+    beside: SelectionContext, executor: Executor = SERIAL
+) -> tuple[SelectedEffect, ...]:
     """Return what was selected with two effects in the place of one, none where that is no better.
 
     Looked for is one of more parameters than the time of what was selected.
@@ -62,7 +64,7 @@ def pair_in_place(beside: SelectionContext, hands: Hands = ALONE) -> tuple[Selec
         alike = [e for e in EFFECTS if e.name not in named and _alike(e, one.effect)]
         without = extended(beside.clean, rest)
         here = (one, beside.view)
-        best = _best(hands.each(partial(_beside, here, without, beside.clean, rest), alike))
+        best = _best(executor.map(partial(_beside, here, without, beside.clean, rest), alike))
         if best:
             return (*rest, *best)
     return ()

@@ -11,7 +11,7 @@ Source: Vuong, Econometrica 57 (1989).
 from collections.abc import Sequence
 
 from piezoid.diagnosis.blocks import surely
-from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.candidate import Candidate, exceeds_structure, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
@@ -19,7 +19,7 @@ from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import begun, refined
 from piezoid.diagnosis.score_test import screen
 from piezoid.diagnosis.view import View
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 
 NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
@@ -31,7 +31,7 @@ Confounded = dict[str, tuple[str, ...]]
 
 
 def told_apart(
-    clean: View, selected: Sequence[SelectedEffect], hands: Hands
+    clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
     """Judge every selected effect or what replaces it, and name the effects that do as well.
 
@@ -39,27 +39,36 @@ def told_apart(
     """
     selected = list(selected)
     while True:
-        causes, confounded = _each(clean, selected, hands)
-        mute = [cause for cause in causes if not cause.is_significant]
+        causes, confounded = _each(clean, selected, executor)
+        mute = [cause for cause in causes if not _stands(cause)]
         if not mute:
             return causes, confounded
         least = min(mute, key=lambda cause: cause.cv.gain)
         selected = [cause.selected for cause in causes if cause is not least]
 
 
+def _stands(cause: Candidate) -> bool:
+    return cause.is_significant and exceeds_structure(
+        cause.share, cause.view.rms, cause.view.noise
+    )
+
+
 def _each(
-    clean: View, selected: list[SelectedEffect], hands: Hands
+    clean: View, selected: list[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
     selected, causes, near = list(selected), [], {}
     for k, one in enumerate(selected):
-        hands.say(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        executor.report(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
         cause = _cause(there, beside, one)
-        confounded = confounded_with(cause, there, beside, hands)
+        confounded = confounded_with(cause, there, beside, executor)
         if confounded and replaces_it(confounded[0], cause):
             selected[k] = confounded[0].selected
-            cause, confounded = confounded[0], confounded_with(confounded[0], there, beside, hands)
+            cause, confounded = (
+                confounded[0],
+                confounded_with(confounded[0], there, beside, executor),
+            )
         causes.append(cause)
         near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
     return causes, near
@@ -85,12 +94,12 @@ def _cause(clean: View, others: Sequence[SelectedEffect], one: SelectedEffect) -
 
 
 def confounded_with(
-    cause: Candidate, clean: View, others: Sequence[SelectedEffect], hands: Hands = ALONE
+    cause: Candidate, clean: View, others: Sequence[SelectedEffect], executor: Executor = SERIAL
 ) -> tuple[Candidate, ...]:
     """Return the effects that these recordings do not separate from a cause, the best first."""
     taken = {one.effect.name for one in others}
     asked = [e for e in EFFECTS if e.name in cause.effect.confounded and e.name not in taken]
-    tried = hands.each(lambda effect: _in_place(effect, cause, clean, others), asked)
+    tried = executor.map(lambda effect: _in_place(effect, cause, clean, others), asked)
     near = [
         alternative
         for alternative in tried

@@ -9,13 +9,13 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 
 MOST_REPAIRS = 3
 EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
 
 
-def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str, Fault]]:
+def repaired(view: View, executor: Executor, *, but: str = "") -> tuple[View, dict[str, Fault]]:
     """Return the view without the faults that can be undone, and all of them by effect.
 
     The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
@@ -23,7 +23,7 @@ def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str
     but  name of a fault that is not looked for
     """
     faults: dict[str, Fault] = {}
-    shared = with_shared_initial_state(view, hands)
+    shared = with_shared_initial_state(view, executor)
     own = with_own_initial_states(view, shared)
     evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
     believed = shared if evident else view
@@ -33,7 +33,7 @@ def repaired(view: View, hands: Hands, *, but: str = "") -> tuple[View, dict[str
         if effect.fault is None or effect.name == but:
             continue
         for _ in range(MOST_REPAIRS):
-            hands.say(f"looking for {effect.name.replace('_', ' ')}")
+            executor.report(f"looking for {effect.name.replace('_', ' ')}")
             fault = effect.fault(view)
             if fault is None:
                 break

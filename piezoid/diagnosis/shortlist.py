@@ -13,7 +13,7 @@ from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.refinement import begun, refined, refined_together
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.view import View
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
 LEAST_GAIN = 0.012
@@ -44,15 +44,15 @@ class SelectionContext:
 
 
 def refitted(
-    found: Iterable[ScoreTest], beside: SelectionContext, hands: Hands
+    found: Iterable[ScoreTest], beside: SelectionContext, executor: Executor
 ) -> list[Candidate]:
     """Return the telling effects with everything refitted, and if none is evidence the others."""
     hopeful = [f for f in found if f.physical and f.total_gain > LEAST_GAIN]
     telling = TELLING * max((f.total_gain for f in hopeful), default=0.0)
     hopeful = [f for f in hopeful if _above_placebo(f)]
-    tried = _refined([f for f in hopeful if f.total_gain > telling], beside, hands)
+    tried = _refined([f for f in hopeful if f.total_gain > telling], beside, executor)
     if best_of(tried, beside) is None:
-        tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, hands)
+        tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, executor)
     return tried
 
 
@@ -63,17 +63,17 @@ def best_of(tried: Sequence[Candidate], beside: SelectionContext) -> Candidate |
 
 
 def _refined(
-    telling: Sequence[ScoreTest], beside: SelectionContext, hands: Hands
+    telling: Sequence[ScoreTest], beside: SelectionContext, executor: Executor
 ) -> list[Candidate]:
     """Return effects with everything refitted, but those that begin far behind the best."""
     best = max((found.total_gain for found in telling), default=0.0)
     first = [begun(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
-    left = hands.each(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
+    left = executor.map(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
     least = min(left, default=0.0)
 
     def refit(begin: tuple[SelectedEffect, ScoreTest]) -> Candidate:
         one, found = begin
-        hands.say(f"refitting with {one.effect.name.replace('_', ' ')}")
+        executor.report(f"refitting with {one.effect.name.replace('_', ' ')}")
         better, view = refined(one, beside.clean, beside.selected)
         return _together(judged(better, view, beside.view, seen=found), beside, found)
 
@@ -82,7 +82,7 @@ def _refined(
         for one, found, rms in zip(first, telling, left, strict=True)
         if rms <= NEAR * least or found.total_gain >= FOREMOST * best
     ]
-    return hands.each(refit, near)
+    return executor.map(refit, near)
 
 
 def _together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:

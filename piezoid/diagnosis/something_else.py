@@ -24,7 +24,7 @@ from piezoid.diagnosis.score_test import ScoreTest, screen
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 
 NAME = "something_else"
 MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
@@ -112,10 +112,10 @@ class Explained:
     otherwise: "Explained | None" = None
 
 
-def explained(view: View, hands: Hands) -> Explained:
+def explained(view: View, executor: Executor) -> Explained:
     """Search for causes, and for what is none of them."""
-    first = search(view, hands)
-    return with_something_else(view, first, hands)
+    first = search(view, executor)
+    return with_something_else(view, first, executor)
 
 
 def without_names(view: View, outcome: Outcome) -> Explained:
@@ -124,22 +124,22 @@ def without_names(view: View, outcome: Outcome) -> Explained:
     return Explained(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
 
 
-def with_something_else(view: View, first: Outcome, hands: Hands) -> Explained:
+def with_something_else(view: View, first: Outcome, executor: Executor) -> Explained:
     """Ask a search for what it has no name for.
 
     view   of the recordings as they came
     first  the search on it
     """
-    hands.say("asking where the rest lives")
+    executor.report("asking where the rest lives")
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
     plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
-    mended = _without_faults(plain, hands)
+    mended = _without_faults(plain, executor)
     if mended.discovered is not None:
         return mended
     for found in _sought(remainder, lives, first):
-        hands.say("searching again without it")
-        again = search(without(view, found), hands)
+        executor.report("searching again without it")
+        again = search(without(view, found), executor)
         if again.final.rms < BETTER * first.final.rms:
             return replace(
                 plain, outcome=_own(again, first, found), discovered=found, otherwise=plain
@@ -157,7 +157,7 @@ def _sought(remainder: Remainder, lives: Sequence[Lives], first: Outcome) -> Ite
         yield curve
 
 
-def _without_faults(plain: Explained, hands: Hands) -> Explained:
+def _without_faults(plain: Explained, executor: Executor) -> Explained:
     """Ask whether faults that were mended repeat, and are then no faults of single samples."""
     first = plain.outcome
     if not first.faults:
@@ -169,8 +169,8 @@ def _without_faults(plain: Explained, hands: Hands) -> Explained:
     found = _named(remainder, repeating, first)
     if found is None:
         return plain
-    hands.say("searching again without what repeats")
-    again = search(without(plain.raw, found), hands)
+    executor.report("searching again without what repeats")
+    again = search(without(plain.raw, found), executor)
     if set(again.faults) < set(first.faults) and again.final.rms < NO_WORSE * first.final.rms:
         return replace(plain, outcome=again, discovered=found, otherwise=plain)
     return plain

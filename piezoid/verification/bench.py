@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
@@ -42,7 +42,7 @@ class Bench:
     tunnelling: tuple[str, ...]
     centre_m: Mapping[str, float]
     radius_m: float
-    hands: Hands = ALONE
+    executor: Executor = SERIAL
     runs: int = 0
     records: dict[str, list[LoopRecord]] = field(default_factory=dict)
     comparison: list[ComparisonRow] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Bench:
         """Run axes that move at the same time, each with noise of its own, and remember them."""
         numbered = list(enumerate(runs, self.runs + 1))
         self.runs += len(runs)
-        records = self.hands.each(self._run, numbered)
+        records = self.executor.map(self._run, numbered)
         for record in records:
             self.records.setdefault(record.axis, []).append(record)
         return {record.axis: record for record in records}
@@ -94,7 +94,7 @@ def bench_of(
     plants: Sequence[AxisPlant],
     limits: Limits,
     seed: int,
-    hands: Hands = ALONE,
+    executor: Executor = SERIAL,
 ) -> Bench:
     """Put every axis beside its plant, and choose the radius of all paths.
 
@@ -116,7 +116,7 @@ def bench_of(
         plants=by_axis,
         limits=limits,
         seed=seed,
-        hands=hands,
+        executor=executor,
         rate_Hz=by_axis[file.axes[0].axis].sampling_rate_Hz,
         lateral=lateral,
         tunnelling=tips,

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.numerics.hands import ALONE, Hands
+from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.verification.rebuild import own_files
 
 TOOL = "frama-c"
@@ -83,7 +83,10 @@ class LimitProof:
 
 
 def prove(
-    file: ParameterFile, contents: Mapping[str, bytes] | None = None, *, hands: Hands = ALONE
+    file: ParameterFile,
+    contents: Mapping[str, bytes] | None = None,
+    *,
+    executor: Executor = SERIAL,
 ) -> tuple[LimitProof, ...]:
     """Prove the bundle's C for every axis of a parameter file, in both precisions.
 
@@ -94,7 +97,7 @@ def prove(
     held = own_files(file, contents)
     wanted = [(place, real) for place in range(len(file.axes)) for real in PRECISIONS]
     return tuple(
-        hands.each(lambda one: prove_axis(held, file.axes[one[0]], one[0], one[1]), wanted)
+        executor.map(lambda one: prove_axis(held, file.axes[one[0]], one[0], one[1]), wanted)
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.hands import Hands
+from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.bench import Bench, Run, bench_of
@@ -56,7 +56,7 @@ def verify(
 
     Raises ``ParameterFileError`` for an axis without a plant.
     """
-    bench = bench_of(file, plants, limits or Limits(), seed, Hands(count=threads))
+    bench = bench_of(file, plants, limits or Limits(), seed, Executor(threads=threads))
     for scenario in scenarios:
         if scenario.is_varied:
             _run_varied(bench, scenario, variations)

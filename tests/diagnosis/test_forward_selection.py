@@ -7,7 +7,7 @@ import pytest
 from piezoid.diagnosis import forward_selection, repair
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.initial_state_search import AS_GOOD, NEARLY, POOR, shared_does_as_well
-from piezoid.numerics.hands import ALONE
+from piezoid.numerics.executor import SERIAL
 
 CYCLED, HABIT, OWN = "cycled", "habit", "own"
 
@@ -36,7 +36,7 @@ def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.
     for name, what in stand_ins.items():
         monkeypatch.setattr(forward_selection, name, what)
     state = forward_selection.SelectionState(clean=CYCLED, selected=(), faults={}, screened={})
-    next_state = forward_selection._next_state(state, view, ALONE)
+    next_state = forward_selection._next_state(state, view, SERIAL)
     return None if next_state is None else next_state.clean
 
 
@@ -110,7 +110,7 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
     monkeypatch.setattr(repair, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
     monkeypatch.setattr(repair, "with_own_initial_states", lambda *_: of_memory(OWN, own))
     monkeypatch.setattr(repair, "with_shared_reversals", lambda _, reversals: reversals)
-    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), ALONE)
+    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), SERIAL)
     assert (seen, clean, faults) == ([looked_at], left_with, {})
 
 
@@ -127,5 +127,5 @@ def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
         clean=CYCLED, selected=("old",), faults={}, screened={}
     )
     beside = forward_selection.SelectionContext(clean=CYCLED, selected=("old",), view=None)
-    next_state = forward_selection._with_pair(state, beside, [], ALONE)
+    next_state = forward_selection._with_pair(state, beside, [], SERIAL)
     assert (None if next_state is None else next_state.selected) == selected

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from piezoid.diagnosis import shortlist
-from piezoid.numerics.hands import ALONE
+from piezoid.numerics.executor import SERIAL
 
 
 def found(name: str, total: float, sound: bool = True) -> SimpleNamespace:
@@ -39,7 +39,7 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
     for name, what in stand_ins.items():
         monkeypatch.setattr(shortlist, name, what)
     beside = shortlist.SelectionContext(clean=None, selected=(), view=None)
-    return [one.name for one in shortlist.refitted(screenings, beside, ALONE)]
+    return [one.name for one in shortlist.refitted(screenings, beside, SERIAL)]
 
 
 SCREENED = [
