@@ -34,9 +34,9 @@ from piezoid.diagnosis import (
     repair,
     search,
 )
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.something_else import without_names
 
 Decision = Callable[..., Any]
@@ -71,12 +71,12 @@ class Rule:
 
 
 def _plain_structure(effect: Any, final: Any) -> Any:
-    found = screen(effect, final)
+    found = score_test(effect, final)
     return None if found is None else (found, candidate._structure_of(found, final))
 
 
 def _surely_close(alternative: Any, cause: Any) -> bool:
-    return surely(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
+    return paired_z(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
 
 
 def _evidence(
@@ -113,10 +113,14 @@ RULES = (
     Rule(name="two at once", places=((forward_selection, "_with_pair"),), without=lambda *_: None),
     Rule(
         name="the other side of the hysteresis",
-        places=((forward_selection, "placed_elsewhere"),),
+        places=((forward_selection, "moved_to_other_side"),),
         without=lambda *_: None,
     ),
-    Rule(name="behind jumps", places=((forward_selection, "struck"),), without=lambda _: ()),
+    Rule(
+        name="behind jumps",
+        places=((forward_selection, "modes_behind_jumps"),),
+        without=lambda _: (),
+    ),
     Rule(
         name="one more state of hysteresis",
         places=((forward_selection, "with_best_bouc_wen"),),
@@ -161,7 +165,9 @@ RULES = (
         name="alike is close", places=((model_comparison, "is_confounded"),), without=_surely_close
     ),
     Rule(
-        name="one time in all tracks", places=((candidate, "is_alike"),), without=lambda *_: True
+        name="one time in all tracks",
+        places=((candidate, "is_consistent"),),
+        without=lambda *_: True,
     ),
     Rule(name="placebos", places=((JUDGED, "is_evidence"),), without=_evidence(placebos=False)),
     Rule(

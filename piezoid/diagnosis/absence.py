@@ -38,7 +38,7 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     return _bounded(found, outcome)
 
 
-def unsought(effect: Effect, against: str) -> NotDetected:
+def not_sought(effect: Effect, against: str) -> NotDetected:
     """Say of an effect that it was not looked for, because the model class does not apply."""
     return NotDetected(
         effect=effect.name,

@@ -17,7 +17,7 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import sure_gain
+from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     Finding,
@@ -160,7 +160,7 @@ def _gain(
     better = np.bincount(block, without**2 - within**2, BLOCKS).astype(np.float64)
     made = np.bincount(block, (without - within) ** 2, BLOCKS).astype(np.float64)
     gain = 1.0 - float(np.sqrt(np.mean(within**2) / max(float(np.mean(without**2)), 1e-300)))
-    return gain, sure_gain(better, made, gain)
+    return gain, gain_z(better, made, gain)
 
 
 def _finding(name: str, found: Rest, chosen: Sequence[str], y: Array, block: Places) -> Finding:

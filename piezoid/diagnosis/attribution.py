@@ -44,7 +44,7 @@ def attributed(
             effect=cause.effect.name,
             parameters=cause.selected.parameters,
             coefficient=cause.cv.coefficient,
-            struck=cause.selected.struck,
+            from_jumps=cause.selected.from_jumps,
         )
         for cause in outcome.causes
     ]

@@ -13,23 +13,23 @@ TELLING = 0.95  # of what columns explain
 FEWEST = 6  # blocks to judge by
 
 
-def sure_gain(gains: Array, explained: Array, gain: float) -> float:
+def gain_z(gains: Array, explained: Array, gain: float) -> float:
     """Return by how many standard errors blocks gain, by the surest of three tests.
 
     gains      (blocks,)  sums of squares without less those with the columns
     explained  (blocks,)  what the columns make there: blocks without it can say nothing
     gain       1 - rms with / rms without, of all blocks
     """
-    telling = gains[_telling(explained)]
+    telling = gains[_informative(explained)]
     return max(_mean_z(telling), _sign_z(telling), _ratio_z(gain, len(gains)))
 
 
-def surely(worse: Array, better: Array) -> float:
+def paired_z(worse: Array, better: Array) -> float:
     """Return by how many standard errors blocks lose less with one thing than with another."""
     return _mean_z(worse - better)
 
 
-def _telling(explained: Array) -> Array:
+def _informative(explained: Array) -> Array:
     """Return which blocks can say anything: those in which nearly all of the columns lie."""
     order = np.argsort(explained)[::-1]
     total = np.cumsum(explained[order])

@@ -5,13 +5,13 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
-from piezoid.diagnosis.consistency import is_alike
+from piezoid.diagnosis.consistency import is_consistent
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect, calm_for
-from piezoid.diagnosis.folds import Held, compared
-from piezoid.diagnosis.score_test import ScoreTest, null_of, screen, screened
+from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
+from piezoid.diagnosis.folds import CrossValidated, compared
+from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
 
 CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
@@ -42,8 +42,8 @@ class Candidate:
     """
 
     selected: SelectedEffect
-    cv: Held
-    placebo: Held | None
+    cv: CrossValidated
+    placebo: CrossValidated | None
     share: float
     physical: bool
     without: View
@@ -80,7 +80,7 @@ class Candidate:
     def _beats_placebo(self) -> bool:
         if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
             return True
-        clear = surely(self.placebo.loss, self.cv.loss)
+        clear = paired_z(self.placebo.loss, self.cv.loss)
         if self.cv.rms < BEYOND_PLACEBO * self.placebo.rms:
             return clear > FAR_SURER
         own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.cv, self.placebo))
@@ -124,14 +124,15 @@ def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -
     without  with the others
     seen     its screening there, for its placebos and for what physics allows
     """
-    if one.adds:
+    if one.adds_columns:
         return _of_columns(one, seen, without, view)
     return Candidate(
         selected=one,
         cv=compared(without.null, view.null),
         placebo=seen.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        physical=one.inside and (one.effect.response_filter is None or is_alike(one, view)),
+        physical=one.within_limits
+        and (one.effect.response_filter is None or is_consistent(one, view)),
         without=without,
         view=view,
     )
@@ -139,7 +140,7 @@ def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -
 
 def _of_columns(one: SelectedEffect, seen: ScoreTest, without: View, view: View) -> Candidate:
     assert one.effect.columns is not None
-    columns = one.effect.columns(calm_for(view, [one]), one.parameters)
+    columns = one.effect.columns(undisturbed_for(view, [one]), one.parameters)
     if not np.any(columns):  # refitted with it, the stage itself does what it would have added
         return Candidate(
             selected=one,
@@ -157,7 +158,7 @@ def _of_columns(one: SelectedEffect, seen: ScoreTest, without: View, view: View)
         cv=found.cv,
         placebo=seen.placebo,
         share=found.share,
-        physical=found.physical and one.inside,
+        physical=found.physical and one.within_limits,
         without=without,
         view=view,
     )
@@ -170,7 +171,7 @@ def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candid
     has to speak beside the state that serves that class best; where little is at stake, in a
     material that no class here follows, it has to be there beside it still.
     """
-    found = screen(effect, final)
+    found = score_test(effect, final)
     if found is None:
         return None
     structure = _structure_of(found, final)
@@ -178,7 +179,7 @@ def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candid
         return found, structure
     bent = with_bouc_wen_of(final, effect.null_without)
     as_well = effect.null_without(bent).rms < AS_LITTLE * final.rms
-    again = screen(effect, bent)
+    again = score_test(effect, bent)
     small = (
         structure.cv.gain < effect.minimum_beside_bouc_wen and final.rms > STRANGE * final.noise
     )

@@ -20,7 +20,7 @@ APART = 0.35  # of the fitted time
 SURE = 4.0  # standard errors
 
 
-def is_alike(one: SelectedEffect, view: View) -> bool:
+def is_consistent(one: SelectedEffect, view: View) -> bool:
     """Tell whether no track asks for a clearly different time than the fitted one."""
     name = next(iter(one.free))
     there = stepped(one, name, NUDGE)

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from piezoid.diagnosis.absence import absent, unsought
+from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import attributed
 from piezoid.diagnosis.candidate import CERTAIN, Candidate
@@ -176,7 +176,7 @@ def _diagnosis(
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     named = {finding.effect for finding in findings}
     unseen = [
-        unsought(effect, outcome.against) if outcome.against else absent(effect, outcome)
+        not_sought(effect, outcome.against) if outcome.against else absent(effect, outcome)
         for effect in EFFECTS
         if effect.name not in named
     ]
@@ -256,7 +256,7 @@ def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),
         explanation=_first_words(effect)
-        + f" {'Behind jumps of the drive' if cause.selected.struck else 'Here'} "
+        + f" {'Behind jumps of the drive' if cause.selected.from_jumps else 'Here'} "
         f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
         f"beside everything else found it takes {100 * cause.cv.gain:.3g} % off the error that "
         "is left there."

@@ -59,7 +59,7 @@ BY_HARMONICS = 1.15  # times the gain of one wave: what repeats, and is no sine
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lives:
+class CoordinateScore:
     """What a curve along one coordinate makes of a remainder.
 
     basis        of the curve
@@ -147,19 +147,19 @@ class Remainder:
             gained += np.sum((2.0 * own_right - own @ beta) * beta, axis=0)
         return np.asarray(gained / np.maximum(np.sum(values**2, axis=0), 1e-300))
 
-    def lives(self, basis: Basis, p_value: float = 1.0) -> Lives:
+    def lives(self, basis: Basis, p_value: float = 1.0) -> CoordinateScore:
         """Return what a curve makes of the remainder."""
         return self.lives_beside(basis, np.zeros((len(self.left), 0)), p_value)[0]
 
     def lives_beside(
         self, basis: Basis, moved: Array, p_value: float = 1.0
-    ) -> tuple[Lives, Array]:
+    ) -> tuple[CoordinateScore, Array]:
         """Return what a curve makes of the remainder, and its gains on remainders moved away."""
         across, length = self.across(basis.columns)
         gains = self.held(across, np.column_stack([self.left, moved]))
         ridge = RIDGE * np.eye(across.shape[1])
         beta = np.linalg.solve(across.T @ across + ridge, across.T @ self.left)
-        found = Lives(
+        found = CoordinateScore(
             basis=basis,
             gain=float(gains[0]),
             p_value=p_value,
@@ -169,7 +169,7 @@ class Remainder:
         return found, gains[1:]
 
 
-def everywhere(remainder: Remainder, seed: int = 0) -> tuple[Lives, ...]:
+def everywhere(remainder: Remainder, seed: int = 0) -> tuple[CoordinateScore, ...]:
     """Return what a curve along each coordinate makes of the remainder, the best first.
 
     The p-value of a curve along a signal is the part of the shifted remainders of which any signal
@@ -189,7 +189,7 @@ def everywhere(remainder: Remainder, seed: int = 0) -> tuple[Lives, ...]:
     return tuple(sorted(found, key=lambda lives: -lives.gain))
 
 
-def _of_reading(remainder: Remainder, moved: Array) -> Lives:
+def _of_reading(remainder: Remainder, moved: Array) -> CoordinateScore:
     """Judge the reading by what it explains beyond readings with another remainder in them.
 
     Whatever is left is in the reading as well, so that a large one lies where readings are large.
@@ -203,7 +203,7 @@ def _of_reading(remainder: Remainder, moved: Array) -> Lives:
     return replace(found, gain=found.gain - max(*others, 0.0))
 
 
-def _in_time(remainder: Remainder, chance: np.random.Generator) -> Lives:
+def _in_time(remainder: Remainder, chance: np.random.Generator) -> CoordinateScore:
     """Judge a curve in time of every recording's own on chunks of time left out.
 
     Its p-value is of chunks whose signs are chance: of a remainder that is not correlated for
@@ -225,7 +225,7 @@ def _in_time(remainder: Remainder, chance: np.random.Generator) -> Lives:
         coefficients.append(np.linalg.solve(columns.T @ columns + ridge, columns.T @ own))
         followed.append(columns @ coefficients[-1])
     gains = gained / max(float(np.sum(remainder.left**2)), 1e-300)
-    return Lives(
+    return CoordinateScore(
         basis=in_time(remainder.view),
         gain=float(gains[0]),
         p_value=(1.0 + float(np.sum(gains[1:] >= gains[0]))) / (1.0 + SHIFTS),
@@ -234,7 +234,7 @@ def _in_time(remainder: Remainder, chance: np.random.Generator) -> Lives:
     )
 
 
-def course(remainder: Remainder, lives: Lives) -> Lives:
+def course(remainder: Remainder, lives: CoordinateScore) -> CoordinateScore:
     """Return a course in time fitted beside the null, round after round of one and the other."""
     view, null = remainder.view, remainder.null
     columns = [along_time(view, k) for k in range(len(view.tracks))]
@@ -251,7 +251,7 @@ def course(remainder: Remainder, lives: Lives) -> Lives:
     return replace(lives, coefficient=total.ravel(), followed=null.without(curve))
 
 
-def _line(remainder: Remainder) -> Lives | None:
+def _line(remainder: Remainder) -> CoordinateScore | None:
     """Return what waves of one frequency in time make of the remainder."""
     view = remainder.view
     seconds = tuple(track.time_s for track in view.tracks)
@@ -262,7 +262,7 @@ def _line(remainder: Remainder) -> Lives | None:
         spectrum[_driven(view.static[k], view.noise)[: len(spectrum)]] = 0.0
         spectrum[: int(PERIODS)] = 0.0
         peaks += [(x, p, j * step_Hz, k) for x, p, j in highest(spectrum)]
-    best: Lives | None = None
+    best: CoordinateScore | None = None
     for _, p_value, near_Hz, k in sorted(peaks, reverse=True)[: 2 * LINES]:
         frequency_Hz = _refined(remainder, seconds, near_Hz, 1.0 / float(seconds[k][-1]))
         basis = waves(view, "frequency", seconds, frequency_Hz, "s")
@@ -272,7 +272,9 @@ def _line(remainder: Remainder) -> Lives | None:
     return None if best is None else _with_harmonics(remainder, best, seconds)
 
 
-def _with_harmonics(remainder: Remainder, line: Lives, seconds: Signals) -> Lives:
+def _with_harmonics(
+    remainder: Remainder, line: CoordinateScore, seconds: Signals
+) -> CoordinateScore:
     """Return the line, or what repeats with its frequency, or with the grid's, and is no sine."""
     best, own_Hz = line, line.basis.per_unit
     tried = [("frequency", own_Hz, HARMONICS)]
@@ -351,7 +353,7 @@ def _refined(remainder: Remainder, along: Sequence[Array], near: float, width: f
     return float(tried[int(np.argmax(power))])
 
 
-def _of_index(remainder: Remainder) -> Lives | None:
+def _of_index(remainder: Remainder) -> CoordinateScore | None:
     """Return what cells that repeat with the index of the sample make of the remainder."""
     from scipy.stats import chi2
 
@@ -377,7 +379,7 @@ def _of_index(remainder: Remainder) -> Lives | None:
     return remainder.lives(every(view, best), p_value)
 
 
-def _of_way(remainder: Remainder) -> Lives | None:
+def _of_way(remainder: Remainder) -> CoordinateScore | None:
     """Return what waves of one period of the way travelled make of the remainder."""
     view, way = remainder.view, travelled(remainder.view)
     longest = max(float(one[-1]) for one in way)

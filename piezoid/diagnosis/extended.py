@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters
-from piezoid.diagnosis.ringing import calmed
+from piezoid.diagnosis.ringing import undisturbed
 from piezoid.diagnosis.view import View, with_commands
 from piezoid.numerics.arrays import Array
 
@@ -21,17 +21,17 @@ class SelectedEffect:
 
     free    which of them are worth refining: by which factor (above 1) or step (below) to try
     limits  ranges of these
-    struck  whether it was seen behind jumps of the drive, where it is judged then
+    from_jumps  whether it was seen behind jumps of the drive, where it is judged then
     """
 
     effect: Effect
     parameters: Parameters
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    struck: bool = False
+    from_jumps: bool = False
 
     @property
-    def inside(self) -> bool:
+    def within_limits(self) -> bool:
         """Whether no parameter lies at its limit."""
         return all(
             low * (1.0 + EDGE) < self.parameters[name] < high * (1.0 - EDGE)
@@ -39,7 +39,7 @@ class SelectedEffect:
         )
 
     @property
-    def adds(self) -> bool:
+    def adds_columns(self) -> bool:
         """Whether it adds columns with free coefficients."""
         effect = self.effect
         return (
@@ -49,10 +49,14 @@ class SelectedEffect:
         )
 
     @property
-    def acts(self) -> bool:
+    def is_active(self) -> bool:
         """Whether it changes drive or response; the nuisance class has the other ones already."""
         effect = self.effect
-        return self.adds or effect.response_filter is not None or effect.drive_filter is not None
+        return (
+            self.adds_columns
+            or effect.response_filter is not None
+            or effect.drive_filter is not None
+        )
 
 
 def extended(clean: View, selected: Sequence[SelectedEffect], near: View | None = None) -> View:
@@ -67,7 +71,7 @@ def extended(clean: View, selected: Sequence[SelectedEffect], near: View | None 
     behind = [one for one in selected if one.effect.drive_filter is None]
     if not behind:
         return view
-    calm = calm_for(view, behind)
+    calm = undisturbed_for(view, behind)
     here, last = view, view.rms
     if near is not None:
         here, last = replace(view, guess=near.static), near.rms
@@ -119,10 +123,10 @@ def offset_of(view: View, selected: Sequence[SelectedEffect]) -> Array:
     return np.concatenate(parts)
 
 
-def calm_for(view: View, selected: Sequence[SelectedEffect]) -> View:
+def undisturbed_for(view: View, selected: Sequence[SelectedEffect]) -> View:
     """Return the view of which the columns of those are made that ring; itself where none does."""
     rings = [one for one in selected if one.effect.may_be_absorbed]
-    return calmed(view, lambda plain: columns_of(plain, rings, plain)) if rings else view
+    return undisturbed(view, lambda plain: columns_of(plain, rings, plain)) if rings else view
 
 
 def columns_of(view: View, selected: Sequence[SelectedEffect], calm: View) -> Array:
@@ -132,7 +136,7 @@ def columns_of(view: View, selected: Sequence[SelectedEffect], calm: View) -> Ar
     """
     parts = [np.zeros((len(view.offset), 0))]
     for one in selected:
-        if one.adds and one.effect.columns is not None:
+        if one.adds_columns and one.effect.columns is not None:
             parts.append(
                 one.effect.columns(calm if one.effect.may_be_absorbed else view, one.parameters)
             )

@@ -11,7 +11,7 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import sure_gain
+from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.tracks import BLOCKS, Places
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.once import Once
@@ -24,7 +24,7 @@ HELD_RIDGE = 1e-6  # rows left out may ask columns for what they never saw
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Held:
+class CrossValidated:
     """What columns bring on rows they were not fitted to.
 
     gain         1 - rms with / rms without
@@ -154,7 +154,7 @@ class Null:
             loss += float(np.sum((measured - left @ beta) ** 2))
         return sqrt(loss / len(self.response))
 
-    def held(self, columns: Array, *, projected: bool = False) -> Held:
+    def cross_validated(self, columns: Array, *, projected: bool = False) -> CrossValidated:
         """Return what columns bring beside the null, judged on rows left out."""
         across = columns if projected else self.without(columns)
         length = np.sqrt(np.einsum("ij,ij->j", across, across)) + 1e-300
@@ -176,9 +176,9 @@ class Null:
         explained = np.einsum("i,bij,j->b", beta, gram, beta)
         spread = np.std(betas, axis=0, ddof=1) * (FOLDS - 1) / sqrt(FOLDS)
         gain = 1.0 - sqrt(max(float(loss.sum()), 0.0) / float(energy.sum()))
-        return Held(
+        return CrossValidated(
             gain=gain,
-            z=sure_gain(energy - loss, explained, gain),
+            z=gain_z(energy - loss, explained, gain),
             coefficient=beta / length,
             spread=spread / length,
             loss=loss,
@@ -213,7 +213,7 @@ class Null:
         return np.asarray(np.add.reduceat(self.residual**2, self.edges))
 
 
-def compared(before: Null, after: Null) -> Held:
+def compared(before: Null, after: Null) -> CrossValidated:
     """Return what replacing a null by another of as many columns brings, block by block.
 
     Both are refitted; a parameter or two are no freedom beside thousands of rows.
@@ -221,9 +221,9 @@ def compared(before: Null, after: Null) -> Held:
     energy, loss = before.energy, after.energy
     gains = energy - loss
     gain = 1.0 - sqrt(float(loss.sum()) / float(energy.sum()))
-    return Held(
+    return CrossValidated(
         gain=gain,
-        z=sure_gain(gains, np.abs(gains), gain),
+        z=gain_z(gains, np.abs(gains), gain),
         coefficient=np.ones(1),
         spread=np.zeros(1),
         loss=loss,

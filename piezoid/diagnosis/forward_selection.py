@@ -22,12 +22,17 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.joint_candidates import pair_in_place, pair_of
-from piezoid.diagnosis.jumps import struck
-from piezoid.diagnosis.other_side import placed_elsewhere
+from piezoid.diagnosis.jumps import modes_behind_jumps
+from piezoid.diagnosis.other_side import moved_to_other_side
 from piezoid.diagnosis.refinement import refined
-from piezoid.diagnosis.score_test import ScoreTest, screen
-from piezoid.diagnosis.shortlist import SelectionContext, best_of, refitted
-from piezoid.diagnosis.slip_alternative import Instead, fault_beside, slips_instead, stand_better
+from piezoid.diagnosis.score_test import ScoreTest, score_test
+from piezoid.diagnosis.shortlist import SelectionContext, best_candidate, refit_shortlist
+from piezoid.diagnosis.slip_alternative import (
+    SlipAlternative,
+    fault_beside_cause,
+    slips_fit_better,
+    slips_in_place,
+)
 from piezoid.diagnosis.view import (
     View,
     with_bouc_wen,
@@ -62,7 +67,9 @@ class SelectionState:
 def select_forward(clean: View, faults: Mapping[str, Fault], executor: Executor) -> SelectionState:
     """Select one effect after another until none is evidence."""
     executor.report("looking behind jumps of the drive")
-    state = SelectionState(clean=clean, selected=struck(clean), faults=faults, screened={})
+    state = SelectionState(
+        clean=clean, selected=modes_behind_jumps(clean), faults=faults, screened={}
+    )
     for _ in range(MOST_CAUSES + 2):
         view = extended(state.clean, state.selected)
         named = {one.effect.name for one in state.selected}
@@ -82,10 +89,10 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
     view  with everything selected, on which the score tests were made
     """
     beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
-    tried = refitted(state.screened.values(), beside, executor)
-    best = best_of(tried, beside)
+    tried = refit_shortlist(state.screened.values(), beside, executor)
+    best = best_candidate(tried, beside)
     least = best.view.rms if best else np.inf
-    moved = placed_elsewhere(beside, best)
+    moved = moved_to_other_side(beside, best)
     if moved is not None:
         return replace(state, selected=moved)
     shared = with_shared_initial_state(view, executor)
@@ -135,11 +142,11 @@ def _with_slips(
     """Take in slips where they stand better than a filter, or than nothing; and the error left."""
     if view.rms < NOISY * view.noise or (best and best.effect.response_filter is None):
         return None
-    slips = slips_instead(state.clean, state.selected, view)
+    slips = slips_in_place(state.clean, state.selected, view)
     cause = best.view if best else None
-    if slips is None or not stand_better(slips, view, cause, state.faults.get(SLIP)):
+    if slips is None or not slips_fit_better(slips, view, cause, state.faults.get(SLIP)):
         return None
-    fault = fault_beside(slips, best.effect.name, best.view) if best else slips.fault
+    fault = fault_beside_cause(slips, best.effect.name, best.view) if best else slips.fault
     return _slipped(state, slips, fault, state.selected), slips.view.rms
 
 
@@ -150,14 +157,17 @@ def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | 
             continue
         rest = tuple(other for other in state.selected if other is not one)
         without = extended(state.clean, rest)
-        slips = slips_instead(state.clean, rest, without)
-        if slips and stand_better(slips, without, view, state.faults.get(SLIP)):
-            return _slipped(state, slips, fault_beside(slips, one.effect.name, view), rest)
+        slips = slips_in_place(state.clean, rest, without)
+        if slips and slips_fit_better(slips, without, view, state.faults.get(SLIP)):
+            return _slipped(state, slips, fault_beside_cause(slips, one.effect.name, view), rest)
     return None
 
 
 def _slipped(
-    state: SelectionState, slips: Instead, fault: Fault, selected: tuple[SelectedEffect, ...]
+    state: SelectionState,
+    slips: SlipAlternative,
+    fault: Fault,
+    selected: tuple[SelectedEffect, ...],
 ) -> SelectionState:
     faults = {**state.faults, SLIP: fault.after(state.faults.get(SLIP))}
     return replace(state, clean=slips.clean, selected=selected, faults=faults)
@@ -166,7 +176,7 @@ def _slipped(
 def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:
     def screened(effect: Effect) -> ScoreTest | None:
         executor.report(f"testing {effect.name.replace('_', ' ')}")
-        return screen(effect, view)
+        return score_test(effect, view)
 
     others = [e for e in EFFECTS if e.null_without is None and e.name not in named]
     others = [effect for effect in others if not effect.untestable(view)]

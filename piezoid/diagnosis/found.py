@@ -22,13 +22,13 @@ class Found:
     effect       its name
     parameters   nonlinear ones, by name with unit; drives in half ranges
     coefficient  (columns,)  linear ones
-    struck       whether jumps of the drive have shown it
+    from_jumps   whether jumps of the drive have shown it
     """
 
     effect: str
     parameters: Mapping[str, float] = field(default_factory=dict)
     coefficient: Array = field(default_factory=lambda: np.ones(1))
-    struck: bool = False
+    from_jumps: bool = False
 
     @property
     def share(self) -> float:

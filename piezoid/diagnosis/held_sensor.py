@@ -17,7 +17,7 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import sure_gain
+from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
@@ -142,7 +142,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
     before, after = (sqrt(float(np.mean(one**2))) for one in (fit.before_V, fit.after_V))
     gain = 1.0 - after / max(before, 1e-300)
     block = _blocks(hold)
-    z = sure_gain(
+    z = gain_z(
         np.bincount(block, fit.before_V**2 - fit.after_V**2, BLOCKS).astype(np.float64),
         np.bincount(block, (fit.before_V - fit.after_V) ** 2, BLOCKS).astype(np.float64),
         gain,

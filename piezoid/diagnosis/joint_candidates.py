@@ -14,8 +14,8 @@ from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import compared
-from piezoid.diagnosis.refinement import Refined, begun, refined, refined_together
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import Refined, initial_guess, refined, refined_together
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shortlist import SelectionContext
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import SERIAL, Executor
@@ -58,7 +58,7 @@ def pair_in_place(
         return ()
     named = {one.effect.name for one in beside.selected}
     for one in beside.selected:
-        if not one.free or one.struck:
+        if not one.free or one.from_jumps:
             continue
         rest = tuple(other for other in beside.selected if other is not one)
         alike = [e for e in EFFECTS if e.name not in named and _alike(e, one.effect)]
@@ -91,10 +91,10 @@ def _alone(
     """
     if effect.untestable(without):
         return None
-    seen = screen(effect, without)
+    seen = score_test(effect, without)
     if seen is None or not seen.physical or len(seen.trial.free) < WIDE:
         return None
-    return refined(begun(effect, seen.trial, float(seen.cv.coefficient[0])), clean, rest)
+    return refined(initial_guess(effect, seen.trial, float(seen.cv.coefficient[0])), clean, rest)
 
 
 def _best(pairs: Iterable[Pair | None]) -> tuple[SelectedEffect, ...]:
@@ -124,7 +124,7 @@ def _is_needed(one: SelectedEffect, without: View, single: View, view: View) -> 
     without  the view with the other as it is now
     single   the view with the other as it was alone
     """
-    seen = screen(one.effect, without)
+    seen = score_test(one.effect, without)
     if seen is None or not judged(one, view, without, seen=seen).is_significant:
         return False
     held = compared(single.null, view.null)

@@ -19,8 +19,8 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect
 from piezoid.diagnosis.history import History
 from piezoid.diagnosis.nuisance import NuisanceClass
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.tracks import BLOCKS, Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -61,7 +61,7 @@ class Trend(NuisanceClass):
         return columns
 
 
-def struck(view: View) -> tuple[SelectedEffect, ...]:
+def modes_behind_jumps(view: View) -> tuple[SelectedEffect, ...]:
     """Return the modes that jumps of the drive have struck beyond doubt."""
     scope = behind_jumps(view)
     if scope is None:
@@ -137,10 +137,10 @@ def _only(track: Track, stretches: Sequence[Stretch]) -> Track:
 
 
 def _struck(effect: Effect, scope: View) -> SelectedEffect | None:
-    seen = None if effect.untestable(scope) else screen(effect, scope)
+    seen = None if effect.untestable(scope) else score_test(effect, scope)
     if seen is None or not seen.physical:
         return None
-    one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
+    one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
     better, view = refined(one, scope, [])
     found = judged(better, view, scope, seen=seen)
-    return replace(better, struck=True) if found.is_significant else None
+    return replace(better, from_jumps=True) if found.is_significant else None

@@ -10,14 +10,14 @@ Source: Vuong, Econometrica 57 (1989).
 
 from collections.abc import Sequence
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.candidate import Candidate, exceeds_structure, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.jumps import behind_jumps
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import SERIAL, Executor
 
@@ -30,7 +30,7 @@ LIKELIER = 1.0  # and one that can do no more than what stands there
 Confounded = dict[str, tuple[str, ...]]
 
 
-def told_apart(
+def compare_models(
     clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
     """Judge every selected effect or what replaces it, and name the effects that do as well.
@@ -39,7 +39,7 @@ def told_apart(
     """
     selected = list(selected)
     while True:
-        causes, confounded = _each(clean, selected, executor)
+        causes, confounded = _compare_each(clean, selected, executor)
         mute = [cause for cause in causes if not _stands(cause)]
         if not mute:
             return causes, confounded
@@ -53,7 +53,7 @@ def _stands(cause: Candidate) -> bool:
     )
 
 
-def _each(
+def _compare_each(
     clean: View, selected: list[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
     selected, causes, near = list(selected), [], {}
@@ -78,7 +78,7 @@ def _where_seen(
     one: SelectedEffect, clean: View, others: list[SelectedEffect]
 ) -> tuple[View, list[SelectedEffect]]:
     """Return where an effect is judged, and which others are yet to be put to work there."""
-    jumps = behind_jumps(extended(clean, others)) if one.struck else None
+    jumps = behind_jumps(extended(clean, others)) if one.from_jumps else None
     if jumps is None:
         return clean, others
     return jumps, [other for other in others if other.effect.drive_filter is None]
@@ -88,7 +88,7 @@ def _cause(clean: View, others: Sequence[SelectedEffect], one: SelectedEffect) -
     """Judge a selected effect once more, refined beside all others."""
     better, view = refined(one, clean, others, finer=1)
     without = extended(clean, others)
-    seen = screen(one.effect, without)
+    seen = score_test(one.effect, without)
     assert seen is not None
     return judged(better, view, without, seen=seen)
 
@@ -119,7 +119,7 @@ def replaces_it(alternative: Candidate, cause: Candidate) -> bool:
     )
     as_free = filters and len(alternative.selected.free) == len(cause.selected.free)
     least = LIKELIER if as_free else BETTER
-    return alternative.is_significant and surely(cause.cv.loss, alternative.cv.loss) > least
+    return alternative.is_significant and paired_z(cause.cv.loss, alternative.cv.loss) > least
 
 
 def is_confounded(alternative: Candidate, cause: Candidate) -> bool:
@@ -131,7 +131,7 @@ def is_confounded(alternative: Candidate, cause: Candidate) -> bool:
     explained = cause.without.rms**2 - cause.cv.rms**2
     if worse < ALIKE * explained and alternative.cv.rms < (1.0 + ALIKE) * cause.cv.rms:
         return True
-    return surely(alternative.cv.loss, cause.cv.loss) < SEPARABLE
+    return paired_z(alternative.cv.loss, cause.cv.loss) < SEPARABLE
 
 
 def _in_place(
@@ -143,9 +143,9 @@ def _in_place(
         or effect.untestable(cause.without)
     ):
         return None
-    seen = screen(effect, cause.without)
+    seen = score_test(effect, cause.without)
     if seen is None or not seen.physical or seen.total_gain < NEAR * cause.cv.gain:
         return None
-    one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
+    one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
     better, view = refined(one, clean, others, finer=1)
     return judged(better, view, cause.without, seen=seen)

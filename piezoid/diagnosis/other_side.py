@@ -15,7 +15,7 @@ from piezoid.diagnosis.shortlist import SelectionContext
 CLEARLY = 0.98  # of the error that another place leaves, or another effect beside it
 
 
-def placed_elsewhere(
+def moved_to_other_side(
     beside: SelectionContext, best: Candidate | None
 ) -> tuple[SelectedEffect, ...] | None:
     """Return what was selected with one on the other side of the hysteresis, where it fits better.

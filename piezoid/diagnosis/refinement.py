@@ -23,7 +23,7 @@ BETTER = 5e-4  # of the error: what a step must gain
 Refined = tuple[SelectedEffect, View]
 
 
-def begun(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
+def initial_guess(effect: Effect, trial: Trial, coefficient: float) -> SelectedEffect:
     """Return an effect as its best tangent has it.
 
     Of a filter that all passes, a tangent with a share of 1.7 means a time 1.7 times as long.

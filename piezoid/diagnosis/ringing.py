@@ -30,7 +30,7 @@ def without_memory(view: View) -> View:
     return replace(view, guess=tuple(np.asarray(np.polyval(curve, t.drive)) for t in view.tracks))
 
 
-def calmed(view: View, rung: Callable[[View], Array]) -> View:
+def undisturbed(view: View, rung: Callable[[View], Array]) -> View:
     """Return the view with static responses that know nothing of ringing, where none were given.
 
     rung  (view) -> what rings there, (rows, columns)

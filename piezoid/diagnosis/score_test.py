@@ -10,14 +10,14 @@ from math import log
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Trial
-from piezoid.diagnosis.folds import Held, Null
+from piezoid.diagnosis.folds import CrossValidated, Null
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05
 AS_MUCH = 0.8  # of the best gain
 TINY = 1e-12  # of a column: nothing is left of it
-Row = tuple[Trial, Held, Array]
+Row = tuple[Trial, CrossValidated, Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,8 +38,8 @@ class ScoreTest:
 
     effect: Effect
     trial: Trial
-    cv: Held
-    placebo: Held | None
+    cv: CrossValidated
+    placebo: CrossValidated | None
     share: float
     bound: float
     floor: float
@@ -49,7 +49,7 @@ class ScoreTest:
     total_gain: float
 
 
-def screen(effect: Effect, view: View) -> ScoreTest | None:
+def score_test(effect: Effect, view: View) -> ScoreTest | None:
     """Return the best of an effect's trials, None where it has none on these recordings."""
     trials = [t for t in effect.trials(view) if np.any(t.columns)] if effect.trials else []
     null = null_of(effect, view)
@@ -74,12 +74,14 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
     widths = np.cumsum([0, *(t.columns.shape[1] for t in trials)])
     across = null.without(np.hstack([t.columns for t in trials]))
     judged = [
-        (t, null.held(across[:, a:b], projected=True), across[:, a:b])
+        (t, null.cross_validated(across[:, a:b], projected=True), across[:, a:b])
         for t, a, b in zip(trials, widths[:-1], widths[1:], strict=True)
     ]
     placebos = [held for t, held, _ in judged if not t.physical]
     real = [(t, held, c) for t, held, c in judged if t.physical]
-    allowed = [row for row in real if _sound(effect, row[0], row[1]) and _apart(row[0], row[2])]
+    allowed = [
+        row for row in real if _sound(effect, row[0], row[1]) and _is_separable(row[0], row[2])
+    ]
     trial, held, columns = _best(effect, allowed or real)
     share, bound = _shares(held, columns)
     return ScoreTest(
@@ -90,9 +92,9 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
         share=share,
         bound=bound,
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
-        absorption=_veiled(trial, columns),
+        absorption=_absorption(trial, columns),
         physical=bool(allowed),
-        separable=any(_apart(trial, across) for trial, _, across in real),
+        separable=any(_is_separable(trial, across) for trial, _, across in real),
         total_gain=held.gain,
     )
 
@@ -109,7 +111,7 @@ def _best(effect: Effect, rows: Sequence[Row]) -> Row:
     return min(near, key=lambda row: abs(log(abs(float(row[1].coefficient[0])) + 1e-12)))
 
 
-def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
+def _sound(effect: Effect, trial: Trial, held: CrossValidated) -> bool:
     low, high = trial.coefficient_range
     if not trial.unique:
         return False
@@ -122,18 +124,18 @@ def _sound(effect: Effect, trial: Trial, held: Held) -> bool:
     )
 
 
-def _apart(trial: Trial, across: Array) -> bool:
+def _is_separable(trial: Trial, across: Array) -> bool:
     whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
     return bool(np.linalg.norm(across[:, 0]) >= trial.minimum_separation * np.linalg.norm(whole))
 
 
-def _veiled(trial: Trial, across: Array) -> float:
+def _absorption(trial: Trial, across: Array) -> float:
     """Return how many times longer a trial's columns are than what the null leaves of them."""
     whole = trial.columns - trial.columns.mean(axis=0)
     return max(float(np.linalg.norm(whole) / (np.linalg.norm(across) + TINY)), 1.0)
 
 
-def _shares(held: Held, across: Array) -> tuple[float, float]:
+def _shares(held: CrossValidated, across: Array) -> tuple[float, float]:
     """Return the rms of what a trial adds beyond the null, of the whole stroke, and its bound."""
     own = float(np.sqrt(np.mean((across @ held.coefficient) ** 2)))
     length = np.sqrt(np.mean(across**2, axis=0))

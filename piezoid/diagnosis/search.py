@@ -21,9 +21,9 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.forward_selection import SLIP, SelectionState, select_forward
-from piezoid.diagnosis.model_comparison import Confounded, told_apart
+from piezoid.diagnosis.model_comparison import Confounded, compare_models
 from piezoid.diagnosis.repair import repaired
-from piezoid.diagnosis.score_test import ScoreTest, screen
+from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import SERIAL, Executor
 
@@ -64,7 +64,7 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
     """Find the causes of what the nuisance class cannot follow."""
     clean, faults = repaired(view, executor)
     state = _best_selection(clean, faults, executor)
-    causes, confounded = told_apart(state.clean, state.selected, executor)
+    causes, confounded = compare_models(state.clean, state.selected, executor)
     final = extended(state.clean, [cause.selected for cause in causes])
     named = {cause.effect.name for cause in causes}
     found = Outcome(
@@ -120,7 +120,7 @@ def _best_selection(
 def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
     """Return the last word on effects that were selected once and are not any more."""
     screenings = [
-        screen(effect, final)
+        score_test(effect, final)
         for effect in EFFECTS
         if effect.null_without is None
         and effect.name not in known

@@ -10,7 +10,7 @@ from math import sqrt
 
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.refinement import begun, refined, refined_together
+from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import Executor
@@ -43,7 +43,7 @@ class SelectionContext:
     view: View
 
 
-def refitted(
+def refit_shortlist(
     found: Iterable[ScoreTest], beside: SelectionContext, executor: Executor
 ) -> list[Candidate]:
     """Return the telling effects with everything refitted, and if none is evidence the others."""
@@ -51,12 +51,12 @@ def refitted(
     telling = TELLING * max((f.total_gain for f in hopeful), default=0.0)
     hopeful = [f for f in hopeful if _above_placebo(f)]
     tried = _refined([f for f in hopeful if f.total_gain > telling], beside, executor)
-    if best_of(tried, beside) is None:
+    if best_candidate(tried, beside) is None:
         tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, executor)
     return tried
 
 
-def best_of(tried: Sequence[Candidate], beside: SelectionContext) -> Candidate | None:
+def best_candidate(tried: Sequence[Candidate], beside: SelectionContext) -> Candidate | None:
     """Return the effect that leaves least among those that are evidence."""
     own = [j for j in tried if j.is_significant and not _left_over(j, beside)]
     return min(own, key=lambda j: j.cv.rms, default=None)
@@ -67,7 +67,7 @@ def _refined(
 ) -> list[Candidate]:
     """Return effects with everything refitted, but those that begin far behind the best."""
     best = max((found.total_gain for found in telling), default=0.0)
-    first = [begun(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
+    first = [initial_guess(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
     left = executor.map(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
     least = min(left, default=0.0)
 
@@ -75,7 +75,7 @@ def _refined(
         one, found = begin
         executor.report(f"refitting with {one.effect.name.replace('_', ' ')}")
         better, view = refined(one, beside.clean, beside.selected)
-        return _together(judged(better, view, beside.view, seen=found), beside, found)
+        return _refined_together(judged(better, view, beside.view, seen=found), beside, found)
 
     near = [
         (one, found)
@@ -85,14 +85,14 @@ def _refined(
     return executor.map(refit, near)
 
 
-def _together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:
+def _refined_together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:
     """Refine what was selected alone for both, where these look alike, and the effect again.
 
     A delay that is none may be one then: beside a limit that follows a part of it, it differs from
     recording to recording. Where more is free than a time, that costs too much to hope for.
     """
     free = len(alone.selected.free)
-    moving = [one for one in beside.selected if one.free and not one.struck]
+    moving = [one for one in beside.selected if one.free and not one.from_jumps]
     alike = [one for one in moving if one.effect.resembles(alone.effect)]
     if not alike or not (free == 1 or (free and alone.physical)):
         return alone

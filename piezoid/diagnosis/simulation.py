@@ -47,10 +47,10 @@ class Simulated:
 def simulated(found: Explained) -> Simulated:
     """Return the simulation's errors before, after, and without each thing that was found."""
     outcome = found.outcome
-    selected = [cause.selected for cause in outcome.causes if cause.selected.acts]
+    selected = [cause.selected for cause in outcome.causes if cause.selected.is_active]
     baseline = error_of(found.raw)
     final = error_of(outcome.final)
-    structural = [cause for cause in outcome.causes if not cause.selected.acts]
+    structural = [cause for cause in outcome.causes if not cause.selected.is_active]
     without = {
         f.effect.name: final / (1.0 - float(np.clip(f.cv.gain, 0, 0.99))) for f in structural
     }

@@ -20,7 +20,7 @@ import numpy as np
 
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Size
-from piezoid.diagnosis.extended import SelectedEffect, calm_for, driven, offset_of
+from piezoid.diagnosis.extended import SelectedEffect, driven, offset_of, undisturbed_for
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
@@ -58,8 +58,8 @@ def _spread(cause: Candidate, value: float) -> float:
         (effect.size(seen, stepped(one, name, NUDGE).parameters, beta) - value) / NUDGE
         for name in one.free
     ]
-    if one.adds and effect.columns is not None:
-        columns += list(effect.columns(calm_for(view, [one]), one.parameters).T)
+    if one.adds_columns and effect.columns is not None:
+        columns += list(effect.columns(undisturbed_for(view, [one]), one.parameters).T)
         for k in range(len(beta)):
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
@@ -86,7 +86,7 @@ def _nudged(cause: Candidate, name: str) -> Array:
         change = _of_drive(cause, there)
     else:
         assert effect.columns is not None
-        here = calm_for(view, [one])
+        here = undisturbed_for(view, [one])
         moved = effect.columns(here, there.parameters) - effect.columns(here, one.parameters)
         change = moved @ cause.cv.coefficient
     return np.asarray(change / NUDGE)

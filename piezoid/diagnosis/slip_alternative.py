@@ -17,7 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import Null
@@ -41,7 +41,7 @@ SEPARABLE = 1.96  # standard errors between two that are told apart
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Instead:
+class SlipAlternative:
     """Slips that stand better than what stood there.
 
     clean  the tracks with these put back in step
@@ -54,9 +54,9 @@ class Instead:
     fault: Fault
 
 
-def slips_instead(
+def slips_in_place(
     clean: View, selected: Sequence[SelectedEffect], without: View
-) -> Instead | None:
+) -> SlipAlternative | None:
     """Return the slips that follow the tracks as well as all that looks like a delay would.
 
     without  the view with everything selected
@@ -77,13 +77,13 @@ def slips_instead(
     if len(kept) < len(found):
         repaired = with_tracks(clean, tracks_without(clean, *kept.values()))
         best = repaired, extended(repaired, selected)
-    return Instead(
+    return SlipAlternative(
         clean=best[0], view=best[1], fault=_fault(without, list(kept.values()), best[0])
     )
 
 
-def stand_better(
-    instead: Instead, without: View, cause: View | None, known: Fault | None = None
+def slips_fit_better(
+    instead: SlipAlternative, without: View, cause: View | None, known: Fault | None = None
 ) -> bool:
     """Tell whether slips explain more than a cause, or much where none speaks.
 
@@ -100,7 +100,7 @@ def stand_better(
     return instead.view.rms < cause.rms and (same or clear > least)
 
 
-def fault_beside(instead: Instead, name: str, cause: View) -> Fault:
+def fault_beside_cause(instead: SlipAlternative, name: str, cause: View) -> Fault:
     """Return the slips as a fault that says where a cause explains nearly as much.
 
     name   of the cause that stood there
@@ -110,11 +110,11 @@ def fault_beside(instead: Instead, name: str, cause: View) -> Fault:
     return replace(instead.fault, alike=alike)
 
 
-def _clear(instead: Instead, cause: View) -> float:
+def _clear(instead: SlipAlternative, cause: View) -> float:
     """Return by how many standard errors blocks lose less with slips than with a cause."""
     there, here = _of_blocks(cause.null), _of_blocks(instead.view.null)
     both = sorted(there.keys() & here.keys())
-    return surely(np.array([there[b] for b in both]), np.array([here[b] for b in both]))
+    return paired_z(np.array([there[b] for b in both]), np.array([here[b] for b in both]))
 
 
 def _put_right(
@@ -155,7 +155,7 @@ def _fault(without: View, slips: Sequence[Slip], clean: View) -> Fault:
         tracks=clean.tracks,
         value=first.samples,
         spread=float(np.hypot(spread, ROUNDED)),
-        p_value=without.null.held(column[:, None]).p_value,
+        p_value=without.null.cross_validated(column[:, None]).p_value,
         where=places_of(slips, without.tracks),
     )
 

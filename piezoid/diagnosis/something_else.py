@@ -16,11 +16,18 @@ from numpy.typing import NDArray
 
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.coordinates import Signals, along_displacement
-from piezoid.diagnosis.discovery import SHIFTS, Lives, Remainder, course, everywhere, of_grid
+from piezoid.diagnosis.discovery import (
+    SHIFTS,
+    CoordinateScore,
+    Remainder,
+    course,
+    everywhere,
+    of_grid,
+)
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.healthy import chance_of, score_of
 from piezoid.diagnosis.range_end import Ended, ended
-from piezoid.diagnosis.score_test import ScoreTest, screen
+from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -76,7 +83,7 @@ class Discovered:
     end     of the sensor's range, where that is what was discovered
     """
 
-    lives: Lives
+    lives: CoordinateScore
     curve: Signals
     share: float
     left: Array
@@ -147,7 +154,9 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     return plain
 
 
-def _sought(remainder: Remainder, lives: Sequence[Lives], first: Outcome) -> Iterator[Discovered]:
+def _sought(
+    remainder: Remainder, lives: Sequence[CoordinateScore], first: Outcome
+) -> Iterator[Discovered]:
     """Yield what a remainder may be, what stands in the place of a wrong name before the rest."""
     end = _beyond_range(first)
     if end is not None:
@@ -163,7 +172,7 @@ def _without_faults(plain: Explained, executor: Executor) -> Explained:
     if not first.faults:
         return plain
     remainder = Remainder.of(
-        extended(first.first, [one.selected for one in first.causes if one.selected.acts]), ()
+        extended(first.first, [one.selected for one in first.causes if one.selected.is_active]), ()
     )
     repeating = [one for one in everywhere(remainder) if one.basis.per_unit > 0.0]
     found = _named(remainder, repeating, first)
@@ -207,7 +216,7 @@ def _taken(cause: Candidate) -> float:
 def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, ScoreTest]:
     """Return the last word on causes that are taken back."""
     taken = [cause for cause in outcome.causes if cause.effect.name in names]
-    found = ((cause.effect.name, screen(cause.effect, cause.without)) for cause in taken)
+    found = ((cause.effect.name, score_test(cause.effect, cause.without)) for cause in taken)
     return {name: seen for name, seen in found if seen is not None}
 
 
@@ -248,7 +257,9 @@ def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
     ]
 
 
-def _named(remainder: Remainder, lives: Sequence[Lives], outcome: Outcome) -> Discovered | None:
+def _named(
+    remainder: Remainder, lives: Sequence[CoordinateScore], outcome: Outcome
+) -> Discovered | None:
     """Return the coordinate that surely explains a good part of what is left, if one does."""
     hum = MAINS in {cause.effect.name for cause in outcome.causes}
     for one in lives:
@@ -262,7 +273,7 @@ def _named(remainder: Remainder, lives: Sequence[Lives], outcome: Outcome) -> Di
     return None
 
 
-def _is_sure(lives: Lives) -> bool:
+def _is_sure(lives: CoordinateScore) -> bool:
     least = IN_TIME if lives.coordinate == "time" else LEAST
     return lives.gain >= least and lives.p_value <= SURE
 
@@ -279,7 +290,7 @@ def _above(power: float, noise: float, gain: float) -> float:
     return max(power - min(noise, (1.0 - gain) * power), 0.0)
 
 
-def _discovered(remainder: Remainder, lives: Lives, share: float) -> Discovered:
+def _discovered(remainder: Remainder, lives: CoordinateScore, share: float) -> Discovered:
     """Return the curve once more, with what tangents would have taken of it."""
     whole = Remainder.of(remainder.view, ())
     if lives.coordinate == "time":
@@ -311,7 +322,7 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
     curve = view.rows(found.curve)
     left = replace(view.null, response=view.response - curve).residual + curve
     gains = _gains(curve, left)
-    lives = Lives(
+    lives = CoordinateScore(
         basis=along_displacement(view),
         gain=float(gains[0]),
         p_value=(1.0 + float(np.sum(gains[1:] >= gains[0]))) / len(gains),
@@ -344,7 +355,7 @@ def _instead(outcome: Outcome) -> Discovered | None:
     """Return a curve that leaves clearly less in the place of a cause than the cause does."""
     best, least = None, 1.0
     for cause in outcome.causes:
-        if cause.effect.null_without is not None or cause.selected.struck:
+        if cause.effect.null_without is not None or cause.selected.from_jumps:
             continue
         tangents = tangents_of(outcome, cause.without, cause.effect.name)
         remainder = Remainder.of(cause.without, tangents)
@@ -357,7 +368,7 @@ def _instead(outcome: Outcome) -> Discovered | None:
     return best
 
 
-def rest_of(outcome: Outcome, lives: Sequence[Lives]) -> Rest:
+def rest_of(outcome: Outcome, lives: Sequence[CoordinateScore]) -> Rest:
     """Return how much is left, how often healthy stages leave as much, and where it lives."""
     final = outcome.final
     known = max((one.gain for one in lives if _is_sure(one)), default=0.0)

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.candidate import Candidate, exceeds_structure
 from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
@@ -17,14 +17,14 @@ from piezoid.diagnosis.effects import (
     resonance,
     thermal_drift,
 )
-from piezoid.diagnosis.folds import Held
+from piezoid.diagnosis.folds import CrossValidated
 from piezoid.diagnosis.score_test import _best
 
 BLOCKS = 40
 
 
-def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> Held:
-    return Held(
+def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> CrossValidated:
+    return CrossValidated(
         gain=gain,
         z=z,
         coefficient=np.ones(1),
@@ -35,7 +35,12 @@ def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> H
 
 
 def judged(
-    effect, mine: Held, placebo: Held | None = None, *, left: float, noise: float
+    effect,
+    mine: CrossValidated,
+    placebo: CrossValidated | None = None,
+    *,
+    left: float,
+    noise: float,
 ) -> Candidate:
     return Candidate(
         selected=SimpleNamespace(effect=effect),
@@ -52,7 +57,7 @@ def ahead(standard_errors: float) -> np.ndarray:
     """Losses of a placebo, by so many standard errors above one in every block."""
     spread = np.where(np.arange(BLOCKS) % 2, 1.0, -1.0)
     loss = 1.0 + spread + standard_errors / np.sqrt(BLOCKS) * np.std(spread, ddof=1)
-    np.testing.assert_allclose(surely(loss, np.ones(BLOCKS)), standard_errors)
+    np.testing.assert_allclose(paired_z(loss, np.ones(BLOCKS)), standard_errors)
     return loss
 
 

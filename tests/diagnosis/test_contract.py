@@ -10,8 +10,8 @@ import piezoid.diagnosis.effects as folder
 from piezoid.diagnosis.candidate import judged, structural_candidate
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import healthy, healthy_view, recorded, view_of_recordings
@@ -27,13 +27,15 @@ TOGETHER = ("non_congruence",)
 def speaks(effect: Effect, view) -> bool:
     if effect.fault is not None:
         return effect.fault(view) is not None
-    found = screen(effect, view)
+    found = score_test(effect, view)
     if found is None:
         return False
     if effect.null_without is not None:
         _, structure = structural_candidate(effect, view)
         return structure.is_significant
-    one, there = refined(begun(effect, found.trial, float(found.cv.coefficient[0])), view, [])
+    one, there = refined(
+        initial_guess(effect, found.trial, float(found.cv.coefficient[0])), view, []
+    )
     return judged(one, there, view, seen=found).is_significant
 
 

@@ -15,7 +15,7 @@ from piezoid.diagnosis.effects import (
     timestamp_fault,
 )
 from piezoid.diagnosis.lattice import lattice_step
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab
 
@@ -40,7 +40,7 @@ def test_healthy_recordings_have_no_fault(effect):
 
 def test_no_hum_and_no_ripple_is_seen_in_healthy_recordings():
     for effect in (mains_interference.EFFECT, sensor_periodic_error.EFFECT):
-        found = screen(effect, healthy())
+        found = score_test(effect, healthy())
         assert found is None or found.cv.gain < 0.03
 
 
@@ -119,7 +119,7 @@ def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_erro
     step_m = 4e-3 * STROKE_m
     view = coarse_reading(step_m)
     assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)
-    ripple = screen(sensor_periodic_error.EFFECT, view)
+    ripple = score_test(sensor_periodic_error.EFFECT, view)
     assert ripple is None or ripple.cv.gain < 0.05
 
 
@@ -174,7 +174,7 @@ def test_hum_a_little_off_its_nominal_frequency_is_found_at_its_own():
         rate_Hz, _, y = clean(kind)
         turn = 2 * np.pi * 49.91 * np.arange(len(y)) / rate_Hz
         readings_m[kind] = y + 2e-3 * STROKE_m * (0.4 * np.sin(turn) + np.sin(3 * turn + 1.0))
-    found = screen(mains_interference.EFFECT, view_with(**readings_m))
+    found = score_test(mains_interference.EFFECT, view_with(**readings_m))
     assert found.trial.parameters["frequency_Hz"] == pytest.approx(49.91, abs=0.05)
     assert found.cv.gain > 0.1
 
@@ -187,7 +187,7 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
         for kind in ("sweep", "walk", "waves")
     }
     view = view_with(**readings_m)
-    found = screen(sensor_periodic_error.EFFECT, view)
+    found = score_test(sensor_periodic_error.EFFECT, view)
     periods = 2.0 * view.stroke_m / period_m
     assert found.trial.parameters["periods"] == pytest.approx(periods, rel=0.01)
     assert found.cv.gain > 0.2

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import judged
-from piezoid.diagnosis.consistency import is_alike
+from piezoid.diagnosis.consistency import is_consistent
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import Null
@@ -18,8 +18,8 @@ from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
@@ -51,9 +51,9 @@ def test_the_response_without_columns_is_the_response_with_them():
 
 
 def test_a_delay_is_found_though_its_tangent_was_at_another_time():
-    seen = screen(delay.EFFECT, late_view())
+    seen = score_test(delay.EFFECT, late_view())
     one, view = refined(
-        begun(delay.EFFECT, seen.trial, float(seen.cv.coefficient[0])), late_view(), []
+        initial_guess(delay.EFFECT, seen.trial, float(seen.cv.coefficient[0])), late_view(), []
     )
     assert seen.trial.parameters["delay_s"] != pytest.approx(LATE_s, rel=0.1)
     assert one.parameters["delay_s"] == pytest.approx(LATE_s, rel=0.02)
@@ -67,7 +67,7 @@ def test_a_delay_leaves_less_than_a_lag_where_the_reading_was_late():
         _, view = refined(start, late_view(), [], finer=2)
         errors[name] = view
     assert errors["delay_s"].rms < 0.8 * errors["time_s"].rms
-    assert surely(errors["time_s"].null.energy, errors["delay_s"].null.energy) > 2.0
+    assert paired_z(errors["time_s"].null.energy, errors["delay_s"].null.energy) > 2.0
 
 
 def test_nothing_accepted_changes_nothing():
@@ -90,7 +90,7 @@ def test_the_memory_of_cycled_drives_is_left_alone_and_another_one_is_found():
 
 def test_an_effect_of_which_nothing_is_left_once_all_is_refitted_is_none():
     view = healthy_view()
-    seen = screen(thermal_drift.EFFECT, view)
+    seen = score_test(thermal_drift.EFFECT, view)
     gone = replace(thermal_drift.EFFECT, columns=lambda v, _: np.zeros((len(v.response), 0)))
     one = judged(SelectedEffect(effect=gone, parameters={}), view, view, seen=seen)
     assert not one.is_significant
@@ -98,7 +98,7 @@ def test_an_effect_of_which_nothing_is_left_once_all_is_refitted_is_none():
 
 
 def test_an_opening_below_the_least_one_is_below_its_limit():
-    found = screen(non_congruence.EFFECT, healthy_view())
+    found = score_test(non_congruence.EFFECT, healthy_view())
     opening = abs(float(found.cv.coefficient[0]))
     np.testing.assert_allclose(found.floor, found.share * non_congruence.OPENING / opening)
 
@@ -136,13 +136,13 @@ def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
         for r in recordings
     ]
     view = view_of_recordings(tuple(one_late), lab)
-    seen = screen(delay.EFFECT, view)
-    found, there = refined(begun(delay.EFFECT, seen.trial, 1.0), view, [])
-    assert not is_alike(found, there)
+    seen = score_test(delay.EFFECT, view)
+    found, there = refined(initial_guess(delay.EFFECT, seen.trial, 1.0), view, [])
+    assert not is_consistent(found, there)
     start = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5}
     )
-    assert is_alike(*refined(start, late_view(), []))
+    assert is_consistent(*refined(start, late_view(), []))
 
 
 def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():
@@ -160,7 +160,7 @@ def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():
     )
     view = view_of_recordings((replace(whole, channels=channels),), lab)
     for effect in (delay.EFFECT, lag.EFFECT):
-        seen = screen(effect, view)
+        seen = score_test(effect, view)
         assert not seen.separable
         assert not seen.physical
-    assert screen(delay.EFFECT, late_view()).separable
+    assert score_test(delay.EFFECT, late_view()).separable

@@ -54,8 +54,8 @@ def test_a_refinement_begins_nearer_to_where_all_rounds_end_than_rounds_from_afa
     settled = from_afar
     for _ in range(8):
         settled = extended(clean, [slow], settled)
-    begun = refined(slow, clean, [])[1]  # nothing of it is free
-    assert abs(begun.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)
+    initial_guess = refined(slow, clean, [])[1]  # nothing of it is free
+    assert abs(initial_guess.rms - settled.rms) < 0.5 * abs(from_afar.rms - settled.rms)
 
 
 def test_a_drive_whose_room_another_thread_takes_at_once_is_returned_all_the_same() -> None:

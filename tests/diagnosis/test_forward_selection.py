@@ -22,7 +22,7 @@ def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.
     """Return what a round takes in that begins with an error of 1."""
     view = of_memory(CYCLED, 1.0, noise)
     stand_ins = {
-        "refitted": lambda *_: list(tried),
+        "refit_shortlist": lambda *_: list(tried),
         "_with_pair": lambda *_: None,
         "_with_slips": lambda *_: None,
         "_with_slips_in_place": lambda *_: None,

@@ -16,8 +16,8 @@ from piezoid.diagnosis.effects import (
     rate_dependence,
     resonance,
 )
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shortlist import SelectionContext
 from piezoid.diagnosis.view import View
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -96,7 +96,7 @@ def in_place(monkeypatch, *selected, left: float = 1.2, wide: str = "rate_depend
 
 
 def at_work(effect, *, struck: bool = False) -> SimpleNamespace:
-    return SimpleNamespace(effect=effect, free={"time_s": 1.8}, struck=struck)
+    return SimpleNamespace(effect=effect, free={"time_s": 1.8}, from_jumps=struck)
 
 
 def test_one_that_was_accepted_for_both_keeps_its_place_beside_the_other(monkeypatch) -> None:
@@ -126,7 +126,7 @@ def test_nothing_is_put_beside_what_leaves_the_noise_was_struck_or_has_its_other
 def test_one_of_two_is_needed_where_it_speaks_and_the_other_alone_surely_leaves_more(
     monkeypatch, speaks, z, gain, needed
 ) -> None:
-    monkeypatch.setattr(joint_candidates, "screen", lambda *_: "seen")
+    monkeypatch.setattr(joint_candidates, "score_test", lambda *_: "seen")
     monkeypatch.setattr(
         joint_candidates, "judged", lambda *_, **__: SimpleNamespace(is_significant=speaks)
     )
@@ -152,6 +152,8 @@ def campaign_of(seed: int, plans: tuple[str, ...], effects: dict[str, float]) ->
 
 def alone(effect: Effect, clean: View) -> Candidate:
     """Return an effect that was refitted alone, and that physics is said not to allow there."""
-    seen = screen(effect, clean)
-    one, view = refined(begun(effect, seen.trial, float(seen.cv.coefficient[0])), clean, [])
+    seen = score_test(effect, clean)
+    one, view = refined(
+        initial_guess(effect, seen.trial, float(seen.cv.coefficient[0])), clean, []
+    )
     return replace(judged(one, view, clean, seen=seen), physical=False)

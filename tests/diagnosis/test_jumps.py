@@ -9,7 +9,7 @@ import pytest
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import resonance
 from piezoid.diagnosis.found import Found
-from piezoid.diagnosis.jumps import SETTLED, behind_jumps, struck
+from piezoid.diagnosis.jumps import SETTLED, behind_jumps, modes_behind_jumps
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.extensions.extension import Extension
@@ -101,14 +101,14 @@ def test_what_only_follows_a_jump_late_or_hums_as_before_does_not_ring(made) -> 
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     reading_m = STROKE_m * made() + noise_m
     recordings = [recording("sweep"), recording("walk", reading_m, jumping())]
-    assert struck(view_on(recordings, axis="x", lab=Lab())) == ()
+    assert modes_behind_jumps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 
 def test_a_ring_that_drowns_in_the_noise_is_no_evidence() -> None:
     faint = static() + 0.005 * (rung(static(), 61.0, 15.0) - static())
     noise_m = np.random.default_rng(8).normal(0.0, NOISE_m, 9000)
     recordings = [recording("sweep"), recording("walk", STROKE_m * faint + noise_m, jumping())]
-    assert struck(view_on(recordings, axis="x", lab=Lab())) == ()
+    assert modes_behind_jumps(view_on(recordings, axis="x", lab=Lab())) == ()
 
 
 def test_what_follows_a_jump_is_looked_at_from_where_it_has_settled() -> None:
@@ -142,7 +142,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
     )
     lab = read_lab(tmp_path / "lab.toml")
     recordings = ingest_all([realdata / "actuator_150V" / "hysteresis_v_150_1hz.csv"], lab)
-    (found,) = struck(view_on(recordings, axis="x", lab=lab))
+    (found,) = modes_behind_jumps(view_on(recordings, axis="x", lab=lab))
     assert found.effect.name == "resonance"
     assert found.parameters["frequency_Hz"] == pytest.approx(968.0, rel=0.01)
 
@@ -150,7 +150,7 @@ def test_a_recorded_actuator_that_a_step_struck_rings_near_970_hertz(
 def test_a_model_keeps_a_struck_mode_as_the_jump_has_shown_it() -> None:
     numbers = {"frequency_Hz": 961.0, "quality": 12.0}
     found = Found(
-        effect="resonance", parameters=numbers, coefficient=np.array([0.1, 0.4]), struck=True
+        effect="resonance", parameters=numbers, coefficient=np.array([0.1, 0.4]), from_jumps=True
     )
     (mode,) = resonance.EFFECT.extend(found, None)
     free = mode.free()

@@ -5,8 +5,8 @@ import pytest
 
 from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import mode
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
@@ -44,10 +44,10 @@ def ringing_view() -> View:
 
 def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_as_sharp() -> None:
     view = ringing_view()
-    seen = screen(resonance.EFFECT, view)
+    seen = score_test(resonance.EFFECT, view)
     # nearer than two of the grid are to each other
     assert seen.trial.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.5 / QUALITY)
-    start = begun(resonance.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
+    start = initial_guess(resonance.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
     one, there = refined(start, view, [])
     cause = judged(one, there, view, seen=seen)
     assert cause.physical

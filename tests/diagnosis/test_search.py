@@ -14,7 +14,7 @@ from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.forward_selection import SelectionState
-from piezoid.diagnosis.slip_alternative import Instead, fault_beside
+from piezoid.diagnosis.slip_alternative import SlipAlternative, fault_beside_cause
 from piezoid.numerics.executor import SERIAL
 
 from .bench import healthy_view
@@ -63,8 +63,8 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
             for name in selected
         ], {}
 
-    monkeypatch.setattr(confounded, "_each", each)
-    causes, _ = confounded.told_apart(None, ["creep", "lag", "delay"], SERIAL)
+    monkeypatch.setattr(confounded, "_compare_each", each)
+    causes, _ = confounded.compare_models(None, ["creep", "lag", "delay"], SERIAL)
     assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
     assert [cause.name for cause in causes] == ["creep", "delay"]
 
@@ -103,7 +103,7 @@ def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float
         effect=creep.EFFECT,
         share=0.01,
         cv=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
-        selected=SimpleNamespace(parameters={}, struck=False),
+        selected=SimpleNamespace(parameters={}, from_jumps=False),
     )
     outcome = SimpleNamespace(
         first=SimpleNamespace(stroke_m=1e-5),
@@ -159,8 +159,8 @@ def test_slips_that_are_hardly_better_than_a_lag_say_that_it_may_be_one() -> Non
 
     fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
     for better, alike in ((0.5 * lost, ()), (lost + draw.normal(-0.01, 0.3, 40), ("lag",))):
-        slips = Instead(clean=None, view=left(better), fault=fault)
-        assert fault_beside(slips, lag.EFFECT.name, left(lost)).alike == alike
+        slips = SlipAlternative(clean=None, view=left(better), fault=fault)
+        assert fault_beside_cause(slips, lag.EFFECT.name, left(lost)).alike == alike
 
 
 def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
@@ -172,7 +172,7 @@ def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "from_the_state", "begun"),
+    ("left", "from_the_state", "initial_guess"),
     [
         (1.2, 0.5, "plays"),  # hardly more than noise: nothing is begun again
         (2.0, 1.6, "state"),
@@ -180,7 +180,7 @@ def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
     ],
 )
 def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_is_believed(
-    monkeypatch, left, from_the_state, begun
+    monkeypatch, left, from_the_state, initial_guess
 ) -> None:
     asked = []
 
@@ -192,5 +192,5 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
     monkeypatch.setattr(search, "with_best_bouc_wen", lambda *_: "state")
     errors = {"plays": left, "state": from_the_state}
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
-    assert search._best_selection("plays", {}, SERIAL).clean == begun
+    assert search._best_selection("plays", {}, SERIAL).clean == initial_guess
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])

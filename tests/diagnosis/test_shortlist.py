@@ -29,17 +29,17 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
         return SimpleNamespace(name=name, is_significant=name == evidence, cv=held, selected=one)
 
     stand_ins = {
-        "begun": lambda effect, *_: SimpleNamespace(effect=effect),
+        "initial_guess": lambda effect, *_: SimpleNamespace(effect=effect),
         "extended": lambda _, selected: SimpleNamespace(rms=left(selected[-1].effect.name)),
         "refined": lambda one, *_: (one, None),
         "judged": judged,
-        "_together": lambda alone, *_: alone,
+        "_refined_together": lambda alone, *_: alone,
         "_left_over": lambda *_: False,
     }
     for name, what in stand_ins.items():
         monkeypatch.setattr(shortlist, name, what)
     beside = shortlist.SelectionContext(clean=None, selected=(), view=None)
-    return [one.name for one in shortlist.refitted(screenings, beside, SERIAL)]
+    return [one.name for one in shortlist.refit_shortlist(screenings, beside, SERIAL)]
 
 
 SCREENED = [

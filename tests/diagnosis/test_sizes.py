@@ -10,8 +10,8 @@ from scipy.signal import lfilter
 import piezoid
 from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling, mains_interference
-from piezoid.diagnosis.refinement import begun, refined
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.sizes import size_of
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
@@ -37,8 +37,8 @@ def test_the_size_of_a_clip_is_the_part_of_the_drives_range_that_is_cut_off(seed
         seed, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
     )
     view = view_of_recordings(*recorded(campaign))
-    seen = screen(amplifier_saturation.EFFECT, view)
-    start = begun(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
+    seen = score_test(amplifier_saturation.EFFECT, view)
+    start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
     one, there = refined(start, view, [])
     cause = judged(one, there, view, seen=seen)
     size, true = size_of(cause), cut_off_percent(campaign)

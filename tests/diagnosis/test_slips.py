@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import surely
+from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.diagnose import _seen_in, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
@@ -20,9 +20,9 @@ from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.slip_alternative import (
     SURE,
     SURE_AGAIN,
-    Instead,
-    slips_instead,
-    stand_better,
+    SlipAlternative,
+    slips_fit_better,
+    slips_in_place,
 )
 from piezoid.diagnosis.slip_evidence import evidence_of
 from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
@@ -156,18 +156,20 @@ def with_delay(view):
 
 def test_a_slip_in_front_of_all_fast_stretches_stands_better_than_the_delay_it_looks_like():
     view = view_of_quickening(4300, 3)
-    slips, late = slips_instead(view, [], view), with_delay(view)
+    slips, late = slips_in_place(view, [], view), with_delay(view)
     assert late.rms < 0.7 * view.rms
     assert slips.fault.value == 3
     assert slips.view.rms < late.rms
-    assert stand_better(slips, view, late, elsewhere(samples=-8))
-    assert stand_better(slips, view, None)
+    assert slips_fit_better(slips, view, late, elsewhere(samples=-8))
+    assert slips_fit_better(slips, view, None)
 
 
 def test_a_delay_of_the_stage_is_not_taken_for_slips():
     view = view_of_quickening(0, 8, late_s=2e-3)
-    slips = slips_instead(view, [], view)
-    assert slips is None or not stand_better(slips, view, with_delay(view), elsewhere(samples=3))
+    slips = slips_in_place(view, [], view)
+    assert slips is None or not slips_fit_better(
+        slips, view, with_delay(view), elsewhere(samples=3)
+    )
 
 
 @pytest.mark.parametrize(("samples", "stands"), [(3, True), (-3, True), (4, False)])
@@ -176,15 +178,15 @@ def test_a_clock_that_slipped_by_as_much_before_needs_no_delay_beside_it(samples
     loud = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=quiet.energy.copy())
     loud.energy[::2], loud.energy[1::2] = 1.6, 0.5
     view = SimpleNamespace(rms=2.0)
-    slips = Instead(
+    slips = SlipAlternative(
         clean=view,
         view=SimpleNamespace(rms=1.0, null=quiet),
         fault=elsewhere(samples=3),
     )
     cause = SimpleNamespace(rms=1.02, null=loud)
-    assert stand_better(slips, view, cause, elsewhere(samples=samples)) is stands
-    assert not stand_better(slips, view, cause)
-    assert not stand_better(slips, view, SimpleNamespace(rms=0.99, null=loud), slips.fault)
+    assert slips_fit_better(slips, view, cause, elsewhere(samples=samples)) is stands
+    assert not slips_fit_better(slips, view, cause)
+    assert not slips_fit_better(slips, view, SimpleNamespace(rms=0.99, null=loud), slips.fault)
 
 
 @pytest.mark.parametrize(("left", "stands"), [(0.95, False), (0.85, True)])
@@ -192,19 +194,19 @@ def test_slips_that_leave_much_less_than_a_delay_need_not_be_as_sure_of_it(left,
     quiet = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=np.full(40, 1.0))
     loud = SimpleNamespace(edges=np.arange(40), block=np.arange(40), energy=quiet.energy.copy())
     loud.energy[:] = np.tile([9.0, 0.1, 0.1, 0.1], 10)
-    assert SURE_AGAIN < surely(loud.energy, quiet.energy) < SURE
-    slips = Instead(
+    assert SURE_AGAIN < paired_z(loud.energy, quiet.energy) < SURE
+    slips = SlipAlternative(
         clean=None, view=SimpleNamespace(rms=left, null=quiet), fault=elsewhere(samples=3)
     )
-    assert stand_better(slips, None, SimpleNamespace(rms=1.0, null=loud)) is stands
+    assert slips_fit_better(slips, None, SimpleNamespace(rms=1.0, null=loud)) is stands
 
 
 @pytest.mark.parametrize(("p_value", "stands"), [(1e-6, True), (0.02, False)])
 def test_slips_that_explain_much_of_one_block_only_are_no_evidence(p_value, stands):
     view = SimpleNamespace(rms=1.0)
     fault = Fault(tracks=(), value=2.0, spread=0.4, p_value=p_value)
-    slips = Instead(clean=view, view=SimpleNamespace(rms=0.6), fault=fault)
-    assert stand_better(slips, view, None) is stands
+    slips = SlipAlternative(clean=view, view=SimpleNamespace(rms=0.6), fault=fault)
+    assert slips_fit_better(slips, view, None) is stands
 
 
 @pytest.mark.parametrize("is_driven", [True, False], ids=["driven so", "at rest"])

@@ -11,7 +11,7 @@ from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import structural_candidate
 from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.search import search
 from piezoid.diagnosis.shape import CURVED, SHARED
 from piezoid.diagnosis.view import View, with_bouc_wen
@@ -31,13 +31,13 @@ def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_noth
     straight = np.delete(view.null.every, range(SHARED - CURVED, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
     assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
-    assert abs(float(screen(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
+    assert abs(float(score_test(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
 
 
 @pytest.mark.parametrize("seed", [3, 17])
 def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(seed) -> None:
     view = sound_stage("bouc_wen", seed)
-    found = screen(non_congruence.EFFECT, view)
+    found = score_test(non_congruence.EFFECT, view)
     assert found.cv.gain > non_congruence.EFFECT.minimum_gain
     assert abs(float(found.cv.coefficient[0])) > non_congruence.OPENING
     assert not search(view).causes
@@ -96,7 +96,9 @@ def test_what_is_small_in_a_strange_material_must_be_there_still_beside_a_bouc_w
         id(final): SimpleNamespace(is_significant=True, cv=SimpleNamespace(gain=gain)),
         id(bent): SimpleNamespace(is_significant=False),
     }
-    monkeypatch.setattr(candidate, "screen", lambda _, view: beside if view is bent else "seen")
+    monkeypatch.setattr(
+        candidate, "score_test", lambda _, view: beside if view is bent else "seen"
+    )
     monkeypatch.setattr(candidate, "_structure_of", lambda _, view: structures[id(view)])
     monkeypatch.setattr(candidate, "with_bouc_wen_of", lambda *_: bent)
     effect = SimpleNamespace(

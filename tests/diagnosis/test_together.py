@@ -7,8 +7,8 @@ import pytest
 import piezoid.diagnosis.shortlist as candidates
 from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
 from piezoid.diagnosis.extended import SETTLED, extended
-from piezoid.diagnosis.refinement import begun, refined, refined_together
-from piezoid.diagnosis.score_test import screen
+from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
+from piezoid.diagnosis.score_test import score_test
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded, view_of_recordings
@@ -23,8 +23,8 @@ def test_a_limit_and_the_lag_behind_it_are_found_together_and_not_one_after_the_
     clean = view_of_recordings(*recorded(campaign))
     found, view = [], clean
     for effect in (slew_limit.EFFECT, lag.EFFECT):
-        seen = screen(effect, view)
-        one = begun(effect, seen.trial, float(seen.cv.coefficient[0]))
+        seen = score_test(effect, view)
+        one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
         better, view = refined(one, clean, found)
         found.append(better)
     together, left = refined_together(found, clean, [])

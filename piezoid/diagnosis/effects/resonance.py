@@ -117,7 +117,7 @@ def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
     # behind a jump it has two columns, a sample apart: of one mode the sum
     kind, share = (
         (StruckMode, float(np.sum(found.coefficient)))
-        if found.struck
+        if found.from_jumps
         else (LinearMode, found.share)
     )
     mode = kind(

@@ -173,10 +173,10 @@ def freed(columns: Array, basis: Array) -> Array:
 def _separability(blocks: Sequence[Array]) -> float:
     """Return the least over all pairs."""
     pairs = [(a, b) for k, a in enumerate(blocks) for b in blocks[k + 1 :]]
-    return min((_apart(basis_of(a), basis_of(b)) for a, b in pairs), default=1.0)
+    return min((_is_separable(basis_of(a), basis_of(b)) for a, b in pairs), default=1.0)
 
 
-def _apart(one: Array, other: Array) -> float:
+def _is_separable(one: Array, other: Array) -> float:
     if not one.shape[1] or not other.shape[1]:
         return 0.0
     largest = float(np.linalg.svd(one.T @ other, compute_uv=False)[0])
