@@ -55,6 +55,21 @@ def test_a_loop_that_opens_the_wrong_way_is_refused() -> None:
     assert "wrong way" in model.verdict.reason
 
 
+@pytest.mark.parametrize(("leading", "is_refused"), [(0, False), (1, False), (2, True), (3, True)])
+def test_loops_that_open_the_wrong_way_in_one_of_three_recordings_are_its_own_fault(
+    leading: int, is_refused: bool
+) -> None:
+    """Its readings come early, as behind a slip of the clock."""
+    recordings = []
+    for k in range(3):
+        drive = (1.0 - 0.1 * k) * np.tile(decaying(2, per_unit=40)[:-1], 6)
+        plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.2, 0.1]), np.zeros(3))
+        early = np.roll(plays, -20 if k < leading else 0)
+        recordings.append(recording(drive, noisy(1e-6 * early), f"r{k}"))
+    model = fit(recordings)["x"]
+    assert ("wrong way" in model.verdict.reason) is is_refused
+
+
 def test_levels_held_one_after_another_are_no_loop() -> None:
     """Between two levels nothing was read: straight lines there cross where no branch does."""
     levels = 5.0 * np.array([0.0, 1, -0.55, -0.34, 1, 0, 0.6])
