@@ -70,10 +70,6 @@ class Rule:
     dear: bool = False
 
 
-def _not_far(_view: Any, state: Any, _hands: Any) -> Any:
-    return state
-
-
 def _plain_structure(effect: Any, final: Any) -> Any:
     found = screen(effect, final)
     return None if found is None else (found, candidate._structure_of(found, final))
@@ -91,7 +87,7 @@ def _evidence(
         return (
             one.physical
             and one.cv.z > (one.effect.minimum_z if level else SURE)
-            and (one.cv.gain > least or one.explains_the_rest or not worth)
+            and (one.cv.gain > least or not worth)
             and (one._beats_placebo or not placebos)
         )
 
@@ -114,7 +110,6 @@ RULES = (
         places=((forward_selection, "_with_slips_in_place"),),
         without=lambda *_: None,
     ),
-    Rule(name="slips taken back", places=((search, "_without_slips"),), without=_not_far),
     Rule(name="two at once", places=((forward_selection, "_with_pair"),), without=lambda *_: None),
     Rule(
         name="the other side of the hysteresis",
@@ -131,8 +126,10 @@ RULES = (
     Rule(
         name="another beginning",
         places=((search, "_best_selection"),),
-        without=lambda clean, faults, hands: search._selected(clean, faults, hands),
-        matters=lambda select_forward, _: select_forward.clean.nuisance.bouc_wen is not None,
+        without=lambda clean, faults, hands: forward_selection.select_forward(
+            clean, faults, hands
+        ),
+        matters=lambda state, _: state.clean.nuisance.bouc_wen is not None,
         dear=True,
     ),
     Rule(
@@ -156,12 +153,6 @@ RULES = (
         without=lambda *_: False,
     ),
     Rule(
-        name="backward elimination",
-        places=((search, "_pruned"),),
-        without=lambda _clean, selected, _hands: tuple(selected),
-        matters=lambda with_rule, without: len(with_rule) != len(without),
-    ),
-    Rule(
         name="a rival takes the place",
         places=((model_comparison, "replaces_it"),),
         without=lambda *_: False,
@@ -173,7 +164,6 @@ RULES = (
         name="one time in all tracks", places=((candidate, "is_alike"),), without=lambda *_: True
     ),
     Rule(name="placebos", places=((JUDGED, "is_evidence"),), without=_evidence(placebos=False)),
-    Rule(name="settles it", places=((JUDGED, "explains_the_rest"),), without=lambda _: False),
     Rule(
         name="less asked near the noise",
         places=((JUDGED, "is_evidence"),),

@@ -2,6 +2,7 @@
 
 from math import sqrt
 
+from piezoid.diagnosis.candidate import exceeds_structure
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
@@ -90,6 +91,8 @@ def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
         return ""
     if not found.physical:
         return ": not named, because physics allows it no such size"
+    if not exceeds_structure(found.share, outcome.final.rms, outcome.final.noise):
+        return ": not named, because it is no larger than what no hysteresis here follows"
     causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
     rest = f", or may be what {causes} leave over" if causes else ""
     return f": not named, because refitted with everything else it is no better than others{rest}"

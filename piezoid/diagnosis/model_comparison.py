@@ -11,7 +11,7 @@ Source: Vuong, Econometrica 57 (1989).
 from collections.abc import Sequence
 
 from piezoid.diagnosis.blocks import surely
-from piezoid.diagnosis.candidate import Candidate, judged
+from piezoid.diagnosis.candidate import Candidate, exceeds_structure, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
@@ -40,11 +40,17 @@ def told_apart(
     selected = list(selected)
     while True:
         causes, confounded = _each(clean, selected, hands)
-        mute = [cause for cause in causes if not cause.is_significant]
+        mute = [cause for cause in causes if not _stands(cause)]
         if not mute:
             return causes, confounded
         least = min(mute, key=lambda cause: cause.cv.gain)
         selected = [cause.selected for cause in causes if cause is not least]
+
+
+def _stands(cause: Candidate) -> bool:
+    return cause.is_significant and exceeds_structure(
+        cause.share, cause.view.rms, cause.view.noise
+    )
 
 
 def _each(

@@ -68,12 +68,16 @@ def seen(
 
 
 def outcome_of(
-    screened: dict[str, SimpleNamespace], causes: tuple[Effect, ...] = (), *, held: bool = False
+    screened: dict[str, SimpleNamespace],
+    causes: tuple[Effect, ...] = (),
+    *,
+    held: bool = False,
+    noise: float = 0.01,
 ) -> SimpleNamespace:
     tracks = (SimpleNamespace(duration_s=1e3),)
     return SimpleNamespace(
         screened=screened,
-        final=SimpleNamespace(stroke_m=STROKE_m, rms=0.01, tracks=tracks),
+        final=SimpleNamespace(stroke_m=STROKE_m, rms=0.01, noise=noise, tracks=tracks),
         causes=[SimpleNamespace(effect=effect) for effect in causes],
         held_back=(DRIFT.name,) if held else (),
     )
@@ -89,6 +93,12 @@ def test_what_is_sure_and_sound_may_be_what_the_causes_leave_over() -> None:
     assert "leave over" not in alone
     beside = reason(gain=0.5, z=9.0, causes=(slew_limit.EFFECT, lag.EFFECT))
     assert "or may be what slew limit, lag leave over" in beside
+
+
+def test_what_is_no_larger_than_the_structure_that_is_left_says_so() -> None:
+    sure = seen(DRIFT, gain=0.5, z=9.0)
+    left = absent(DRIFT, outcome_of({DRIFT.name: sure}, noise=0.005))
+    assert "no larger than what no hysteresis here follows" in left.reason
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.blocks import surely
-from piezoid.diagnosis.candidate import Candidate
+from piezoid.diagnosis.candidate import Candidate, exceeds_structure
 from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
     amplifier_saturation,
@@ -74,24 +74,10 @@ def test_of_what_ceramics_have_by_themselves_all_the_worth_is_asked_for():
     ).is_significant
 
 
-@pytest.mark.parametrize(
-    ("gain", "left", "z", "speaks"),
-    [
-        (0.02, 1.0, 4.5, True),  # next to nothing, and all that was not noise
-        (0.02, 1.0, 3.5, False),  # but not surely
-        (0.02, 1.2, 4.5, False),  # much else is left
-        (0.005, 1.0, 4.5, False),  # so little is noise that was estimated too small
-    ],
-)
-def test_other_pasts_are_evidence_where_they_take_off_most_of_what_is_no_noise(
-    gain, left, z, speaks
-):
-    memory_after = initial_state.EFFECT
-    assert gain < 0.5 * memory_after.minimum_gain
-    assert (
-        judged(memory_after, held(rms=left, gain=gain, z=z), left=left, noise=1.0).is_significant
-        is speaks
-    )
+def test_an_initial_state_has_a_name_where_it_takes_a_quarter_of_the_error_however_sure_it_is():
+    for gain, named in ((0.26, True), (0.24, False)):
+        found = judged(initial_state.EFFECT, held(gain=gain, z=20.0), left=1.0, noise=1.0)
+        assert found.is_significant is named
 
 
 def test_what_most_ceramics_have_is_no_evidence_for_being_all_that_is_left():
@@ -130,3 +116,19 @@ def test_of_clips_that_explain_as_much_the_one_that_is_as_deep_as_its_share_is_b
 def test_only_causes_that_look_like_a_structure_hold_it_back():
     assert creep.EFFECT.resembles(initial_state.EFFECT)
     assert not resonance.EFFECT.resembles(initial_state.EFFECT)
+
+
+@pytest.mark.parametrize(
+    ("share", "rms", "noise", "larger"),
+    [
+        (0.010, 0.020, 0.020, True),  # nothing but noise is left
+        (0.010, 0.019, 0.020, True),
+        (0.010, 0.025, 0.020, True),  # 0.015 of half the stroke is structure
+        (0.010, 0.028, 0.020, False),  # 0.0196
+        (0.001, 0.020, 0.000, False),
+    ],
+)
+def test_an_effect_is_larger_than_the_structure_that_is_left_or_has_no_name(
+    share, rms, noise, larger
+):
+    assert exceeds_structure(share, rms, noise) is larger

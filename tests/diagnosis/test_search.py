@@ -1,7 +1,7 @@
 """What a search keeps, takes back, and says of the rest; stand-ins for the fits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +13,7 @@ import piezoid.diagnosis.search as search
 from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.forward_selection import SLIP, SelectionState
+from piezoid.diagnosis.forward_selection import SelectionState
 from piezoid.diagnosis.slip_alternative import Instead, fault_beside
 from piezoid.numerics.hands import ALONE
 
@@ -28,7 +28,11 @@ class Cause:
     gain: float
     is_significant: bool = True
     quiet: float = float("inf")
-    explains_the_rest: bool = False
+    share: float = 0.5
+
+    @property
+    def view(self) -> SimpleNamespace:
+        return of_noise(1.0)
 
     @property
     def selected(self) -> str:
@@ -84,12 +88,6 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
 def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, beside, stands) -> None:
     structure = Cause("initial_state", gain, quiet=1.6)
     assert search._stands(structure, of_noise(left), beside=beside) is stands
-
-
-def test_structure_beside_what_looks_alike_is_named_where_it_takes_most_of_what_is_left() -> None:
-    structure = Cause("initial_state", 0.05, quiet=1.6, explains_the_rest=True)
-    assert search._stands(structure, of_noise(1.1), beside=True)
-    assert not search._stands(structure, of_noise(1.55), beside=True)
 
 
 def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
@@ -150,28 +148,6 @@ def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> No
     assert all(one.bound > 0.0 for one in found.values())
 
 
-@pytest.mark.parametrize(("with_slips", "without", "kept"), [(1.0, 1.1, True), (1.0, 0.9, False)])
-def test_slips_go_where_the_causes_leave_less_without_them(
-    monkeypatch, with_slips, without, kept
-) -> None:
-    fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
-    slew = SimpleNamespace(struck=False)
-    state = SelectionState(clean="slipped", selected=(slew,), faults={SLIP: fault}, screened={})
-    spikes = {"outliers": replace(fault, value=3.0)}
-    monkeypatch.setattr(
-        search, "repaired", lambda *_, but: (SimpleNamespace(tracks=()), spikes if but else {})
-    )
-    monkeypatch.setattr(search, "with_tracks", lambda *_: "raw")
-    monkeypatch.setattr(search, "refined", lambda one, *_, **__: (one, None))
-    left = {"slipped": with_slips, "raw": without}
-    monkeypatch.setattr(search, "extended", lambda view, _: SimpleNamespace(rms=left[view]))
-    found = search._without_slips("view", state, ALONE)
-    assert (SLIP in found.faults) is kept
-    # spikes stay repaired whatever becomes of the slips
-    assert found.clean == ("slipped" if kept else "raw")
-    assert kept or "outliers" in found.faults
-
-
 def test_slips_that_are_hardly_better_than_a_lag_say_that_it_may_be_one() -> None:
     draw = np.random.default_rng(4)
     lost = draw.uniform(1.0, 2.0, 40)
@@ -218,18 +194,3 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
     assert search._best_selection("plays", {}, ALONE).clean == begun
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
-
-
-@pytest.mark.parametrize(("noise", "kept"), [(0.1, False), (0.99, True)])
-def test_a_cause_that_takes_little_is_kept_where_little_but_noise_is_left(
-    monkeypatch, noise, kept
-) -> None:
-    causes = tuple(SimpleNamespace(effect=name, struck=False) for name in ("hum", "clip"))
-    left = {("hum", "clip"): 1.0 - 0.015, ("hum",): 1.0, ("clip",): 2.0}
-
-    def extended(_, rest) -> SimpleNamespace:
-        return SimpleNamespace(rms=left[tuple(one.effect for one in rest)], noise=noise)
-
-    monkeypatch.setattr(search, "extended", extended)
-    pruned = search._pruned(None, causes, ALONE)
-    assert [one.effect for one in pruned] == (["hum", "clip"] if kept else ["hum"])
