@@ -43,7 +43,20 @@ class Meaning:
 
 
 _TIME_WORDS = frozenset(
-    {"time", "t", "zeit", "temps", "timestamp", "timestamps", "elapsed", "date", "datetime"}
+    {
+        "time",
+        "t",
+        "zeit",
+        "temps",
+        "timestamp",
+        "timestamps",
+        "elapsed",
+        "date",
+        "datetime",
+        "clock",
+        "uhrzeit",
+        "zeitstempel",
+    }
 )
 # What oscilloscopes call a column whose unit is a time: ``X``, ``x-axis``, or nothing.
 _ABSCISSA_WORDS = frozenset({"axis"})
