@@ -250,6 +250,22 @@ MEANINGS: tuple[Messy, ...] = (
         lines=COUNTS,
     ),
     Messy(
+        name="codes.csv",
+        wrong="counts of both converters under their own names",
+        write=text(
+            lines(
+                table=columns() * [1, 1e3, 1e4],
+                names=("time [s]", "DAC [codes]", "ADC [codes]"),
+                written="{:.6g}".format,
+            )
+        ),
+        refused="no column is a drive voltage or a displacement",
+        lines='columns = { time = 1, voltage = "DAC [codes]", displacement = "ADC [codes]" }\n'
+        'units = { voltage = "codes", displacement = "codes" }\n'
+        "scale = { voltage = 0.001, displacement = 1e-10 }\n",
+        kept=EVERY,
+    ),
+    Messy(
         name="dac.csv",
         wrong="a drive in counts of the converter",
         write=text(
