@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import LabFileError
-from piezoid.records.conversion import Assigned, converted, is_counted
+from piezoid.records.conversion import Assigned, converted
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.recording import Problem, Quantity
@@ -108,7 +108,7 @@ def _check_keys(lab: Lab, entry: RecordingEntry) -> None:
             )
     for key, symbol in entry.units.items():
         unit = unit_of(symbol)
-        if unit is None or (unit.dimension is Dimension.OTHER and not is_counted(unit)):
+        if unit is None or (unit.dimension is Dimension.OTHER and not unit.is_counted):
             raise LabFileError(
                 f"{lab.place}: [[recording]] {entry.file!r}: the unit of {key} is {symbol!r}",
                 needed="a unit of time, voltage, length, current, temperature or humidity",

@@ -59,7 +59,7 @@ def converted(
     if unit is None:
         raise refuse(table, f"{column.place} is a {_name_of(quantity)} without a unit")
     values = column.values * unit.factor + unit.offset
-    if is_counted(unit):
+    if unit.is_counted:
         if _said(entry.scale, quantity, axis) is None:
             raise _counts_without_scale(table, lab, column, quantity)
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
@@ -77,11 +77,6 @@ def converted(
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
     return _scaled(entry, assigned), problems
-
-
-def is_counted(unit: Unit) -> bool:
-    """Whether a unit is the step of a converter, which is of no size by itself."""
-    return unit.symbol.lower().removesuffix("s") in ("count", "code", "lsb", "digit", "tick")
 
 
 def _counts_without_scale(
@@ -115,7 +110,7 @@ def _scaled(entry: RecordingEntry, assigned: Assigned) -> Assigned:
         return assigned
     factor = 1.0 if scale is None else scale
     unit = assigned.unit
-    if is_counted(unit) and assigned.quantity in DIMENSION_OF:
+    if unit.is_counted and assigned.quantity in DIMENSION_OF:
         unit = replace(unit, dimension=DIMENSION_OF[assigned.quantity])
     return replace(assigned, unit=unit, values=assigned.values * factor + (offset or 0.0))
 

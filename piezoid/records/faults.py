@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Problem, Quantity
@@ -70,8 +71,14 @@ def clipped_share(values: Array, *, rest: float | None = None) -> float:
     Clipped means: run into the extreme without a jump, stay for at least five samples, and rest
     nowhere else an eighth as long. A staircase rests elsewhere too; a step arrives by a jump.
     """
+    return float(clipped(values, rest=rest).mean()) if len(values) else 0.0
+
+
+def clipped(values: Array, *, rest: float | None = None) -> NDArray[np.bool_]:
+    """Return which samples are clipped, (samples,), as ``clipped_share`` counts them."""
+    here = np.zeros(len(values), dtype=bool)
     if len(values) < 4 * _CLIPPED_RUN or is_dead(values):
-        return 0.0
+        return here
     edges = np.flatnonzero(np.diff(values)) + 1
     begins, ends = np.concatenate(([0], edges)), np.concatenate((edges, [len(values)]))
     lengths, levels = ends - begins, values[begins]
@@ -85,8 +92,9 @@ def clipped_share(values: Array, *, rest: float | None = None) -> float:
     elsewhere = int(lengths[~extreme].max(initial=1))
     longest = max(_CLIPPED_RUN, _CLIPPED_RATIO * elsewhere)
     jump = np.minimum(_JUMP * typical, _JUMP_SHARE * np.ptp(values))
-    clipped = extreme & inner & (lengths >= longest) & (arrival <= jump)
-    return float(lengths[clipped].sum() / len(values))
+    for run in np.flatnonzero(extreme & inner & (lengths >= longest) & (arrival <= jump)).tolist():
+        here[begins[run] : ends[run]] = True
+    return here
 
 
 def wraps(values: Array, drives: Sequence[Array]) -> Array:
@@ -131,7 +139,8 @@ def faults_of(table: RawTable, read: Mapping[int, Quantity]) -> tuple[Problem, .
             rest = 0.0 if quantity is Quantity.VOLTAGE else None
             share = 0.0 if quantity is None else clipped_share(held, rest=rest)
             if share > 0:
-                ends = f"rests on {held.min():.6g} or {held.max():.6g} (as found)"
+                levels = np.unique(held[clipped(held, rest=rest)]).tolist()
+                ends = f"rests on {' and '.join(f'{level:.6g}' for level in levels)} (as found)"
                 text = f"{ends} for {100 * share:.2g} % of the samples: clipped?"
                 found.append(_problem("saturated", column, text))
             if quantity is Quantity.DISPLACEMENT and len(held) == len(column.values):

@@ -201,8 +201,11 @@ def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Rec
             *row_problems,
             *clock.problems,
             *lost.problems,
-            *faults_of(
-                table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
+            *_not_yet_told(
+                faults_of(
+                    table, {a.column.number: a.quantity for a in assignment.channels if a.quantity}
+                ),
+                lost,
             ),
             *incomplete(channels),
             *several_axes(entry, channels),
@@ -389,6 +392,12 @@ def _sensed(assigned: Assigned, rows: SampleRows) -> Sensed:
         factor=assigned.unit.factor,
         values=rows.values(assigned.column.values),
     )
+
+
+def _not_yet_told(faults: tuple[Problem, ...], lost: LeftOut) -> tuple[Problem, ...]:
+    """Return the faults but those of columns whose lost readings tell the same."""
+    told = {(problem.kind, problem.place) for problem in lost.problems}
+    return tuple(fault for fault in faults if (fault.kind, fault.place) not in told)
 
 
 def _channel(assigned: Assigned, rows: SampleRows, number: int, lost: LeftOut) -> Channel:

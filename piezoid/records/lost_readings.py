@@ -1,10 +1,13 @@
 """Lost readings: numbers that a sensor wrote where it measured nothing, found without any model.
 
-Three kinds, from the samples alone:
+Four kinds, from the samples alone:
 
 * *written*: one exact value again and again, far off both neighbours (0, -1, 9999, full scale);
 * *held*: the value before once more while the stage moves on;
-* *spike*: one or two samples far off both neighbours, further than a twentieth of the range.
+* *spike*: one or two samples far off both neighbours, further than a twentieth of the range;
+* *clipped*: the largest or smallest value again and again while the drive moves on, of a sensor
+  whose readings scatter by more than its step: at the end of its range it cannot scatter. A stage
+  that stands, at the end of its own range or its amplifier's, goes on scattering.
 
 What the drive did at the same instant is motion, and no fault. Smaller spikes are left to the fit
 and the diagnosis, which know the response they stand out of.
@@ -18,6 +21,7 @@ from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.faults import clipped as clipped_readings
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Problem, Quantity
 
@@ -36,6 +40,9 @@ RINGING = 0.7  # fewer, and three spikes at a place would, each of which bends t
 LONGEST = 64  # samples in a row: longer ones may be a rest
 BEFORE = 4  # samples: so late may a stage follow its drive and be seen to follow
 PLACES = 5  # that are told
+MOST_CLIPPED = 0.5  # of the samples: beyond, what is left is no recording of the motion
+SCATTERS = 1e-5  # of the range: less are the digits of a number, not the noise of a sensor
+MOVES = 0.002  # of its range: the drive of a rest scatters by less
 PASSES = 4  # neighbours that are lost themselves hide a lost one until they are out
 
 
@@ -43,7 +50,7 @@ PASSES = 4  # neighbours that are lost themselves hide a lost one until they are
 class Lost:
     """Readings of one channel that are none.
 
-    kind     ``written``, ``held`` or ``spike``
+    kind     ``written``, ``held``, ``spike`` or ``clipped``
     value    what was written, of the kind ``written``
     samples  (count,)  increasing
     """
@@ -66,7 +73,8 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
         return ()
     noise = max(white_noise_rms(values), 0.5 * step_size(values))
     moved = _moved(values, drive)
-    gone: Mask = np.zeros(len(values), dtype=bool)
+    clipped = _clipped(values, drive, noise)
+    gone: Mask = clipped.copy()
     found: dict[float, Mask] = {}
     for _ in range(PASSES):
         fresh = _written(values, gone, noise, moved)
@@ -83,11 +91,30 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
         spikes |= fresh_spikes
         gone |= fresh_spikes
     held = _held(values, gone, noise)
-    if (gone | held).mean() > MOST:
+    if (gone | held)[~clipped].mean() > MOST:
         return ()
     said = [_lost("written", here, value) for value, here in sorted(found.items())]
-    said += [_lost(kind, here) for kind, here in (("held", held), ("spike", spikes))]
+    kinds = {"held": held & ~clipped, "spike": spikes, "clipped": clipped}
+    said += [_lost(kind, here) for kind, here in kinds.items()]
     return tuple(one for one in said if len(one.samples))
+
+
+def _clipped(values: Array, drive: Array | None, noise: float) -> Mask:
+    """Return where the sensor stands at the end of its range, and the drive does not rest."""
+    none: Mask = np.zeros(len(values), dtype=bool)
+    # Where the noise is below the step, or there is none, a stage that stands reads the same.
+    if drive is None or noise <= max(step_size(values), SCATTERS * np.ptp(values)):
+        return none
+    here = clipped_readings(values)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]])))
+    levels = {
+        float(values[begin])
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+        if np.ptp(drive[begin:end]) > MOVES * np.ptp(drive)
+    }
+    # Around such a rest single readings stand on the same level, cut off where they scatter.
+    standing = np.isin(values, list(levels))
+    return standing if standing.mean() < MOST_CLIPPED else none
 
 
 def bridged(values: Array, gone: Mask) -> Array:
@@ -304,6 +331,10 @@ def _inner(here: Mask) -> tuple[Places, Places]:
     return begins[inside], ends[inside]
 
 
+def _levels(column: Sensed, one: Lost) -> str:
+    return " and ".join(f"{level:.6g}" for level in np.unique(column.values[one.samples]).tolist())
+
+
 def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str]) -> Problem:
     count, total = len(one.samples), len(column.values)
     what = {
@@ -312,12 +343,13 @@ def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str])
         else "",
         "held": "repeats the reading before while the stage moves on",
         "spike": "stands far off both neighbours",
+        "clipped": f"is clipped at {_levels(column, one)} {column.unit} while the drive moves on",
     }[one.kind]
     places = ", ".join(place_of(int(k)) for k in one.samples[:PLACES])
     more = f" and {count - PLACES} more" if count > PLACES else ""
     away = np.abs(column.values - bridged(column.values, gone))[one.samples]
     return Problem(
-        kind="lost_readings",
+        kind="saturated" if one.kind == "clipped" else "lost_readings",
         place=column.place,
         text=f"{column.place} {what}, {count} times ({100 * count / total:.2g} % of the samples), "
         f"at {places}{more}: left out as no measurement",

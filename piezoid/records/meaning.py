@@ -43,7 +43,20 @@ class Meaning:
 
 
 _TIME_WORDS = frozenset(
-    {"time", "t", "zeit", "temps", "timestamp", "timestamps", "elapsed", "date", "datetime"}
+    {
+        "time",
+        "t",
+        "zeit",
+        "temps",
+        "timestamp",
+        "timestamps",
+        "elapsed",
+        "date",
+        "datetime",
+        "clock",
+        "uhrzeit",
+        "zeitstempel",
+    }
 )
 # What oscilloscopes call a column whose unit is a time: ``X``, ``x-axis``, or nothing.
 _ABSCISSA_WORDS = frozenset({"axis"})
@@ -107,6 +120,11 @@ def _from_unit(dimension: Dimension | None, axis: str | None, heading: Heading) 
             return Meaning(role=Role.CHANNEL, quantity=quantity, axis=axis)
     if heading.unit is None:
         return _unread("neither name nor unit says what it is")
+    if heading.unit.is_counted:
+        return _unread(
+            f"in {heading.unit.symbol}, the steps of a converter, under a name that says neither "
+            "drive nor response: name the column in lab.toml, with scale"
+        )
     return _unread(f"{heading.unit.symbol} is no unit of a stage's drive or response")
 
 

@@ -8,6 +8,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.readable import told
 from piezoid.records.faults import noise_rms
 from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.standing import standing_tips
 
 # Tubes move some nm per volt of their electrodes, stacks 0.1 to 1 um, levers and benders 10 um;
 # by the command in front of an amplifier up to 40 um (an objective's). Beyond, and below a tenth
@@ -33,7 +34,7 @@ _THROUGHOUT = 0.9  # of the samples: in the rest the loop settles (0.98 in that 
 def remarks_on(recording: Recording) -> tuple[Problem, ...]:
     """Return remarks on every axis that has a drive and a displacement.
 
-    kinds  ``implausible_gain``, ``leads``, ``closed_loop``
+    kinds  ``implausible_gain``, ``leads``, ``closed_loop``, ``stands``
     """
     found: list[Problem] = []
     for axis in recording.axes:
@@ -44,6 +45,7 @@ def remarks_on(recording: Recording) -> tuple[Problem, ...]:
         found += _implausible(drive.values, response.values, axis)
         found += _leading(drive, response)
         found += _held(recording, axis)
+        found += standing_tips(recording, axis)
     return tuple(found)
 
 

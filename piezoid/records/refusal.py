@@ -44,6 +44,10 @@ def lab_block(table: RawTable) -> str:
         f"columns = {{ {', '.join(columns)} }}",
         'units = { voltage = "...", displacement = "..." }',
     ]
+    units = [column.heading.unit for column in table.columns]
+    if any(unit is not None and unit.is_counted for unit in units):
+        lines[-1] = 'units = { voltage = "counts", displacement = "counts" }'
+        lines.append("scale = { voltage = ..., displacement = ... }  # V and m of one count")
     if not clock and table.sampling_rate_Hz is None:
         lines.append("sampling_rate_Hz = ...")
     return "\n".join(lines)

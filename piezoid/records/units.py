@@ -38,6 +38,11 @@ class Unit:
         """The unit after conversion."""
         return self.symbol if self.dimension is Dimension.OTHER else self.dimension.value
 
+    @property
+    def is_counted(self) -> bool:
+        """Whether it is the step of a converter, which is of no size by itself."""
+        return self.symbol.lower().removesuffix("s") in ("count", "code", "lsb", "digit", "tick")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Heading:

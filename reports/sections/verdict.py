@@ -12,6 +12,8 @@ from piezoid_reports.traces import Trace
 from piezoid_reports.weaknesses import Weakness, weaknesses_of
 from piezoid_reports.what_is_left import named
 
+OPEN = 50  # of the score: what caps it so low leaves open whether there is a loop, or what it is
+
 
 def render(page: Page) -> Section:
     """Return what a reader must know if nothing else is read."""
@@ -61,7 +63,7 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     worst_first = sorted(good, key=_held_out_percent, reverse=True)
     limits, then = _what_next(page, [*wrong, *worst_first])
     return (
-        ("Bad" if wrong else "Good", applies),
+        (_answer(good, wrong), applies),
         ("Limits", f"{_how_well(page, good, wrong)} {limits}"),
         ("Next", then),
     )
@@ -98,6 +100,14 @@ def _applies(good: list[AxisModel], wrong: list[AxisModel]) -> str:
     reasons = "; ".join(f"axis {axis.axis}: {axis.verdict.reason}" for axis in wrong)
     also = f", though it does to {_axes(good)}" if good else ""
     return f"The hysteresis model does not apply to {_axes(wrong)}{also} ({reasons})."
+
+
+def _answer(good: list[AxisModel], wrong: list[AxisModel]) -> str:
+    """Return the word in front: nothing is good of which a loop or its cause was not measured."""
+    if wrong:
+        return "Bad"
+    open_ = any(limit.most <= OPEN for axis in good for limit in axis.quality.limits)
+    return "Open" if open_ else "Good"
 
 
 def _as_far_as(good: list[AxisModel]) -> str:

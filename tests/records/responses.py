@@ -46,6 +46,23 @@ def write_csv(path: Path, heading: str, *columns: Array) -> Path:
     return path
 
 
+def cells_of(values: ComplexArray, cell: str) -> list[str]:
+    """Return complex numbers as text: ``re`` and ``im``, and the ``sign`` and ``size`` of im."""
+    return [
+        cell.format(re=z.real, im=z.imag, sign="-" if z.imag < 0 else "+", size=abs(z.imag))
+        for z in values
+    ]
+
+
+def write_cells(path: Path, separator: str, cell: str) -> Path:
+    """Write the response with a complex number in each cell; semicolons with decimal commas."""
+    cells = cells_of(response() * 1e6, cell)
+    rows = [f"{f:.12g}{separator}{z}" for f, z in zip(FREQUENCY_Hz, cells, strict=True)]
+    text = "\n".join([separator.join(("f[Hz]", "H[um/V]")), *rows])
+    path.write_text(text.replace(".", ",") if separator == ";" else text)
+    return path
+
+
 def write_matlab(path: Path, **arrays: object) -> Path:
     """Write arrays by name."""
     scipy.io.savemat(path, arrays)

@@ -14,7 +14,15 @@ from piezoid.records.ingest import ingest
 from piezoid.records.inspection import inspect_file
 from piezoid.records.lab import Lab, read_lab
 from piezoid.records.lab_draft import draft_lab
-from tests.records.responses import FREQUENCY_Hz, matrix, response, write_csv, write_matlab
+from tests.records.responses import (
+    FREQUENCY_Hz,
+    cells_of,
+    matrix,
+    response,
+    write_cells,
+    write_csv,
+    write_matlab,
+)
 
 G = response()
 SIZE_um, ANGLE_deg = np.abs(G) * 1e6, np.degrees(np.angle(G))
@@ -40,6 +48,11 @@ WRITERS: dict[str, Callable[[Path], Path]] = {
         f / "a.csv",
         "f [Hz],Re [um/V],Im [um/V]",
         *(FREQUENCY_Hz[::-1], G.real[::-1] * 1e6, G.imag[::-1] * 1e6),
+    ),
+    "complex cells of MATLAB": lambda f: write_cells(f / "a.csv", ",", "{re:.9g}{im:+.9g}i"),
+    "complex cells of NumPy": lambda f: write_cells(f / "a.txt", " ", "({re:.9e}+{im:.9e}j)"),
+    "complex cells, spaced": lambda f: write_cells(
+        f / "a.csv", ";", "{re:.9g} {sign} {size:.9g}i"
     ),
     "MATLAB, complex": lambda f: write_matlab(f / "a.mat", f_Hz=FREQUENCY_Hz, H_m_per_V=G),
     "MATLAB, gain and phase": lambda f: write_matlab(
@@ -125,6 +138,20 @@ def test_a_matrix_of_matlab_has_every_path(tmp_path: Path) -> None:
             path = found.path(output, drive)
             assert path is not None
             np.testing.assert_allclose(path.response_m_per_V, whole[i, j], rtol=1e-9)
+
+
+def test_nine_columns_of_complex_cells_have_every_path(tmp_path: Path) -> None:
+    whole = matrix() * 1e6
+    pairs = [(i, j) for i in range(3) for j in range(3)]
+    names = ["f [Hz]", *(f"H{'xyz'[i]}{'xyz'[j]} [um/V]" for i, j in pairs)]
+    cells = [cells_of(whole[i, j], "{re:.9g}{im:+.9g}i") for i, j in pairs]
+    rows = zip(map("{:.9g}".format, FREQUENCY_Hz), *cells, strict=True)
+    (tmp_path / "a.csv").write_text("\n".join(map(",".join, [names, *rows])))
+    found = only(tmp_path / "a.csv")
+    for i, j in pairs:
+        path = found.path("xyz"[i], "xyz"[j])
+        assert path is not None
+        np.testing.assert_allclose(path.response_m_per_V * 1e6, whole[i, j], rtol=1e-6)
 
 
 def test_nine_groups_of_columns_have_every_path(tmp_path: Path) -> None:

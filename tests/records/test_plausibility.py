@@ -9,7 +9,7 @@ from piezoid.records.ingest import ingest
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
 from piezoid_datasets.virtual_lab.truths.truth import Truth
-from tests.laws import triangles, write
+from tests.laws import LAWS, triangles, write
 
 
 def kinds(recording: Recording) -> set[str]:
@@ -33,3 +33,33 @@ def test_one_branch_turns_no_way(tmp_path: Path) -> None:
     field = np.linspace(-1.0, 1.0, 400)
     for bent in (field + 0.3 * field**2, field - 0.3 * field**2):
         assert "leads" not in kinds(ingest(write(tmp_path / "one.csv", field, bent)))
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_an_end_of_the_amplifier_is_told_with_its_volts(law: str, tmp_path: Path) -> None:
+    field = triangles(6, 300, 0.05)
+    noise_um = 0.008 * np.random.default_rng(7).standard_normal(len(field))
+
+    def told(drive: np.ndarray) -> list[str]:
+        path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](drive) + noise_um)
+        return [problem.text for problem in ingest(path).problems if problem.kind == "stands"]
+
+    assert told(field) == []
+    (upper,) = told(np.minimum(field, 0.7))
+    begins_V = float(upper.split("from ")[1].split(" V up to 5 V")[0])
+    assert begins_V == pytest.approx(3.5, abs=0.15)
+    upper, lower = told(np.clip(field, -0.7, 0.7))
+    assert "down to -4.9" in lower
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_steps_and_rests_of_the_drive_are_no_end(law: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    steps = np.repeat(rng.uniform(-1.0, 1.0, 60), 30)
+    rests = np.concatenate(
+        [np.r_[part, np.full(60, part[-1])] for part in np.split(triangles(6, 300), 12)]
+    )
+    for field in (steps, rests):
+        noise_um = 0.008 * rng.standard_normal(len(field))
+        path = write(tmp_path / "a.csv", field, 10.0 * LAWS[law](field) + noise_um)
+        assert "stands" not in kinds(ingest(path))

@@ -24,7 +24,7 @@ def test_every_reader_of_the_folder_is_registered() -> None:
     folder = Path(readers.__file__).parent
     modules = {reader.read.__module__.rsplit(".", 1)[-1] for reader in READERS}
     parts = {"__init__", "reader", "source", "block", "heading_lines", "foreign", "matlab_growth"}
-    parts |= {"hdf5_trees"}
+    parts |= {"hdf5_trees", "complex_cells"}
     assert {path.stem for path in folder.glob("*.py")} - parts == modules
     assert len({reader.name for reader in READERS}) == len(READERS)
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.identification.quality import Limit
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.verification import Verification
 from piezoid_reports.effect_words import words
@@ -226,4 +227,20 @@ def verification(*, value: float) -> Verification:
         plants=(),
         parameters_digest="sha256:" + "0" * 64,
         runtime_digest="sha256:" + "0" * 64,
+    )
+
+
+@pytest.mark.parametrize(("most", "word"), [(20, "Open"), (50, "Open"), (70, "Good")])
+def test_nothing_is_called_good_of_which_a_loop_or_its_cause_was_not_measured(
+    most: int, word: str
+) -> None:
+    axis = axis_model()
+    lack = Limit(lack="branch", reason="only one branch was recorded", most=most)
+    axis = replace(axis, quality=replace(axis.quality, limits=(lack,)))
+    page = render(stage_model(axis), [recording()])
+    answers = [e for e in Anatomy(page).all("span", "answer")]
+    assert answers[0].text.startswith(word)
+    assert (
+        f"as far as can be told, for only one branch was recorded (a score of at most {most})"
+        in _verdict(page)
     )

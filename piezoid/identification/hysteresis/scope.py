@@ -91,8 +91,8 @@ class Scope:
             found.append(
                 (
                     "speed",
-                    "every branch was driven at one speed: the width of the loop cannot be told "
-                    f"from a lag{lag}, and nothing is known at other speeds",
+                    "branches of one size were all driven at one speed: the width of the loop "
+                    f"cannot be told from a lag{lag}, and nothing is known at other speeds",
                 )
             )
         if self.amplitudes < OTHER_SIZE:

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -271,7 +271,7 @@ def _frame(text: str, layout: Layout, dtype: type) -> "DataFrame | None":
 
 
 def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Block:
-    rows, lines, strange = [], [], []
+    rows, lines, strange, cells = [], [], [], []
     for line, content in enumerate(text.split("\n"), start=first_line):
         if not content.strip():
             continue
@@ -285,7 +285,25 @@ def _parse_slowly(text: str, layout: Layout, name: str, first_line: int) -> Bloc
         values += [np.nan] * (layout.fields - len(values))
         rows.append([np.nan if value is None else value for value in values])
         lines.append((line, [k for k, value in enumerate(values) if value is None]))
-    return _judge(np.array(rows, dtype=np.float64), lines, strange, name)
+        cells.append(fields)
+    numbers = np.array(rows, dtype=np.float64)
+    stamps = _stamps(cells, lines)
+    for k, seconds in stamps.items():
+        numbers[:, k] = seconds
+    lines = [(line, [k for k in where if k not in stamps]) for line, where in lines]
+    return replace(_judge(numbers, lines, strange, name), stamped=frozenset(stamps))
+
+
+def _stamps(cells: list[list[str]], lines: list[tuple[int, list[int]]]) -> dict[int, Array]:
+    """Return the seconds of the fields that hold times of day in every row."""
+    import pandas as pd
+
+    found: dict[int, Array] = {}
+    for k in sorted(set.intersection(*(set(where) for _, where in lines))):
+        seconds = _seconds_of(pd.Series([row[k] for row in cells], dtype=str))
+        if seconds is not None:
+            found[k] = np.asarray(seconds, dtype=np.float64)
+    return found
 
 
 def _judge(

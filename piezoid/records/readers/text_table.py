@@ -11,6 +11,7 @@ from piezoid.records.readers.block import (
     parse_block,
     without_comments,
 )
+from piezoid.records.readers.complex_cells import joined, parts_of
 from piezoid.records.readers.heading_lines import (
     HEAD_LINES,
     Start,
@@ -35,6 +36,14 @@ def read(source: Source) -> RawTable:
 
 def read_text(source: Source, text: str, format_name: str) -> RawTable:
     """Read the text of a table, whatever file it came in."""
+    parts = parts_of(text)
+    if parts is None:
+        return _read_numbers(source, text, format_name)
+    return joined(*(_read_numbers(source, part, format_name) for part in parts))
+
+
+def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
+    """Read a table of real numbers."""
     start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
     rows, remarks = without_comments(body, start.row + 1)

@@ -119,6 +119,21 @@ MEANINGS: tuple[Messy, ...] = (
         kept=EVERY,
     ),
     Messy(
+        name="clock_thousands.txt",
+        wrong="times of day under `clock`, beside `1,234.500`",
+        write=with_rows(
+            lambda rows: [
+                rows[0],
+                *(f"{clock_of_day(k)}|{row.split('|', 1)[1]}" for k, row in enumerate(rows[1:])),
+            ],
+            separator="|",
+            table=columns() * [1, 1e3, 1e3],
+            names=("clock", "voltage [mV]", "position [nm]"),
+            written=lambda v: f"{v:,.3f}",
+        ),
+        kept=EVERY,
+    ),
+    Messy(
         name="minutes.csv",
         wrong="times as `59:59.800`, without hours, across a full one",
         write=stamped([clock_of_day(k, start=FULL_HOUR)[3:] for k in range(SAMPLES)]),
@@ -233,6 +248,22 @@ MEANINGS: tuple[Messy, ...] = (
         write=text(lines(table=columns() * [1, 1, 1e4], names=(*NAMES[:2], "position [counts]"))),
         refused="is a displacement in counts",
         lines=COUNTS,
+    ),
+    Messy(
+        name="codes.csv",
+        wrong="counts of both converters under their own names",
+        write=text(
+            lines(
+                table=columns() * [1, 1e3, 1e4],
+                names=("time [s]", "DAC [codes]", "ADC [codes]"),
+                written="{:.6g}".format,
+            )
+        ),
+        refused="no column is a drive voltage or a displacement",
+        lines='columns = { time = 1, voltage = "DAC [codes]", displacement = "ADC [codes]" }\n'
+        'units = { voltage = "codes", displacement = "codes" }\n'
+        "scale = { voltage = 0.001, displacement = 1e-10 }\n",
+        kept=EVERY,
     ),
     Messy(
         name="dac.csv",

@@ -1,0 +1,65 @@
+"""Complex numbers in the cells of a text table: ``0.2-0.03i``, ``(0.2-0.03j)``, ``0.2+-0.03j``."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from piezoid.records.readers.heading_lines import HEAD_LINES
+from piezoid.records.recording import Problem
+from piezoid.records.table import Column, RawTable
+
+_SEEN = 10  # rows at the end of the head: comments and headings stand before them
+
+
+def _pattern(digits: str) -> re.Pattern[str]:
+    # The sign stands close to both parts or apart from both: "1.0 -0.3i" are two fields.
+    return re.compile(
+        rf"\(?(?P<real>[+-]?{digits})(?:\s+(?P<apart>[+-])\s+|\+?(?P<sign>[+-]))"
+        rf"(?P<imaginary>{digits})\s?\*?[ijIJ](?![a-zA-Z\d])\)?"
+    )
+
+
+_WITH_POINTS = _pattern(r"(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
+# A comma is a decimal one only where something else parts the fields.
+_WITH_COMMAS = _pattern(r"(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+
+
+def parts_of(text: str) -> tuple[str, str] | None:
+    """Return a table of complex cells twice, of real and imaginary parts; None where none is."""
+    head = [line for line in text.split("\n", HEAD_LINES)[:HEAD_LINES] if line.strip()][-_SEEN:]
+    if not head:
+        return None
+    pattern = _WITH_COMMAS if {";", "\t"} & set(head[-1]) else _WITH_POINTS
+    if not all(map(pattern.search, head[1:] or head)):
+        return None
+    return pattern.sub(r"\g<real>", text), pattern.sub(_imaginary, text)
+
+
+def _imaginary(cell: re.Match[str]) -> str:
+    return f"{cell['apart'] or cell['sign']}{cell['imaginary']}"
+
+
+def joined(real: RawTable, imaginary: RawTable) -> RawTable:
+    """Return one table, in which a column of complex numbers is two, named as those of MATLAB."""
+    columns: list[Column] = []
+    held: list[Column] = []
+    for column, other in zip(real.columns, imaginary.columns, strict=True):
+        pieces = [column]
+        if not np.array_equal(column.values, other.values, equal_nan=True):
+            held.append(column)
+            label = column.label or str(column.number)
+            pieces = [
+                replace(column, label=f"real({label})"),
+                replace(other, label=f"imag({label})"),
+            ]
+        columns += [replace(piece, number=len(columns) + k + 1) for k, piece in enumerate(pieces)]
+    if not held:
+        return real
+    said = ", ".join(column.place for column in held[:3]) + (", ..." if len(held) > 3 else "")
+    text = (
+        f"{said} holds complex numbers: real and imaginary part are the columns of a frequency "
+        "response, and of no recording over time"
+    )
+    problem = Problem(kind="complex", place=held[0].place, text=text)
+    return replace(real, columns=tuple(columns), problems=(*real.problems, problem))
