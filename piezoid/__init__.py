@@ -26,7 +26,7 @@ _PUBLIC = {
     **dict.fromkeys(
         (
             *("calibrate", "design", "diagnose", "export", "fit", "plan", "read"),
-            *("read_lab", "report", "simulate", "verify", "VirtualStage"),
+            *("read_lab", "report", "verify"),
         ),
         "piezoid.verbs",
     ),
@@ -54,11 +54,13 @@ _PUBLIC = {
     "RestoringForceModel": "piezoid.identification.restoring_force.fit",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
+    "VirtualStage": "piezoid.virtual_stage",
     "fit_coupled": "piezoid.identification.coupled.fit_coupled",
     "identify_restoring_force": "piezoid.identification.restoring_force.fit",
     "load": "piezoid.sealed_files",
     "place_hysteresis": "piezoid.identification.restoring_force.placing",
     "save": "piezoid.sealed_files",
+    "simulate": "piezoid.virtual_stage",
 }
 
 if TYPE_CHECKING:
@@ -87,7 +89,6 @@ if TYPE_CHECKING:
     from piezoid.records.recording import Channel, Quantity, Recording
     from piezoid.sealed_files import load, save
     from piezoid.verbs import (
-        VirtualStage,
         calibrate,
         design,
         diagnose,
@@ -97,12 +98,12 @@ if TYPE_CHECKING:
         read,
         read_lab,
         report,
-        simulate,
         verify,
     )
     from piezoid.verification.closed_loop import LoopRecord
     from piezoid.verification.shipping import Shipping
     from piezoid.verification.verification import Verification
+    from piezoid.virtual_stage import VirtualStage, simulate
 
 __all__ = (
     "ActuatorModel",

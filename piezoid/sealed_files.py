@@ -30,6 +30,10 @@ def load(path: Place) -> Sealed:
 
     Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
     ``OSError`` where it cannot be read.
+
+    >>> model.save("model.json")
+    >>> piezoid.load("model.json").stage == model.stage
+    True
     """
     place = path_of(path)
     place = place / "model.json" if place.is_dir() else place
@@ -63,6 +67,10 @@ def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
     """Write a record into its sealed file; ``load`` reads it back, number for number.
 
     record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification
+
+    >>> piezoid.save(design, "design.json")
+    >>> type(piezoid.load("design.json")).__name__
+    'Design'
     """
     path_of(path).write_bytes(sealed(record))
 

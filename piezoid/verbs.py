@@ -5,11 +5,9 @@ being done, a sentence each time.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
-from json import loads
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -57,6 +55,9 @@ def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
 
     Raises ``UnreadableFileError``, ``UnitError``, ``RecordingError`` or ``LabFileError``; what is
     merely odd is in each recording's ``problems``.
+
+    >>> [one.name for one in piezoid.read("sweep.csv", "check.csv", lab="lab.toml")]
+    ['sweep.csv', 'check.csv']
     """
     if not files:
         raise RecordingError(
@@ -68,7 +69,11 @@ def read(*files: Place, lab: Lab | Place | None = None) -> Collection:
 
 
 def read_lab(path: Place) -> Lab:
-    """Read a lab.toml; raises ``LabFileError`` with the line or table that cannot be used."""
+    """Read a lab.toml; raises ``LabFileError`` with the line or table that cannot be used.
+
+    >>> piezoid.read_lab("lab.toml").acquisition.dac_bits
+    16
+    """
     return laboratory.read_lab(path_of(path))
 
 
@@ -86,6 +91,10 @@ def fit(
 
     Raises ``RecordingError`` for two of one name, ``ExcitationError`` where nothing can be
     fitted. A model that does not apply is returned, and ``applies`` is False.
+
+    >>> fitted = piezoid.fit(recordings["sweep.csv"], lab="lab.toml")
+    >>> fitted.applies, fitted["x"].quality.held_out_rms_percent < 1.0
+    (True, True)
     """
     held = _recordings(recordings)
     return identification.fit(
@@ -114,6 +123,10 @@ def diagnose(
 
     Raises ``RecordingError`` where recordings do not fit each other, ``ExcitationError`` where
     nothing moves.
+
+    >>> found = piezoid.diagnose(recordings["check.csv"], lab="lab.toml")
+    >>> found.axis, found.model is None
+    ('x', True)
     """
     held, declared = _recordings(recordings).recordings, _lab(lab)
     refuse_misfits(held)
@@ -151,6 +164,10 @@ def plan(
     seed        of what a drive leaves to chance
 
     Raises ``ExcitationError`` where no drive shows any of it.
+
+    >>> next_drive = piezoid.plan(model, found, lab="lab.toml", clock_Hz=1000.0)
+    >>> next_drive.drive.voltage_V.max() <= model["x"].voltage_V[1]
+    np.True_
     """
     return experiment.plan(
         model,
@@ -178,6 +195,9 @@ def design(
 
     Raises ``TemplateError`` where no controller meets what is asked, ``DesignError`` where too
     little is known of every axis.
+
+    >>> [(axis.axis, axis.recommended.method) for axis in design.axes]
+    [('x', 'mpi_dob')]
     """
     place = None if specification is None else path_of(specification)
     asked = None if place is None else Asked(text=_text(place), place=place.name)
@@ -205,6 +225,10 @@ def export(
 
     Raises ``ParameterFileError`` for a design of another model or rig, ``LabFileError`` for a tip
     without guards.
+
+    >>> shipping = piezoid.export(model, design, lab="lab.toml")
+    >>> shipping.verification.passed, shipping.reasons
+    (True, {})
     """
     if design.model_digest != digest_of(model):
         raise ParameterFileError(
@@ -237,6 +261,9 @@ def verify(
     parameters  what ``export`` returned, or a ParameterFile
     limits      path of a limits.toml; default: those of [verification] in lab.toml
     seed        of sensor noise and drawn stages
+
+    >>> piezoid.verify(shipping, model, lab="lab.toml", seed=1).passed
+    True
     """
     place = None if limits is None else path_of(limits)
     return verify_stage(
@@ -274,6 +301,10 @@ def report(
     """Return the page of a stage, HTML in one piece, with what is at hand.
 
     recordings  those of the fit, to draw loops and residuals
+
+    >>> page = piezoid.report(model, recordings, diagnoses=[found])
+    >>> page.startswith("<!DOCTYPE html>")
+    True
     """
     held = _recordings(recordings)
     files = {"model.json": write_model(model)}
@@ -314,85 +345,15 @@ def calibrate(
 
     recordings  paths, or what ``read`` returned
     returned    ``save(folder)`` writes every file, ``report.html`` among them
+
+    >>> piezoid.calibrate("sweep.csv").model.applies
+    True
     """
     declared = _lab(lab)
     held = _collected(recordings, declared)
     found = whole_way.calibrate(held, declared, _told(progress), threads=threads)
     made: Calibration = _reports("calibrated").with_report(found, held, declared)
     return made
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class VirtualStage:
-    """Recordings of a stage whose faults are known.
-
-    recordings  of it
-    lab         what its owner would declare
-    truth       what is hidden in it: ``effects`` with their sizes, the noise, the ceramic
-    files       name and bytes, as ``piezoid simulate`` writes them
-    """
-
-    recordings: Collection
-    lab: Lab
-    truth: Mapping[str, Any]
-    files: Mapping[str, bytes]
-
-
-def simulate(
-    seed: int = 0,
-    *,
-    effects: Mapping[str, float | None] | Sequence[str] = (),
-    truth: str | None = None,
-    drives: Sequence[str] | None = None,
-    careless: bool = False,
-) -> VirtualStage:
-    """Record a virtual stage; it shares no code with the model.
-
-    seed      decides everything left to chance
-    effects   to hide, by name; a mapping gives sizes in percent of the stroke
-    truth     kind of ceramic; default: drawn
-    drives    names of the drives to play; default: what fits the effects
-    careless  nobody cycles the drive before recording: the memory is unknown
-
-    Raises ``RecordingError`` for a name that is not known, with those there are.
-
-    >>> stage = simulate(7, effects={"creep": 0.8})
-    >>> [effect["effect"] for effect in stage.truth["effects"]]
-    ['creep']
-    >>> stage.recordings[0].axes
-    ('x',)
-    """
-    sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
-    drawn, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)
-    try:
-        campaign = drawn.draw_campaign(
-            seed,
-            effects=sizes,
-            truth=truth,
-            plans=None if drives is None else list(drives),
-            careless=careless,
-        )
-    except ValueError as error:
-        raise RecordingError(
-            str(error),
-            needed="names and sizes that the virtual laboratory knows",
-            remedy="Choose among those it names.",
-        ) from error
-    files: dict[str, bytes] = written.campaign_files(campaign)
-    with TemporaryDirectory(prefix="piezoid-") as name:
-        places = []
-        for file, content in files.items():
-            place = Path(name) / Path(file).name
-            place.write_bytes(content)
-            places += [place] if place.suffix == ".csv" else []
-        lab = laboratory.read_lab(Path(name) / "lab.toml")
-        held = collect(places, lab)
-    return VirtualStage(
-        recordings=held, lab=lab, truth=loads(files["truth/truth.json"]), files=files
-    )
-
-
-_LABORATORY = ("campaign", "write")
 
 
 def _known(model: ActuatorModel, axis: str | None, held: Sequence[Recording]) -> AxisModel:

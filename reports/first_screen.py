@@ -12,6 +12,7 @@ from piezoid.identification.quality import (
     SECOND_HALF,
     WIDEST_HALVED,
 )
+from piezoid_reports.held_back import held_back
 from piezoid_reports.junction_words import told_interval
 from piezoid_reports.page import Card, Figure, Page
 from piezoid_reports.quantities import percent, told
@@ -82,6 +83,9 @@ def _speed(page: Page, name: str, loop: LoopDesign | None) -> tuple[str, str]:
     if loop is None:
         return "Bandwidth", "none"
     bandwidth, found = told(loop.bandwidth_Hz, "Hz"), page.verification
+    held = next((held_back(page, one) for one in _axes(page) if one.axis == name), None)
+    if held:
+        bandwidth += f", of at most {held[0]} while no mode is known"
     method = None if found is None else found.methods.get(name)
     rows = () if found is None else found.comparison
     for row in rows:
@@ -152,13 +156,15 @@ def tip_cards(page: Page) -> tuple[Card, ...]:
 
 
 def _loop(page: Page, name: str) -> LoopDesign | None:
-    designed = () if page.design is None else page.design.axes
-    return next((axis.recommended for axis in designed if axis.axis == name), None)
+    return next((axis.recommended for axis in _axes(page) if axis.axis == name), None)
+
+
+def _axes(page: Page) -> tuple[AxisDesign, ...]:
+    return () if page.design is None else page.design.axes
 
 
 def _tip_loop(page: Page) -> tuple[AxisDesign, LoopDesign] | None:
-    designed = () if page.design is None else page.design.axes
-    found = ((a, a.recommended) for a in designed if a.recommended.method == "rst")
+    found = ((a, a.recommended) for a in _axes(page) if a.recommended.method == "rst")
     return next(found, None)
 
 

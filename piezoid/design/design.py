@@ -145,13 +145,20 @@ class LoopDesign:
 
         part  ``controller`` R / S, ``prefilter`` T / R, ``plant`` B / A, ``sensitivity``
               A S / P, or ``closed_loop`` T B / P from r' to the reading; P = A S + B R
+
+        >>> type(design.axis("x").recommended.to_scipy("closed_loop")).__name__
+        'TransferFunctionDiscrete'
         """
         from piezoid.design.interchange import to_scipy
 
         return to_scipy(self, part)
 
     def to_control(self, part: str = "controller") -> Any:
-        """Return the same part for python-control, ``control.TransferFunction``."""
+        """Return the same part for python-control, ``control.TransferFunction``.
+
+        >>> design.axis("x").recommended.to_control("sensitivity").isdtime()
+        True
+        """
         from piezoid.design.interchange import to_control
 
         return to_control(self, part)
@@ -187,7 +194,11 @@ class AxisDesign:
         return self.loops[0]
 
     def loop(self, method: str) -> LoopDesign:
-        """Return the loop of a method; ``KeyError`` if there is none."""
+        """Return the loop of a method; ``KeyError`` if there is none.
+
+        >>> design.axis("x").loop("dob").method
+        'dob'
+        """
         for loop in self.loops:
             if loop.method == method:
                 return loop
@@ -217,12 +228,20 @@ class Design:
         """Draw how much of a disturbance each loop leaves, over frequency.
 
         axis  default: all of them, with what is recommended
+
+        >>> design.plot(axis="x").get_xlabel()
+        'frequency (Hz)'
         """
         axes: Axes = upstairs("figures").design(self, axis=axis, ax=ax)
         return axes
 
     def save(self, path: str | Path) -> None:
-        """Write design.json."""
+        """Write design.json.
+
+        >>> design.save("design.json")
+        >>> piezoid.load("design.json").axes[0].axis
+        'x'
+        """
         upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
@@ -237,11 +256,19 @@ class Design:
         return shown("Design", (*loops, ("model", self.model_digest)))
 
     def to_json(self) -> bytes:
-        """Return the sealed file ``design.json``."""
+        """Return the sealed file ``design.json``.
+
+        >>> design.to_json()[:1]
+        b'{'
+        """
         return seal(SCHEMA, to_json(self))
 
     def axis(self, name: str) -> AxisDesign:
-        """Return one axis; ``KeyError`` if it was not designed."""
+        """Return one axis; ``KeyError`` if it was not designed.
+
+        >>> design.axis("x").recommended.worst_modulus_margin >= 0.5
+        True
+        """
         for axis in self.axes:
             if axis.axis == name:
                 return axis

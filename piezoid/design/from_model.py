@@ -42,6 +42,7 @@ _SLOWER_THAN_RATE = 5.0  # a pole beyond so many sampling rates is instantaneous
 # a quality of 5 to 60. Before there was this limit, three loops of twelve were unstable on them.
 FURTHER_MODE, FIRST_MODE = 1.0, 60.0
 UNTOLD_Hz = 200.0
+BEYOND = "control effort beyond what is known"  # name of the limit that guards against it
 _MOST_BETWEEN = 7  # members between the ends of a mode's interval
 
 
@@ -113,6 +114,11 @@ class Unseen:
     peak: float
     known: str
 
+    @property
+    def fastest_Hz(self) -> float | None:
+        """Fastest loop tried by default: an integrator's effort falls by 20 dB a decade."""
+        return self.from_Hz / self.peak if self.peak > 1.0 else None
+
 
 def unseen(axis: AxisModel) -> Unseen:
     """Return from where on a mode of the axis would not be known."""
@@ -158,13 +164,12 @@ def _careful(axis: AxisModel, family: PlantFamily, asked: Specification) -> Spec
     least_gain = min(abs(member.gain) for member in family.members)
     level_dB = -float(decibel(beyond.peak * least_gain))
     limit = Template(
-        name="control effort beyond what is known",
+        name=BEYOND,
         function="Sup",
         frequency_Hz=np.array([beyond.from_Hz, nyquist_Hz]),
         upper_dB=np.array([level_dB, level_dB]),
     )
-    slow_Hz = beyond.from_Hz / beyond.peak  # an integrator's effort falls by 20 dB a decade
-    bandwidth_Hz = min(asked.bandwidth_Hz, slow_Hz) if beyond.peak > 1.0 else asked.bandwidth_Hz
+    bandwidth_Hz = min(asked.bandwidth_Hz, beyond.fastest_Hz or np.inf)
     return replace(
         asked,
         templates=(*asked.templates, limit),

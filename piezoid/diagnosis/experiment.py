@@ -62,7 +62,11 @@ class Plan:
         return len(self.drive.voltage_V) / self.drive.sampling_rate_Hz
 
     def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Draw the drive of the next experiment over time."""
+        """Draw the drive of the next experiment over time.
+
+        >>> piezoid.plan(model, found, lab="lab.toml", clock_Hz=1000.0).plot().get_xlabel()
+        'time (s)'
+        """
         axes: Axes = upstairs("figures").plan(self, ax=ax)
         return axes
 

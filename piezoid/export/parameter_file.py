@@ -115,7 +115,11 @@ class ParameterFile:
             )
 
     def axis(self, name: str) -> AxisParameters:
-        """Return the axis of this name, or refuse."""
+        """Return the axis of this name, or refuse.
+
+        >>> shipping.parameters.axis("x").method
+        'mpi_dob'
+        """
         for axis in self.axes:
             if axis.axis == name:
                 return axis
@@ -126,7 +130,12 @@ class ParameterFile:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write params.json; ``bundle`` holds what firmware compiles beside it."""
+        """Write params.json; ``bundle`` holds what firmware compiles beside it.
+
+        >>> shipping.parameters.save("params.json")
+        >>> piezoid.load("params.json").axes[0].axis
+        'x'
+        """
         upstairs("sealed_files").save(self, path)
 
 

@@ -76,7 +76,11 @@ class ActuatorModel:
         return all(axis.verdict.applies for axis in self.axes.values())
 
     def one(self, axis: str | None = None) -> AxisModel:
-        """Return the named axis, or the only one there is; several are refused without a name."""
+        """Return the named axis, or the only one there is; several are refused without a name.
+
+        >>> model.one().axis
+        'x'
+        """
         if axis is None and len(self.axes) != 1:
             raise IdentificationError(
                 f"{self.stage}: no axis named, the model holds {', '.join(self.axes) or 'none'}",
@@ -86,7 +90,11 @@ class ActuatorModel:
         return self[next(iter(self.axes)) if axis is None else axis]
 
     def with_axis(self, axis: AxisModel) -> "ActuatorModel":
-        """Return the stage with one axis replaced, or added."""
+        """Return the stage with one axis replaced, or added.
+
+        >>> list(model.with_axis(model["x"]).axes)
+        ['x']
+        """
         return replace(self, axes={**self.axes, axis.axis: axis})
 
     def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
@@ -94,6 +102,9 @@ class ActuatorModel:
 
         Raises ``IdentificationError`` for a diagnosis that was made without a model, or read
         from its file: that holds no model.
+
+        >>> model.extended(found)["x"].extensions == found.model.extensions
+        True
         """
         found = self
         for diagnosis in diagnoses:
@@ -115,16 +126,29 @@ class ActuatorModel:
         zero_m: float | None = None,
         axis: str | None = None,
     ) -> Array:
-        """Return what an axis makes of a drive, as ``AxisModel.simulate``."""
+        """Return what an axis makes of a drive, as ``AxisModel.simulate``.
+
+        >>> drive_V = 5.0 + 2.0 * np.sin(np.linspace(0.0, 20.0, 1000))
+        >>> model.simulate(drive_V, 1000.0, axis="x").shape
+        (1000,)
+        """
         own = self.one(axis)
         return own.simulate(voltage_V, sampling_rate_Hz, memory_V, zero_m=zero_m)
 
     def predict(self, recording: Recording, *, axis: str | None = None) -> Array:
-        """Return what an axis should show in a recording; default: the axis it is about."""
+        """Return what an axis should show in a recording; default: the axis it is about.
+
+        >>> model.predict(recordings["check.csv"]).shape
+        (2500,)
+        """
         return self[axis or recording.axis].predict(recording)
 
     def compare(self, recording: Recording, *, axis: str | None = None) -> "Comparison":
-        """Return a recording beside ``predict``."""
+        """Return a recording beside ``predict``.
+
+        >>> model.compare(recordings["check.csv"]).rms_percent < 1.0
+        True
+        """
         return self[axis or recording.axis].compare(recording)
 
     def inverse(
@@ -135,7 +159,12 @@ class ActuatorModel:
         zero_m: float | None = None,
         axis: str | None = None,
     ) -> Array:
-        """Return the voltage of an axis that makes a displacement, as ``AxisModel.inverse``."""
+        """Return the voltage of an axis that makes a displacement, as ``AxisModel.inverse``.
+
+        >>> wanted_m = model["x"].zero_m + np.linspace(0.0, 1e-6, 1000)
+        >>> model.inverse(wanted_m).shape
+        (1000,)
+        """
         return self.one(axis).inverse(displacement_m, memory_V, zero_m=zero_m)
 
     def simulate_loop(
@@ -157,13 +186,22 @@ class ActuatorModel:
 
         Returns a ``LoopRecord``. What goes wrong: a reference outside the range the controller
         keeps is limited there, which ``status`` says.
+
+        >>> reference_m = model["x"].zero_m + 1e-6 * np.sin(2e-3 * np.arange(8000))
+        >>> loop = model.simulate_loop(reference_m, design, lab="lab.toml")
+        >>> loop.after(2000).rms_error < 50e-9
+        True
         """
         return upstairs("verbs").simulate_loop(
             self, reference_m, controller, axis=axis, lab=lab, seed=seed
         )
 
     def parameters(self) -> "DataFrame":
-        """Return the numbers of every axis, the axis in front of each name."""
+        """Return the numbers of every axis, the axis in front of each name.
+
+        >>> list(model.parameters())
+        ['value', 'unit', 'low', 'high']
+        """
         from pandas import concat
 
         return concat(
@@ -173,11 +211,19 @@ class ActuatorModel:
     def to_scipy(
         self, sampling_rate_Hz: float | None = None, *, axis: str | None = None
     ) -> "StateSpace":
-        """Return the linear part of an axis, as ``AxisModel.to_scipy``."""
+        """Return the linear part of an axis, as ``AxisModel.to_scipy``.
+
+        >>> model.to_scipy(20e3).dt
+        5e-05
+        """
         return self.one(axis).to_scipy(sampling_rate_Hz)
 
     def to_control(self, sampling_rate_Hz: float | None = None, *, axis: str | None = None) -> Any:
-        """Return the linear part of an axis, as ``AxisModel.to_control``."""
+        """Return the linear part of an axis, as ``AxisModel.to_control``.
+
+        >>> model.to_control(20e3).isdtime()
+        True
+        """
         return self.one(axis).to_control(sampling_rate_Hz)
 
     def plot(
@@ -188,12 +234,21 @@ class ActuatorModel:
         axis: str | None = None,
         ax: "Axes | None" = None,
     ) -> "Axes":
-        """Draw one axis, as ``AxisModel.plot``; default: the recording's, or the only one."""
+        """Draw one axis, as ``AxisModel.plot``; default: the recording's, or the only one.
+
+        >>> model.plot(recording=recordings["check.csv"]).get_ylabel()
+        'displacement of x (µm)'
+        """
         told_axis = recording.axis if axis is None and recording is not None else axis
         return self.one(told_axis).plot(kind, recording=recording, ax=ax)
 
     def save(self, path: str | Path) -> None:
-        """Write model.json."""
+        """Write model.json.
+
+        >>> model.save("model.json")
+        >>> list(piezoid.load("model.json").axes)
+        ['x']
+        """
         upstairs("sealed_files").save(self, path)
 
 

@@ -162,6 +162,10 @@ class AxisModel:
 
         What goes wrong: a stage that was moved before is not de-poled. Let the drive begin with
         a loop over the range, and leave its displacement out.
+
+        >>> moved_m = model["x"].simulate([0.0, 5.0, 10.0, 5.0], 1000.0)
+        >>> bool(moved_m[3] > moved_m[1])  # it comes down on another branch
+        True
         """
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
         here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
@@ -187,6 +191,10 @@ class AxisModel:
         Of the hysteresis alone: lag, dynamics and what a diagnosis added are not inverted, and
         voltages outside ``voltage_V`` extrapolate. Raises ``NotInvertibleError`` for weights
         without an inverse.
+
+        >>> wanted_m = model["x"].zero_m + np.array([0.0, 1e-6, 0.0])
+        >>> model["x"].inverse(wanted_m).shape
+        (3,)
         """
         if not self.hysteresis.is_invertible:
             least, _ = self.hysteresis.slope_sector_m_per_V
@@ -218,13 +226,20 @@ class AxisModel:
 
         Memory and zero at its beginning, which no model can know, are taken from the recording's
         own displacement where it holds one; see ``prediction.predict``.
+
+        >>> model["x"].predict(recordings["check.csv"]).shape
+        (2500,)
         """
         from piezoid.identification.prediction import predict
 
         return predict(self, recording)
 
     def compare(self, recording: Recording) -> "Comparison":
-        """Return a recording beside ``predict``: errors, a frame and a picture of them."""
+        """Return a recording beside ``predict``: errors, a frame and a picture of them.
+
+        >>> model["x"].compare(recordings["check.csv"]).largest_m < 1e-6
+        True
+        """
         from piezoid.identification.prediction import compare
 
         return compare(self, recording)
@@ -233,6 +248,10 @@ class AxisModel:
         """Return every number of the model by name, with unit and 95 % interval.
 
         The columns are ``value``, ``unit``, ``low`` and ``high``; NaN where no interval is known.
+
+        >>> numbers = model["x"].parameters()
+        >>> bool((numbers["low"] <= numbers["high"]).any())
+        True
         """
         from piezoid.identification.parameters import parameters_of
 
@@ -246,13 +265,22 @@ class AxisModel:
 
         The hysteresis stands there as the middle of its slopes. Raises ``IdentificationError``
         where a delay has no system in continuous time.
+
+        >>> system = model["x"].to_scipy(20e3)
+        >>> system.B.shape[1], system.C.shape[0]
+        (1, 1)
         """
         from piezoid.identification.interchange import to_scipy
 
         return to_scipy(self, sampling_rate_Hz)
 
     def to_control(self, sampling_rate_Hz: float | None = None) -> Any:
-        """Return the same for python-control, ``control.StateSpace``; it must be installed."""
+        """Return the same for python-control, ``control.StateSpace``; it must be installed.
+
+        >>> system = model["x"].to_control(20e3)
+        >>> system.ninputs, system.noutputs
+        (1, 1)
+        """
         from piezoid.identification.interchange import to_control
 
         return to_control(self, sampling_rate_Hz)
@@ -267,6 +295,9 @@ class AxisModel:
         """Draw the loops of the model (``loop``) or its linear response (``response``).
 
         recording  drawn beside what the model says of it; then ``loop`` or ``error``
+
+        >>> model["x"].plot("response").get_xlabel()
+        'frequency (Hz)'
         """
         figures = upstairs("figures")
         if recording is not None:
@@ -276,7 +307,13 @@ class AxisModel:
         return axes
 
     def moved(self, voltage_V: Array, memory_V: Array, where: Where) -> Array:
-        """Return the displacement away from the zero, before the sensor reads it, (samples,)."""
+        """Return the displacement away from the zero, before the sensor reads it, (samples,).
+
+        >>> from piezoid.identification.extensions.extension import Where
+        >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
+        >>> model["x"].moved(np.array([0.0, 5.0, 10.0]), model["x"].virgin_memory_V, where).shape
+        (3,)
+        """
         driven = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, where.rate_Hz)
         for extension in self.extensions:
             driven = extension.drive(driven, where.rate_Hz)
@@ -293,7 +330,11 @@ class AxisModel:
         return total_m
 
     def read(self, position_m: Array) -> Array:
-        """Return what the sensor says of a position."""
+        """Return what the sensor says of a position.
+
+        >>> model["x"].read(np.array([0.0, 1e-6])).shape
+        (2,)
+        """
         for extension in self.extensions:
             position_m = extension.reading(position_m)
         return position_m

@@ -72,14 +72,22 @@ class Comparison:
         return float(np.abs(self.error_m).max())
 
     def to_frame(self) -> "DataFrame":
-        """Return a pandas DataFrame of the arrays and the error, a row for each sample."""
+        """Return a pandas DataFrame of the arrays and the error, a row for each sample.
+
+        >>> list(model.compare(recordings["check.csv"]).to_frame())
+        ['time_s', 'voltage_V', 'measured_m', 'predicted_m', 'error_m']
+        """
         from pandas import DataFrame
 
         names = ("time_s", "voltage_V", "measured_m", "predicted_m", "error_m")
         return DataFrame({name: getattr(self, name) for name in names})
 
     def plot(self, kind: str = "loop", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw both over the drive (``loop``), or the error over time (``error``)."""
+        """Draw both over the drive (``loop``), or the error over time (``error``).
+
+        >>> model.compare(recordings["check.csv"]).plot("error").get_xlabel()
+        'time (s)'
+        """
         axes: Axes = upstairs("figures").comparison(self, kind, ax=ax)
         return axes
 

@@ -133,22 +133,39 @@ class Lab:
         return digest_of_json(tables)
 
     def amplifier_of(self, axis: str) -> Amplifier:
-        """Return the amplifier of an axis: its own table, or else the common one."""
+        """Return the amplifier of an axis: its own table, or else the common one.
+
+        >>> piezoid.read_lab("lab.toml").amplifier_of("x").bandwidth_Hz
+        4000.0
+        """
         own = self.axes.get(axis, AxisRig()).amplifier
         return self.amplifier if own is None else own
 
     def actuator_of(self, axis: str) -> Actuator:
-        """Return the actuator of an axis: its own table, or else the common one."""
+        """Return the actuator of an axis: its own table, or else the common one.
+
+        >>> piezoid.read_lab("lab.toml").actuator_of("x").bandwidth_Hz
+        12000.0
+        """
         own = self.axes.get(axis, AxisRig()).actuator
         return self.actuator if own is None else own
 
     def sensor_of(self, axis: str) -> Sensor:
-        """Return the sensor of an axis: its own table, or else the common one."""
+        """Return the sensor of an axis: its own table, or else the common one.
+
+        >>> piezoid.read_lab("lab.toml").sensor_of("x").bandwidth_Hz
+        8500.0
+        """
         own = self.axes.get(axis, AxisRig()).sensor
         return self.sensor if own is None else own
 
     def entries_of(self, path: Path) -> tuple[RecordingEntry, ...]:
-        """Return the entries about a file: those of its path, or else those of its bare name."""
+        """Return the entries about a file: those of its path, or else those of its bare name.
+
+        >>> from pathlib import Path
+        >>> piezoid.read_lab("lab.toml").entries_of(Path("sweep.csv"))
+        ()
+        """
         # Other than Path.resolve, this goes through links that lead back to themselves.
         wanted = realpath(path)
         held = [e for e in self.recordings if realpath(self.folder / e.file) == wanted]
@@ -159,7 +176,11 @@ class Lab:
         return tuple(held)
 
     def text_format_of(self, path: Path) -> TextFormat:
-        """Return how a text table is written, which all entries about it must agree on."""
+        """Return how a text table is written, which all entries about it must agree on.
+
+        >>> from pathlib import Path
+        >>> piezoid.read_lab("lab.toml").text_format_of(Path("sweep.csv")).decimal
+        """
         found = {
             TextFormat(
                 separator="" if e.separator == " " else e.separator,
@@ -181,6 +202,9 @@ class Lab:
         """Refuse an entry about a file that is neither read now nor anywhere: a name misspelt.
 
         The copy that a fit leaves beside its model.json names files of another folder.
+
+        >>> from pathlib import Path
+        >>> piezoid.read_lab("lab.toml").check_files([Path("sweep.csv")])
         """
         if (self.folder / "model.json").exists():
             return

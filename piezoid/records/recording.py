@@ -197,6 +197,9 @@ class Recording:
         Columns ``time_s``, ``voltage_x_V``, ``displacement_x_m`` and so on, in SI units, humidity
         in percent. A row of NaN stands at each break; samples that were bridged stand there as
         they are held.
+
+        >>> list(recordings["sweep.csv"].to_frame())
+        ['time_s', 'voltage_x_V', 'displacement_x_m']
         """
         from piezoid.records.frames import to_frame
 
@@ -206,6 +209,10 @@ class Recording:
         """Return the part from ``start_s`` up to, not with, ``stop_s``, under a name of its own.
 
         Raises ``RecordingError`` where less than two samples lie between.
+
+        >>> part = recordings["sweep.csv"].seconds(1.0, 3.0)
+        >>> round(part.duration_s, 1)
+        2.0
         """
         from piezoid.records.frames import part_of
 
@@ -214,7 +221,11 @@ class Recording:
     def plot(
         self, kind: str = "loop", *, axis: str | None = None, ax: "Axes | None" = None
     ) -> "Axes":
-        """Draw displacement over drive (``loop``), or both over time (``time``), in matplotlib."""
+        """Draw displacement over drive (``loop``), or both over time (``time``), in matplotlib.
+
+        >>> recordings["sweep.csv"].plot("time").get_xlabel()
+        'time (s)'
+        """
         axes: Axes = upstairs("figures").recording(self, kind, axis=axis, ax=ax)
         return axes
 
@@ -260,22 +271,39 @@ class Recording:
         )
 
     def find(self, quantity: Quantity, axis: str) -> Channel | None:
-        """Return the channel of this quantity and axis, or None."""
+        """Return the channel of this quantity and axis, or None.
+
+        >>> recordings["sweep.csv"].find(piezoid.Quantity.DISPLACEMENT, "y") is None
+        True
+        """
         for channel in self.channels:
             if channel.quantity is quantity and channel.axis == axis:
                 return channel
         return None
 
     def voltage_V(self, axis: str | None = None) -> Array:
-        """Return the drive voltage of an axis (default: the recording's own), or refuse."""
+        """Return the drive voltage of an axis (default: the recording's own), or refuse.
+
+        >>> recordings["sweep.csv"].voltage_V().shape
+        (2500,)
+        """
         return self._values(Quantity.VOLTAGE, axis)
 
     def displacement_m(self, axis: str | None = None) -> Array:
-        """Return the measured displacement of an axis (default: the recording's own)."""
+        """Return the measured displacement of an axis (default: the recording's own).
+
+        >>> recordings["sweep.csv"].displacement_m("x").shape
+        (2500,)
+        """
         return self._values(Quantity.DISPLACEMENT, axis)
 
     def tunnel_current_A(self, axis: str | None = None) -> Array:
-        """Return the tunnelling current of an axis (default: the recording's own)."""
+        """Return the tunnelling current of an axis (default: the recording's own).
+
+        >>> recordings["sweep.csv"].tunnel_current_A()
+        Traceback (most recent call last):
+        piezoid.errors.RecordingError: sweep.csv: no current of axis 'x', only ...
+        """
         return self._values(Quantity.CURRENT, axis)
 
     def _values(self, quantity: Quantity, axis: str | None) -> Array:

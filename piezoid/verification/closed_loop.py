@@ -72,19 +72,35 @@ class LoopRecord:
         return float(np.sqrt(np.mean(self.error**2)))
 
     def after(self, samples: int) -> "LoopRecord":
-        """Return the record without its first samples."""
+        """Return the record without its first samples.
+
+        >>> reference_m = np.full(4000, model["x"].zero_m)
+        >>> loop = model.simulate_loop(reference_m, shipping)
+        >>> len(loop.after(1000).error)
+        3000
+        """
         names = ("reference", "position", "measured", "voltage_V", "status", "driven")
         return replace(self, **{name: getattr(self, name)[samples:] for name in names})
 
     def to_frame(self) -> "DataFrame":
-        """Return a pandas DataFrame, a row for each sample; positions in m (junction: A)."""
+        """Return a pandas DataFrame, a row for each sample; positions in m (junction: A).
+
+        >>> loop = model.simulate_loop(np.full(4000, model["x"].zero_m), shipping)
+        >>> list(loop.to_frame())[:3]
+        ['time_s', 'reference', 'position']
+        """
         from pandas import DataFrame
 
         names = ("time_s", "reference", "position", "measured", "voltage_V", "error", "status")
         return DataFrame({name: getattr(self, name) for name in names})
 
     def plot(self, kind: str = "path", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw reference and position (``path``) or the error (``error``) over time."""
+        """Draw reference and position (``path``) or the error (``error``) over time.
+
+        >>> loop = model.simulate_loop(np.full(4000, model["x"].zero_m), shipping)
+        >>> loop.plot("error").get_xlabel()
+        'time (s)'
+        """
         axes: Axes = upstairs("figures").loop(self, kind, ax=ax)
         return axes
 

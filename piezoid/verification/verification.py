@@ -108,12 +108,21 @@ class Verification:
         return all(v.passed for v in self.verdicts) and builds and proofs
 
     def plot(self, kind: str = "comparison", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw the error over frequency by method (``comparison``), or all ``verdicts``."""
+        """Draw the error over frequency by method (``comparison``), or all ``verdicts``.
+
+        >>> shipping.verification.plot("verdicts").get_xlabel()
+        'value / limit (1)'
+        """
         axes: Axes = upstairs("figures").verification(self, kind, ax=ax)
         return axes
 
     def save(self, path: str | Path) -> None:
-        """Write verification.json."""
+        """Write verification.json.
+
+        >>> shipping.verification.save("verification.json")
+        >>> piezoid.load("verification.json").passed
+        True
+        """
         upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
@@ -129,7 +138,11 @@ class Verification:
         )
 
     def to_json(self) -> bytes:
-        """Return ``verification.json``, sealed."""
+        """Return ``verification.json``, sealed.
+
+        >>> shipping.verification.to_json()[:1]
+        b'{'
+        """
         return seal(SCHEMA, {"passed": self.passed, **to_json(self, LAYOUTS)})
 
 

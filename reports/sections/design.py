@@ -9,6 +9,7 @@ from piezoid.design.templates import delay_limit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid_reports.held_back import held_back
 from piezoid_reports.loop_figures import nyquist, pole_map
 from piezoid_reports.page import Figure, Fold, Heading, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import MINUS, significant, told
@@ -85,7 +86,9 @@ def _assumed(page: Page, axis: AxisDesign) -> tuple[Part, ...]:
     if axis.axis not in page.model.axes:
         return ()
     said = assumptions_of(page.model.axes[axis.axis])
+    held = held_back(page, axis)
     return (
+        *((Prose(text=f"No bandwidth above {held[0]} was tried: {held[1]}."),) if held else ()),
         Fold(
             summary=f"What the plant family takes for granted: {_counted(said)}",
             parts=(Listing(items=said),),

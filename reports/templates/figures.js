@@ -65,7 +65,8 @@
     });
   }
 
-  const links = []; // figures of one record: what the one shows of its time is lit in the other
+  const links = []; // figures of one record: the stretches of time the one shows are lit in the other
+  const NEAR = 0.004; // of a record: the stretch about the pointer
 
   function save(name, kind, content) {
     const made = document.createElement("a");
@@ -99,6 +100,7 @@
     const frame = figure.querySelector(".frame");
     const plot = figure.querySelector(".plot");
     const here = figure.querySelector(".here");
+    const cross = figure.querySelector(".cross");
     const readout = figure.querySelector(".readout");
     const layers = [...figure.querySelectorAll(".layer")];
     const keys = [...figure.querySelectorAll(".key")];
@@ -109,7 +111,7 @@
     const full = { x: 0, y: 0, w: width * fine, h: height * fine };
     const lit = figure.querySelector(".lit");
     const span = Number(figure.dataset.span || 0);
-    if (figure.dataset.link) links.push([figure.dataset.link, (...at) => light(...at), figure]);
+    if (figure.dataset.link) links.push({ name: figure.dataset.link, figure, light: (stretches) => light(stretches) });
     let seen = { ...full };
     let drawn = null;
 
@@ -152,30 +154,83 @@
           group.append(element("path", { class: "grid", d: `M${left},${at.toFixed(1)}h${width}` }),
             element("text", { class: "tick", x: left - 7, y: (at + 4).toFixed(1), "text-anchor": "end" }, label));
         });
-      here.setAttribute("visibility", "hidden");
-      if (span) linked((other) => other(valueX(seen.x) / span, valueX(seen.x + seen.w) / span, seen.w < full.w));
+      leave();
     }
 
-    // Of a curve that knows its times: light what lies in a stretch of the record, of 0 to 1.
-    function light(low, high, on) {
+    function leave() {
+      for (const one of [here, cross]) one.setAttribute("visibility", "hidden");
+      readout.textContent = "";
+      figure.classList.remove("read");
+      linked().forEach((other) => other.light(inView()));
+    }
+
+    function linked() {
+      return links.filter((other) => other.name === figure.dataset.link && other.figure !== figure);
+    }
+
+    // The points of the curve that knows when each was, in strokes; times are shares of the record.
+    let known = null;
+    function timed() {
+      if (known) return known;
       drawn = drawn || layers.map((layer) => strokes(layer.getAttribute("d")));
-      const timed = layers.findIndex((layer) => layer.dataset.times && layer.dataset.role === "model");
-      if (timed < 0 || !lit) return;
-      const times = layers[timed].dataset.times.split(" ").map(Number);
-      let path = "", k = 0;
-      for (const points of on ? drawn[timed] : []) {
-        let pen = "M";
-        for (let i = 0; i + 1 < points.length; i += 2, k++) {
-          const inside = times[k] >= low * 1e4 && times[k] <= high * 1e4;
-          if (inside) path += `${pen}${points[i]},${points[i + 1]}`;
-          pen = inside ? "L" : "M";
+      const index = layers.findIndex((layer) => layer.dataset.times);
+      const times = index < 0 ? [] : layers[index].dataset.times.split(" ").map((time) => time / 1e4);
+      let k = 0;
+      known = (drawn[index] || []).map((points) => {
+        const stroke = [];
+        for (let i = 0; i + 1 < points.length; i += 2) stroke.push({ x: points[i], y: points[i + 1], time: times[k++] });
+        return stroke;
+      });
+      return known;
+    }
+
+    // The stretches of the record that a magnified figure shows; of the whole, none.
+    function inView() {
+      if (seen.w >= full.w) return [];
+      if (span) return [[valueX(seen.x) / span, valueX(seen.x + seen.w) / span]];
+      const found = [];
+      for (const stroke of timed()) {
+        let open = null;
+        for (const { x, y, time } of stroke) {
+          const inside = x >= seen.x && x <= seen.x + seen.w && y >= seen.y && y <= seen.y + seen.h;
+          if (inside && open) open[1] = time;
+          else if (inside) found.push(open = [time, time]);
+          else open = null;
+        }
+      }
+      return found;
+    }
+
+    // Light stretches of the record: bars behind a course in time, parts of a curve that knows its times.
+    function light(stretches) {
+      let path = "";
+      if (span) {
+        const at = (share) => ((share * span - ends.x[0]) / (ends.x[1] - ends.x[0]) * full.w).toFixed(0);
+        for (const [low, high] of stretches) path += `M${at(low)},0V${full.h}H${at(high)}V0Z`;
+      } else {
+        for (const stroke of timed()) {
+          let pen = "M";
+          for (const { x, y, time } of stroke) {
+            const inside = stretches.some(([low, high]) => time >= low && time <= high);
+            if (inside) path += `${pen}${x},${y}`;
+            pen = inside ? "L" : "M";
+          }
         }
       }
       lit.setAttribute("d", path);
     }
 
-    function linked(tell) {
-      for (const [name, other, own] of links) if (name === figure.dataset.link && own !== figure) tell(other);
+    // When a point of the figure was, as a share of the record.
+    function timeOf(x, y) {
+      if (span) return valueX(x) / span;
+      let best = { distance: Infinity };
+      for (const stroke of timed()) {
+        for (const point of stroke) {
+          const distance = Math.hypot(point.x - x, point.y - y);
+          if (distance < best.distance) best = { distance, time: point.time };
+        }
+      }
+      return best.time;
     }
 
     function zoom(factor, x, y) {
@@ -216,19 +271,24 @@
     function read(event) {
       const at = pointed(event);
       const best = nearest(at.x, at.y);
-      here.setAttribute("visibility", best.name ? "visible" : "hidden");
-      figure.classList.toggle("read", Boolean(best.name));
-      if (span) {
-        const at = valueX(pointed(event).x) / span;
-        linked((other) => other(at - 0.01, at + 0.01, true));
-      }
-      if (!best.name) { readout.textContent = ""; return; }
-      here.setAttribute("cx", pageX(best.x).toFixed(1));
-      here.setAttribute("cy", pageY(best.y).toFixed(1));
+      if (!best.name) { leave(); return; }
+      for (const one of [here, cross]) one.setAttribute("visibility", "visible");
+      figure.classList.add("read");
+      const cx = pageX(best.x).toFixed(1), cy = pageY(best.y).toFixed(1);
+      here.setAttribute("cx", cx);
+      here.setAttribute("cy", cy);
+      cross.setAttribute("d", `M${cx},${top}v${height}M${left},${cy}h${width}`);
       const x = told("x", valueX(best.x), valueX(seen.x), valueX(seen.x + seen.w));
       const y = told("y", valueY(best.y), valueY(seen.y + seen.h), valueY(seen.y));
       readout.textContent =
         `${best.name}: ${data.xName} ${x} ${data.xUnit}, ${data.yName} ${y} ${data.yUnit}`;
+      const time = figure.dataset.link && timeOf(best.x, best.y);
+      if (!Number.isFinite(time)) return;
+      for (const other of linked()) {
+        other.light([[time - NEAR, time + NEAR]]);
+        const lasts = Number(other.figure.dataset.span);
+        if (lasts) readout.textContent += `, time ${written(time * lasts, roundStep(lasts / 1000))} s`;
+      }
     }
 
     let grip = null;
@@ -241,12 +301,7 @@
       show({ x: seen.x + grip.x - at.x, y: seen.y + grip.y - at.y, w: seen.w });
     });
     for (const end of ["pointerup", "pointercancel"]) view.addEventListener(end, () => { grip = null; });
-    view.addEventListener("pointerleave", () => {
-      here.setAttribute("visibility", "hidden");
-      readout.textContent = "";
-      figure.classList.remove("read");
-      if (span) linked((other) => other(valueX(seen.x) / span, valueX(seen.x + seen.w) / span, seen.w < full.w));
-    });
+    view.addEventListener("pointerleave", leave);
     // The wheel belongs to the page until the figure was clicked.
     view.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && document.activeElement !== view) return;

@@ -19,6 +19,19 @@
     const litNear = lit.getAttribute("d");
     send(linked, "keydown", { key: "0" });
     const litAgain = lit.getAttribute("d");
+    // The other way: over the loop, and with the loop magnified, the residual is lit where that was.
+    const bars = document.querySelector("figure[data-span] .lit"), loop = lit.closest("figure");
+    const timed = loop.querySelector("[data-times]");
+    const there = timed.getPointAtLength(timed.getTotalLength() / 3).matrixTransform(timed.getScreenCTM());
+    send(loop.querySelector(".view"), "pointermove", { clientX: there.x, clientY: there.y });
+    const told = loop.querySelector(".readout").textContent, barOver = bars.getAttribute("d");
+    const crossed = loop.querySelector(".cross").getBoundingClientRect();
+    const crosshair = { visible: loop.querySelector(".cross").getAttribute("visibility"), width: crossed.width, height: crossed.height };
+    loop.querySelector(".view").dispatchEvent(new PointerEvent("pointerleave"));
+    const barLeft = bars.getAttribute("d");
+    send(loop.querySelector(".view"), "keydown", { key: "+" });
+    const barsNear = bars.getAttribute("d");
+    send(loop.querySelector(".view"), "keydown", { key: "0" });
     const saved = [];
     const press = HTMLAnchorElement.prototype.click;
     const asked = URL.createObjectURL;
@@ -76,7 +89,7 @@
     });
     const wide = document.documentElement.scrollWidth > document.documentElement.clientWidth;
     document.body.dataset.probe = JSON.stringify({
-      sheet, words, rows, reached, keys, litNear, litAgain, saved,
+      sheet, words, rows, reached, keys, litNear, litAgain, told, crosshair, barOver, barLeft, barsNear, saved,
       errors, sizes, readout, whole, near, again, ticksBefore, ticksNear, ticksAgain,
       astray, byWheel, stolenWheel: unfocused.defaultPrevented, keptWheel: focused.defaultPrevented, hidden, flickering, after, wide, rewritten,
     });

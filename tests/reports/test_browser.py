@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import itertools
 import json
 import re
 import shutil
@@ -98,6 +99,32 @@ def test_folds_links_and_figures_are_reached_by_the_keyboard(at_a_desk: dict[str
 def test_the_time_seen_in_the_residual_is_lit_in_the_loop(at_a_desk: dict[str, Any]) -> None:
     assert at_a_desk["litNear"].startswith("M")
     assert at_a_desk["litAgain"] == ""
+
+
+def test_the_time_over_the_loop_and_in_the_magnified_loop_is_lit_in_the_residual(
+    at_a_desk: dict[str, Any],
+) -> None:
+    crosshair = at_a_desk["crosshair"]
+    assert crosshair["visible"] == "visible"
+    assert min(crosshair["width"], crosshair["height"]) > 50
+    reading = r"(measured|model): drive \S+ V, displacement[a-z ]* \S+ µm, time (\S+) s"
+    time_s = float(re.fullmatch(reading, at_a_desk["told"])[2])  # type: ignore[index]
+    assert 0.0 < time_s < recording().duration_s
+    assert at_a_desk["barOver"].count("M") == 1
+    assert at_a_desk["barLeft"] == ""
+    assert at_a_desk["barsNear"].count("M") > 0
+
+
+def test_every_figure_and_every_image_has_a_name(page: str) -> None:
+    anatomy = Anatomy(page)
+    named = {one.attributes["id"] for one in anatomy.all("p") if "id" in one.attributes}
+    figures = anatomy.all("figure")
+    assert len(figures) > 10
+    for one in figures:
+        assert one.attributes.get("aria-label") or one.attributes["aria-labelledby"] in named
+    levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
+    assert levels[0] == 1
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
 
 
 def test_every_figure_saves_its_drawing_and_its_numbers(

@@ -86,6 +86,9 @@ class CoupledStage:
         """Return l of a level: -1 at the smallest of the data, 1 at the largest.
 
         Raises ``IdentificationError`` outside the levels of the data.
+
+        >>> round(coupled.coordinate(float(coupled.levels_V[-1])), 6)
+        1.0
         """
         low, high = float(self.levels_V[0]), float(self.levels_V[-1])
         if not low / BEYOND <= level_V <= high * BEYOND:
@@ -97,7 +100,11 @@ class CoupledStage:
         return level_coordinate(level_V, self.levels_V)
 
     def response(self, frequency_Hz: ArrayLike, level_V: float) -> ComplexArray:
-        """Return the linear response at a level, (lines, outputs, inputs), m/V."""
+        """Return the linear response at a level, (lines, outputs, inputs), m/V.
+
+        >>> coupled.response([10.0, 20.0], float(coupled.levels_V[0])).shape
+        (2, 1, 1)
+        """
         f = np.asarray(frequency_Hz, dtype=np.float64)
         delayed = np.exp(-2j * np.pi * f * self.delay_s)[:, None, None]
         return np.asarray(delayed * self._undelayed(f, self.coordinate(level_V)))
@@ -113,6 +120,10 @@ class CoupledStage:
         Raises ``IdentificationError`` for a drive of the wrong shape or outside the levels of the
         data. The level is the rms of all samples: a drive whose level changes on the way is not
         what this model is for; cut it.
+
+        >>> one = levels[0].voltage_V[:, :, 0, 0]
+        >>> coupled.simulate(one, periodic=True).shape == one.shape
+        True
         """
         drive = frozen(drive_V, "drive_V", ndim=2)
         if drive.shape[1] != len(self.inputs):
@@ -137,12 +148,20 @@ class CoupledStage:
         return np.asarray(np.fft.irfft(moved, len(drive), axis=0)[:count])
 
     def mode_frequency_Hz(self, level_V: float) -> Array:
-        """Return the undamped frequencies of the modes at a level, (modes,), Hz."""
+        """Return the undamped frequencies of the modes at a level, (modes,), Hz.
+
+        >>> coupled.mode_frequency_Hz(float(coupled.levels_V[0])).round().tolist()
+        [60.0]
+        """
         log = self.log_frequency[0] + self.coordinate(level_V) * self.log_frequency[1]
         return np.asarray(np.exp(log))
 
     def mode_damping(self, level_V: float) -> Array:
-        """Return the dampings of the modes at a level, (modes,)."""
+        """Return the dampings of the modes at a level, (modes,).
+
+        >>> coupled.mode_damping(float(coupled.levels_V[0])).round(2).tolist()
+        [0.05]
+        """
         log = self.log_damping[0] + self.coordinate(level_V) * self.log_damping[1]
         return np.asarray(np.exp(log))
 
@@ -151,13 +170,20 @@ class CoupledStage:
 
         A column for the relative change, two for its 95 % interval, by the jackknife over
         realisations: without replicates the interval is infinite.
+
+        >>> coupled.frequency_change().shape
+        (1, 3)
         """
         change = 2.0 * self.log_frequency[1]
         half = 2.0 * _jackknife_half(self.replicate_frequency[:, 1])
         return np.asarray(np.expm1(np.stack([change, change - half, change + half], axis=1)))
 
     def mode_frequency_interval_Hz(self, level_V: float) -> Array:
-        """Return 95 % intervals of the frequencies at a level, (modes, 2), by the jackknife."""
+        """Return 95 % intervals of the frequencies at a level, (modes, 2), by the jackknife.
+
+        >>> coupled.mode_frequency_interval_Hz(float(coupled.levels_V[0])).shape
+        (1, 2)
+        """
         l = self.coordinate(level_V)  # noqa: E741
         half = _jackknife_half(self.replicate_frequency[:, 0] + l * self.replicate_frequency[:, 1])
         middle = self.log_frequency[0] + l * self.log_frequency[1]

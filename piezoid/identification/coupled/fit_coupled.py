@@ -64,6 +64,10 @@ def fit_coupled(
 
     Raises ``ExcitationError`` for records that differ in more than their level, or for too few
     realisations; ``IdentificationError`` where no start has a mode in the band.
+
+    >>> coupled = piezoid.fit_coupled(levels, modes=2, intervals=False)
+    >>> coupled.inputs, coupled.outputs
+    (('x',), ('x',))
     """
     data = sorted(levels, key=lambda one: float(one.voltage_V.std()))
     _check(data)

@@ -42,7 +42,11 @@ class PeriodicData:
             raise ValueError(f"voltage_V and displacement_m have shapes {found}, not {expected}")
 
     def select(self, realisations: Sequence[int]) -> "PeriodicData":
-        """Return the data of these realisations alone, for fitting or for holding out."""
+        """Return the data of these realisations alone, for fitting or for holding out.
+
+        >>> levels[0].select([0, 1]).voltage_V.shape[2]
+        2
+        """
         chosen = list(realisations)
         return replace(
             self,
@@ -54,13 +58,21 @@ class PeriodicData:
         """Return the Fourier coefficients of drive and response at these lines.
 
         returned  (lines, inputs or outputs, realisations, periods)  peak amplitudes, V and m
+
+        >>> drive, response = levels[0].spectra(levels[0].excited_lines())
+        >>> drive.shape == response.shape
+        True
         """
         scale = 2.0 / len(self.voltage_V)
         drive = scale * np.fft.rfft(self.voltage_V, axis=0)[lines]
         return drive, scale * np.fft.rfft(self.displacement_m, axis=0)[lines]
 
     def excited_lines(self) -> NDArray[np.int64]:
-        """Return the lines the drive occupies, as multiples of one over the period."""
+        """Return the lines the drive occupies, as multiples of one over the period.
+
+        >>> bool(np.all(np.diff(levels[0].excited_lines()) > 0))
+        True
+        """
         mean = self.voltage_V.mean(axis=3)
         power = (np.abs(np.fft.rfft(mean, axis=0)) ** 2).sum(axis=(1, 2))
         power[0] = 0.0
@@ -69,5 +81,9 @@ class PeriodicData:
         return np.flatnonzero(power > EXCITED_FRACTION**2 * power.max()).astype(np.int64)
 
     def frequency_Hz(self, lines: NDArray[np.int64]) -> Array:
-        """Return the frequencies of lines."""
+        """Return the frequencies of lines.
+
+        >>> levels[0].frequency_Hz(np.array([1, 2])).tolist()
+        [1.953125, 3.90625]
+        """
         return np.asarray(lines * self.sampling_rate_Hz / len(self.voltage_V))

@@ -83,6 +83,9 @@ class RestoringForceModel:
         drive     (samples,)  in the unit of the recording
         periodic  one period of a drive that repeats: the steady motion, as after four periods;
                   otherwise it begins at rest, with k y = u - f0 and z = 0
+
+        >>> swing.simulate(swinging.voltage_V(), swinging.sampling_rate_Hz).shape
+        (2000,)
         """
         given = np.asarray(drive, dtype=np.float64) - self.bias
         asked = np.tile(given, PERIODS) if periodic else given
@@ -101,7 +104,11 @@ class RestoringForceModel:
         return np.asarray(y[-len(given) :])
 
     def steps(self, sampling_rate_Hz: float) -> int:
-        """Return how many steps of the integration a sample takes."""
+        """Return how many steps of the integration a sample takes.
+
+        >>> swing.steps(swinging.sampling_rate_Hz) >= 1
+        True
+        """
         return steps_of(self.mode, sampling_rate_Hz)
 
     @property
@@ -141,6 +148,10 @@ def identify_restoring_force(
 
     Raises ``RecordingError`` for recordings with breaks or without a displacement, and
     ``ExcitationError`` for short ones and such as do not move.
+
+    >>> swing = piezoid.identify_restoring_force(swinging)
+    >>> 55.0 < swing.natural_frequency_Hz < 65.0
+    True
     """
     return fit_restoring_force(
         *drive_and_motion(recording, axis), recording.sampling_rate_Hz, hold=hold

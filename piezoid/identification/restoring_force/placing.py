@@ -98,6 +98,9 @@ def place_hysteresis(
     places are the same: the answer is then ``not separable``.
 
     Raises ``RecordingError`` and ``ExcitationError`` like ``identify_restoring_force``.
+
+    >>> piezoid.place_hysteresis(swinging).place
+    'before'
     """
     drive, motion_m = drive_and_motion(recording, axis)
     return placed(drive, motion_m, recording.sampling_rate_Hz, hold=hold)

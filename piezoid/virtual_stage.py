@@ -1,0 +1,87 @@
+"""simulate: recordings of a virtual stage whose faults are known."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from json import loads
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from piezoid.errors import RecordingError
+from piezoid.records import lab as laboratory
+from piezoid.records.collection import Collection, collect
+from piezoid.records.lab import Lab
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VirtualStage:
+    """Recordings of a stage whose faults are known.
+
+    recordings  of it
+    lab         what its owner would declare
+    truth       what is hidden in it: ``effects`` with their sizes, the noise, the ceramic
+    files       name and bytes, as ``piezoid simulate`` writes them
+    """
+
+    recordings: Collection
+    lab: Lab
+    truth: Mapping[str, Any]
+    files: Mapping[str, bytes]
+
+
+def simulate(
+    seed: int = 0,
+    *,
+    effects: Mapping[str, float | None] | Sequence[str] = (),
+    truth: str | None = None,
+    drives: Sequence[str] | None = None,
+    careless: bool = False,
+) -> VirtualStage:
+    """Record a virtual stage; it shares no code with the model.
+
+    seed      decides everything left to chance
+    effects   to hide, by name; a mapping gives sizes in percent of the stroke
+    truth     kind of ceramic; default: drawn
+    drives    names of the drives to play; default: what fits the effects
+    careless  nobody cycles the drive before recording: the memory is unknown
+
+    Raises ``RecordingError`` for a name that is not known, with those there are.
+
+    >>> stage = simulate(7, effects={"creep": 0.8})
+    >>> [effect["effect"] for effect in stage.truth["effects"]]
+    ['creep']
+    >>> stage.recordings[0].axes
+    ('x',)
+    """
+    sizes = dict(effects) if isinstance(effects, Mapping) else dict.fromkeys(effects)
+    drawn, written = (import_module(f"piezoid_datasets.virtual_lab.{n}") for n in _LABORATORY)
+    try:
+        campaign = drawn.draw_campaign(
+            seed,
+            effects=sizes,
+            truth=truth,
+            plans=None if drives is None else list(drives),
+            careless=careless,
+        )
+    except ValueError as error:
+        raise RecordingError(
+            str(error),
+            needed="names and sizes that the virtual laboratory knows",
+            remedy="Choose among those it names.",
+        ) from error
+    files: dict[str, bytes] = written.campaign_files(campaign)
+    with TemporaryDirectory(prefix="piezoid-") as name:
+        places = []
+        for file, content in files.items():
+            place = Path(name) / Path(file).name
+            place.write_bytes(content)
+            places += [place] if place.suffix == ".csv" else []
+        lab = laboratory.read_lab(Path(name) / "lab.toml")
+        held = collect(places, lab)
+    return VirtualStage(
+        recordings=held, lab=lab, truth=loads(files["truth/truth.json"]), files=files
+    )
+
+
+_LABORATORY = ("campaign", "write")

@@ -1,0 +1,53 @@
+"""What the examples of public docstrings begin with, beside the lines of the package's own."""
+
+import numpy as np
+
+import piezoid
+from piezoid.numerics.arrays import Array
+from tests.identification.hysteresis.stages import play_sum
+
+RATE_Hz, SAMPLES, REALISATIONS = 1000.0, 512, 4
+MODE_Hz, DAMPING, GAIN_m_per_V = 60.0, 0.05, 1e-6
+
+
+def own_data() -> dict[str, object]:
+    """Return ``levels`` of one drive for a coupled stage, and a recording of a swing."""
+    rng = np.random.default_rng(0)
+    levels = [_level(level_V, rng) for level_V in (0.1, 0.3)]
+    return {"levels": levels, "swinging": _swinging(rng)}
+
+
+def _answer(drive_V: Array) -> Array:
+    f = np.arange(len(drive_V) // 2 + 1) * RATE_Hz / len(drive_V)
+    mode = MODE_Hz**2 / (MODE_Hz**2 - f**2 + 2j * DAMPING * MODE_Hz * f)
+    return GAIN_m_per_V * np.fft.irfft(mode * np.fft.rfft(drive_V), len(drive_V))
+
+
+def _level(level_V: float, rng: np.random.Generator) -> piezoid.PeriodicData:
+    drive_V = np.zeros((SAMPLES, 1, REALISATIONS, 1))
+    moved_m = np.zeros_like(drive_V)
+    for k in range(REALISATIONS):
+        spectrum = np.zeros(SAMPLES // 2 + 1, dtype=complex)
+        spectrum[1:200] = np.exp(2j * np.pi * rng.random(199))
+        one = np.fft.irfft(spectrum, SAMPLES)
+        drive_V[:, 0, k, 0] = level_V * one / one.std()
+        moved_m[:, 0, k, 0] = _answer(drive_V[:, 0, k, 0]) + 1e-11 * rng.standard_normal(SAMPLES)
+    return piezoid.PeriodicData(
+        sampling_rate_Hz=RATE_Hz,
+        inputs=("x",),
+        outputs=("x",),
+        voltage_V=drive_V,
+        displacement_m=moved_m,
+    )
+
+
+def _swinging(rng: np.random.Generator) -> piezoid.Recording:
+    """Return sweeps at four levels through a mode behind a play: hysteresis before the mode."""
+    time_s = np.arange(2000) / RATE_Hz
+    level = np.repeat([0.3, 0.5, 0.7, 1.0], 500)
+    drive_V = level * np.sin(2.0 * np.pi * (40.0 * time_s + 40.0 * (time_s % 0.5) ** 2))
+    walled_V = play_sum(drive_V, np.array([0.0, 0.1]), np.array([0.6, 0.4]), np.zeros(2))
+    moved_m = _answer(walled_V) + 1e-10 * rng.standard_normal(len(time_s))
+    return piezoid.Recording.from_arrays(
+        sampling_rate_Hz=RATE_Hz, voltage_V=drive_V, displacement_m=moved_m, name="swing"
+    )
