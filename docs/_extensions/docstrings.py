@@ -11,12 +11,14 @@ _MARKS = re.compile(r"([*|\\]|(?<=\w)_(?!\w)|`)")
 
 
 def _as_text(_: Sphinx, __: str, ___: str, ____: Any, _____: Any, lines: list[str]) -> None:
-    """Keep what is set in columns as it is, and escape what RST would read into prose."""
+    """Keep examples and columns as they are, and escape what RST would read into prose."""
     text = "\n".join(lines).strip("\n")
     found: list[str] = []
     for block in re.split(r"\n\s*\n", text):
         rows = block.splitlines()
-        if any(row.startswith(" ") or _COLUMNS.search(row) for row in rows):
+        if rows[0].startswith(">>> "):
+            found += [".. code-block:: pycon", "", *(f"    {row}" for row in rows), ""]
+        elif any(row.startswith(" ") or _COLUMNS.search(row) for row in rows):
             found += [".. code-block:: none", "", *(f"    {row}" for row in rows), ""]
         else:
             found += [*(_escaped(row) for row in rows), ""]
