@@ -26,7 +26,8 @@ from seed_paper_design import (
 )
 from stepped_ceramic import VOLTS, STROKE_m, displacement_m, drawn, stepped
 
-from piezoid.design.chain import Chain, family_from_chains, plant_from_chain, varied
+from benchmarks.varied_chains import varied
+from piezoid.design.chain import Chain, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign
 from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import design_lateral, with_sector

@@ -13,13 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.design.chain import (
-    Chain,
-    Section,
-    family_from_chains,
-    plant_from_chain,
-    varied,
-)
+from benchmarks.varied_chains import varied
+from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.lateral import design_lateral, with_sector

@@ -19,7 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.identification.dynamics.amplitude import AmplitudeDependence, extrapolate_mode
+from benchmarks.amplitude_dependence import AmplitudeDependence, extrapolate_mode
+from benchmarks.structure_choice import (
+    StructureChoice,
+    choose_structure,
+    relative_rms,
+)
 from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
@@ -27,11 +32,6 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.periodic_data import PeriodicData
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.identification.dynamics.structure_choice import (
-    StructureChoice,
-    choose_structure,
-    relative_rms,
-)
 
 RATE_HZ = 6400.0
 AXES = ("1", "2", "3")

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 import piezoid
+from benchmarks.structure_choice import relative_rms
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.identification.dynamics.structure_choice import relative_rms
 
 NAME = "mirror"
 FOLDER = "steering_mirror"

@@ -101,29 +101,6 @@ def disturbance_model(
     return DisturbanceModel(transition=block_diag(*blocks), output=np.array(outputs))
 
 
-def place_observer(
-    plant: Plant,
-    *,
-    feedback_poles: ArrayLike,
-    observer_poles: ArrayLike,
-    form: str = "affine",
-    disturbance: DisturbanceModel | None = None,
-) -> DisturbanceObserver:
-    """Place the poles of state feedback and of the observer's error.
-
-        eig(A - B K) = feedback_poles and zeros;   eig(A_e - A_e L C_e) = observer_poles and zeros
-
-    feedback_poles  (n,)      values of z; n states of the plant without its delays
-    observer_poles  (n + w,)  values of z
-    zeros           one for each past input the plant remembers
-
-    Past inputs are known exactly, so the observer is placed without them; see ``extended``.
-    """
-    model = disturbance or disturbance_model(plant.sampling_rate_Hz)
-    frame = ObserverFrame(plant=plant, disturbance=model, form=form)
-    return frame.placed(feedback_poles=feedback_poles, observer_poles=observer_poles)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ObserverFrame:
     """All that the observers of one plant have in common: a search asks for thousands of them.
@@ -139,7 +116,17 @@ class ObserverFrame:
     def placed(
         self, *, feedback_poles: ArrayLike, observer_poles: ArrayLike
     ) -> DisturbanceObserver:
-        """Return the observer with these poles; see ``place_observer``."""
+        """Place the poles of state feedback and of the observer's error.
+
+            eig(A - B K) = feedback_poles and zeros
+            eig(A_e - A_e L C_e) = observer_poles and zeros
+
+        feedback_poles  (n,)      values of z; n states of the plant without its delays
+        observer_poles  (n + w,)  values of z
+        zeros           one for each past input the plant remembers
+
+        Past inputs are known exactly, so the observer is placed without them; see ``extended``.
+        """
         gain = self._correction.gain(observer_poles)
         return self.with_gain(gain, feedback_poles=feedback_poles)
 

@@ -5,10 +5,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.numerics.polynomial import Roots, roots_of, spectral_radius, trimmed
+from piezoid.numerics.polynomial import Roots, roots_of, spectral_radius
 from piezoid.numerics.zero_order_hold import SampledSystem, realised
 
 
@@ -125,33 +124,3 @@ class PlantFamily:
     def nominal(self) -> Plant:
         """The member the controller is computed from."""
         return self.members[0]
-
-
-def plant_from_fraction(
-    label: str, B: ArrayLike, A: ArrayLike, *, sampling_rate_Hz: float, output_unit: str
-) -> Plant:
-    """Realise B(q^-1)/A(q^-1) in observer form; coefficients of B beyond deg A become taps.
-
-    B  leading zeros are the delay, b_0 = 0        A  monic, degree >= 1
-    """
-    b, a = trimmed(B), trimmed(A)
-    order = len(a) - 1
-    matrix = np.zeros((order, order))
-    matrix[:, 0] = -a[1:]
-    matrix[:-1, 1:] = np.eye(order - 1)
-    output = np.eye(order)[0]
-    taps = np.zeros((order, max(len(b) - 1 - order, 0) + 1))
-    head = b[1 : order + 1]
-    taps[: len(head), 0] = head
-    for late, value in enumerate(b[order + 1 :], start=1):
-        taps[-1, late] = value
-    return Plant(
-        label=label,
-        sampling_rate_Hz=sampling_rate_Hz,
-        output_unit=output_unit,
-        state_matrix=matrix,
-        input_taps=taps,
-        output_vector=output,
-        B=b,
-        A=a,
-    )

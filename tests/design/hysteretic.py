@@ -4,11 +4,12 @@ import numpy as np
 
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.hysteresis_bounds import HysteresisBounds
-from piezoid.design.observer import DisturbanceObserver, place_observer
+from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import Plant
 from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from tests.design.placed import place_observer
 from tests.design.rig import LATERAL_m_per_V, lateral_chain, printed_observer_poles
 
 THRESHOLD_V = np.array([0.0, 0.5, 1.0, 2.0, 3.5])

@@ -4,13 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.design.chain import (
-    Chain,
-    Section,
-    family_from_chains,
-    plant_from_chain,
-    varied,
-)
+from benchmarks.varied_chains import varied
+from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import closed_loop_target, place, sampled_poles
 from piezoid.design.specification import Specification

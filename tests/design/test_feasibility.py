@@ -10,13 +10,14 @@ from piezoid.design.design import LoopDesign
 from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible
 from piezoid.design.lateral import design_lateral
 from piezoid.design.observer_loop import linear_controller
-from piezoid.design.plant import PlantFamily, plant_from_fraction
+from piezoid.design.plant import PlantFamily
 from piezoid.design.requirements import unmet
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template, Violation
 from piezoid.design.tuning import tune_observer
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import TemplateError
+from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
     LATERAL_m_per_V,
     RATE_Hz,

@@ -6,10 +6,10 @@ import pytest
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.kalman import kalman_gain
 from piezoid.design.observer import ObserverFrame, disturbance_model, extended
-from piezoid.design.plant import plant_from_fraction
 from piezoid.design.state_feedback import placement_form
 from piezoid.errors import DesignError
 from piezoid.numerics.polynomial import from_roots
+from tests.design.placed import plant_from_fraction
 from tests.design.rig import RATE_Hz, lateral_chain, printed_observer_poles
 from tests.design.stepping import with_observer
 

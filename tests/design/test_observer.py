@@ -8,12 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.design.chain import Section, plant_from_chain
-from piezoid.design.observer import DisturbanceObserver, disturbance_model, place_observer
+from piezoid.design.observer import DisturbanceObserver, disturbance_model
 from piezoid.design.observer_loop import linear_controller, with_oscillators_as_states
 from piezoid.design.plant import Plant
 from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.numerics.polynomial import from_roots, roots_of
+from tests.design.placed import place_observer
 from tests.design.rig import RATE_Hz, lateral_chain, poles, printed_observer_poles
 from tests.design.stepping import with_observer, with_polynomials
 

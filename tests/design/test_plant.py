@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.design.chain import Chain, Section, plant_from_chain, varied
-from piezoid.design.plant import PlantFamily, plant_from_fraction
+from benchmarks.varied_chains import varied
+from piezoid.design.chain import Chain, Section, plant_from_chain
+from piezoid.design.plant import PlantFamily
 from piezoid.numerics.frequency import response, state_space_response
+from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
     LATERAL_m_per_V,
     RATE_Hz,

@@ -7,12 +7,13 @@ import pytest
 
 from piezoid.design import youla
 from piezoid.design.chain import Section
-from piezoid.design.plant import PlantFamily, plant_from_fraction
+from piezoid.design.plant import PlantFamily
 from piezoid.design.requirements import unmet
 from piezoid.design.sensitivity import margins
 from piezoid.design.shaping import shape, shaped
 from piezoid.design.templates import Template
 from piezoid.design.youla import optimise
+from tests.design.placed import plant_from_fraction
 from tests.design.rig import (
     RATE_Hz,
     lateral_specification,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.feedforward import ReferencePath
-from piezoid.design.observer import disturbance_model, place_observer
+from piezoid.design.observer import disturbance_model
 from piezoid.design.observer_loop import linear_controller
 from piezoid.design.plant import Plant
 from piezoid.errors import ParameterFileError
@@ -21,6 +21,7 @@ from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.runtime.controller import Controller
+from tests.design.placed import place_observer
 from tests.runtime.observer_design import RATE_Hz, plant, poles
 from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
 

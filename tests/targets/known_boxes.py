@@ -3,7 +3,8 @@
 from dataclasses import replace
 from functools import cache
 
-from piezoid.design.chain import Chain, family_from_chains, varied
+from benchmarks.varied_chains import varied
+from piezoid.design.chain import Chain, family_from_chains
 from piezoid.design.stage import design_stage
 from piezoid.export.stage import export_stage
 from piezoid.records.lab import Lab

@@ -3,13 +3,13 @@
 import numpy as np
 
 from piezoid.design.chain import Chain, Section, plant_from_chain
-from piezoid.design.observer import place_observer
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.runtime_names import observer_values
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.verification.plant import AxisPlant, Hysteresis, Junction
+from tests.design.placed import place_observer
 from tests.runtime.observer_design import poles
 from tests.runtime.runtime_parameters import tunnelling
 

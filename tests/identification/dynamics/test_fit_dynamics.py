@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.structure_choice import choose_structure, relative_rms
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import (
@@ -19,7 +20,6 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Lines, Structure
 from piezoid.identification.dynamics.mode_exchange import exchange_modes
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.identification.dynamics.structure_choice import choose_structure, relative_rms
 from tests.identification.dynamics.stage import (
     DAMPING,
     DECLARATION,

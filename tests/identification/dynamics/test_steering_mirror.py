@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from piezoid.identification.dynamics.amplitude import extrapolate_mode
+from benchmarks.amplitude_dependence import extrapolate_mode
+from benchmarks.structure_choice import relative_rms
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.periodic_data import PeriodicData
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.identification.dynamics.structure_choice import relative_rms
 
 BAND_HZ = (850.0, 1150.0)  # three modes; the whole band is the benchmark's
 STRUCTURE = Structure(modes=4, rate_gains=True, direct=True)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import linregress
 
+from benchmarks.amplitude_dependence import extrapolate_mode
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.amplitude import extrapolate_mode
 from piezoid.identification.dynamics.modal import LinearDynamics
 from tests.identification.dynamics.stage import FREQUENCY_HZ, truth
 
