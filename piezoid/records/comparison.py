@@ -68,12 +68,14 @@ class _Answer:
     gain_m_per_V  in phase
     coherence     0 to 1
     frequency_Hz  at which both are taken, the mean over the drive's power
+    range_ratio   m/V, range of the readings over that of the drive
     """
 
     recording: Recording
     gain_m_per_V: float
     coherence: float
     frequency_Hz: float
+    range_ratio: float
     voltage_V: tuple[float, float]
 
 
@@ -88,11 +90,7 @@ def misfits(recordings: Sequence[Recording]) -> tuple[Misfit, ...]:
         slowest_Hz = max(min(a.frequency_Hz for a in clear), _SLOW_Hz)
         clear = [a for a in clear if a.frequency_Hz <= _BAND * slowest_Hz]
         usual = _usual(clear)
-        found += [
-            _misfit(a, usual)
-            for a in clear
-            if not 1 / _OTHER_GAIN < a.gain_m_per_V / usual.gain_m_per_V < _OTHER_GAIN
-        ]
+        found += [_misfit(a, usual) for a in clear if _contradicts(a, usual)]
     return tuple(found)
 
 
@@ -216,10 +214,12 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
     if not np.ptp(displacement_m) > NOISE_ONLY * noise_rms(displacement_m):
         return None
     # A recording is seldom whole periods: without a window the lines of a multisine leak into the
-    # lowest ones, and those near a mode with another sign than they have there.
+    # lowest ones, and those near a mode with another sign than they have there. Both are taken
+    # about their mean under the window: about another one, offsets leak into the lowest lines.
     window = np.hanning(len(voltage_V) + 2)[1:-1]
-    drive = np.fft.rfft(window * (voltage_V - voltage_V.mean()))[1:]
-    response = np.fft.rfft(window * (displacement_m - displacement_m.mean()))[1:]
+    drive = np.fft.rfft(window * (voltage_V - np.average(voltage_V, weights=window)))[1:]
+    level_m = np.average(displacement_m, weights=window)
+    response = np.fft.rfft(window * (displacement_m - level_m))[1:]
     power = np.abs(drive) ** 2
     # Both neighbours of the last line are taken in: a sine is seldom whole in the recording.
     last = int(np.searchsorted(np.cumsum(power), _POWER * power.sum())) + 2
@@ -232,8 +232,21 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
         gain_m_per_V=cross.real / float(power.sum()),
         coherence=abs(cross) / math.sqrt(energy) if energy > 0 else 0.0,
         frequency_Hz=float((lines_Hz[: len(power)] * power).sum() / power.sum()),
+        range_ratio=float(np.ptp(displacement_m) / np.ptp(voltage_V)),
         voltage_V=_range(voltage_V),
     )
+
+
+def _contradicts(one: _Answer, usual: _Answer) -> bool:
+    """Tell whether gain and range are of another stage.
+
+    Between two holds of nearly one level the lowest frequencies hold hysteresis and creep more than
+    gain; the range of the readings over that of the drive is then the stage's own.
+    """
+    if one.gain_m_per_V * usual.gain_m_per_V <= 0.0:
+        return True
+    ratios = (one.gain_m_per_V / usual.gain_m_per_V, one.range_ratio / usual.range_ratio)
+    return not any(1 / _OTHER_GAIN < ratio < _OTHER_GAIN for ratio in ratios)
 
 
 def _usual(answers: Sequence[_Answer]) -> _Answer:

@@ -129,7 +129,7 @@ def test_only_causes_that_look_like_a_structure_hold_it_back():
         (0.010, 0.020, 0.020, True),  # nothing but noise is left
         (0.010, 0.019, 0.020, True),
         (0.010, 0.025, 0.020, True),  # 0.015 of half the stroke is structure
-        (0.010, 0.028, 0.020, False),  # 0.0196
+        (0.010, 0.033, 0.020, False),  # 0.026
         (0.001, 0.020, 0.000, False),
     ],
 )

@@ -8,6 +8,8 @@ from benchmarks.outsiders.simulators import simulator
 from piezoid.records.comparison import misfits
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from piezoid_datasets.virtual_lab.write import write_campaign
 
 
 @pytest.mark.parametrize("seed", [171, 180])
@@ -21,3 +23,12 @@ def test_a_quick_multisine_about_a_mode_does_not_contradict_the_sign_of_a_sweep(
     files = sorted(tmp_path.glob("*.csv"))
     assert len(files) > 1
     assert misfits(ingest_all(files, read_lab(tmp_path / "lab.toml"))) == ()
+
+
+@pytest.mark.parametrize("seed", [52711, 52712])
+def test_a_long_hold_contradicts_the_gain_of_no_sweep(seed: int, tmp_path: Path) -> None:
+    """About another mean than that under the window, two offsets were taken for a gain."""
+    made = draw_campaign(seed, truth="bouc_wen", plans=("sweep", "long_hold"))
+    write_campaign(made, tmp_path)
+    files = sorted((tmp_path / "recordings").glob("*.csv"))
+    assert misfits(ingest_all(files, read_lab(tmp_path / "recordings/lab.toml"))) == ()
