@@ -12,7 +12,7 @@ from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Margins, margins, sensitivities
 from piezoid.design.specification import Specification
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.provenance import seal
 from piezoid.record_json import read_sealed, to_json
 from piezoid.showing import shown
@@ -44,8 +44,7 @@ class Member:
     def __post_init__(self) -> None:
         if not len(self.B_position):
             object.__setattr__(self, "B_position", self.B)
-        for name in ("B", "A", "B_position"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "B", "A", "B_position")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +83,7 @@ class Candidate:
     S: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "R", frozen(self.R, "R"))
-        object.__setattr__(self, "S", frozen(self.S, "S"))
+        freeze(self, "R", "S")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -126,8 +124,7 @@ class LoopDesign:
             raise ValueError(
                 f"{len(self.margins)} margins of {len(self.members)} members, expected one of each"
             )
-        for name in ("R", "S", "T", "A_0"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "R", "S", "T", "A_0")
 
     @property
     def worst_modulus_margin(self) -> float:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import closed_loop_polynomial
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.frequency import Response, polynomial_response, response, unit_circle
 from piezoid.numerics.polynomial import product, roots_of
 
@@ -41,7 +41,7 @@ class ReferencePath:
     plain_error: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "filter", frozen(self.filter, "filter"))
+        freeze(self, "filter")
 
 
 def fit_reference_path(

@@ -8,7 +8,7 @@ from scipy.linalg import solve_discrete_are
 from piezoid.design.observer import DisturbanceModel, extended
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +24,7 @@ class KalmanGain:
     innovation_variance: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gain", frozen(self.gain, "gain"))
+        freeze(self, "gain")
 
 
 def kalman_gain(

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from piezoid.design.plant import Plant
 from piezoid.design.state_feedback import PlacementForm, placement_form
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 FORMS = ("affine", "inverse")
 
@@ -35,8 +35,8 @@ class DisturbanceModel:
     output: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "transition", frozen(self.transition, "transition", ndim=2))
-        object.__setattr__(self, "output", frozen(self.output, "output"))
+        freeze(self, "transition", ndim=2)
+        freeze(self, "output")
         states = len(self.output)
         if not states or self.transition.shape != (states, states):
             raise ValueError(f"{states} outputs of a transition of shape {self.transition.shape}")
@@ -73,9 +73,8 @@ class DisturbanceObserver:
     def __post_init__(self) -> None:
         if self.form not in FORMS:
             raise ValueError(f"form is {self.form!r}, expected one of {FORMS}")
-        object.__setattr__(self, "A", frozen(self.A, "A", ndim=2))
-        for name in ("B", "C", "state_gain", "disturbance_gain", "feedback_gain"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "A", ndim=2)
+        freeze(self, "B", "C", "state_gain", "disturbance_gain", "feedback_gain")
         order, states = len(self.A), len(self.disturbance.output)
         wanted = dict.fromkeys(("B", "C", "state_gain", "feedback_gain"), order)
         for name, length in {**wanted, "disturbance_gain": states}.items():

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.design.observer import DisturbanceModel, DisturbanceObserver
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 Complex = NDArray[np.complex128]
 
@@ -23,8 +23,7 @@ class LinearController:
     T: Array
 
     def __post_init__(self) -> None:
-        for name in ("R", "S", "T"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "R", "S", "T")
 
 
 def linear_controller(observer: DisturbanceObserver) -> LinearController:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Roots, roots_of, spectral_radius
 from piezoid.numerics.zero_order_hold import SampledSystem, realised
 
@@ -64,10 +64,9 @@ class Plant:
     def __post_init__(self) -> None:
         if not len(self.B_position):
             object.__setattr__(self, "B_position", self.B)
-        for name, axes in (("state_matrix", 2), ("input_taps", 2), ("output_vector", 1)):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=axes))
-        for name in ("B", "A", "B_position"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "state_matrix", "input_taps", ndim=2)
+        freeze(self, "output_vector")
+        freeze(self, "B", "A", "B_position")
         if not self.sampling_rate_Hz > 0:
             raise ValueError(f"sampling_rate_Hz is {self.sampling_rate_Hz}, expected > 0")
         if self.B[0] != 0.0 or self.A[0] != 1.0:

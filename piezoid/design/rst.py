@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from piezoid.design.chain import Section
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError, UnstableLoopError
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import Roots, from_roots, product, solve_bezout, spectral_radius
 
 INTEGRATOR = np.array([1.0, -1.0])
@@ -35,8 +35,7 @@ class RstController:
     residual: float
 
     def __post_init__(self) -> None:
-        for name in ("R", "S", "T", "H_R", "H_S", "P"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "R", "S", "T", "H_R", "H_S", "P")
 
 
 def place(

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Sensitivities, margins, sensitivities
-from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.numerics.frequency import decibel, grid_Hz
 
 FUNCTIONS = ("Syp", "Sup", "Syb", "Syv")
@@ -33,8 +33,7 @@ class Template:
     def __post_init__(self) -> None:
         if self.function not in FUNCTIONS:
             raise ValueError(f"template {self.name}: {self.function!r} is not one of {FUNCTIONS}")
-        for field in ("frequency_Hz", "upper_dB"):
-            object.__setattr__(self, field, frozen(getattr(self, field), field))
+        freeze(self, "frequency_Hz", "upper_dB")
         same_length([("frequency_Hz", self.frequency_Hz), ("upper_dB", self.upper_dB)])
         strictly_increasing(self.frequency_Hz, "frequency_Hz")
         if not len(self.frequency_Hz):

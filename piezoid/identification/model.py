@@ -15,7 +15,7 @@ from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Recording
 from piezoid.upstairs import upstairs
@@ -59,8 +59,7 @@ class PieceStart:
     last: int
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "memory_V", frozen(self.memory_V, "memory_V"))
-        object.__setattr__(self, "zero_m", frozen(self.zero_m, "zero_m"))
+        freeze(self, "memory_V", "zero_m")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,8 +80,8 @@ class Discrepancy:
     steepest_m_per_V: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "threshold_V", frozen(self.threshold_V, "threshold_V"))
-        object.__setattr__(self, "weight_m", frozen(self.weight_m, "weight_m", ndim=2))
+        freeze(self, "threshold_V")
+        freeze(self, "weight_m", ndim=2)
         if self.weight_m.shape[1] != len(self.threshold_V) or not self.reach_V > 0:
             raise ValueError(
                 f"{len(self.threshold_V)} thresholds, weights of shape {self.weight_m.shape}, "

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import where_of, zero_of
-from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
@@ -46,8 +46,7 @@ class Comparison:
 
     def __post_init__(self) -> None:
         names = ("time_s", "voltage_V", "measured_m", "predicted_m")
-        for name in names:
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, *names)
         same_length([(name, getattr(self, name)) for name in names])
 
     @property

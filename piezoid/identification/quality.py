@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,14 +153,8 @@ class Uncertainty:
     loop_width_m: tuple[float, float]
 
     def __post_init__(self) -> None:
-        for name, ndim in (
-            ("values", 1),
-            ("covariance", 2),
-            ("reach_V", 1),
-            ("loading_m", 1),
-            ("loading_half_m", 1),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        freeze(self, "values", "reach_V", "loading_m", "loading_half_m")
+        freeze(self, "covariance", ndim=2)
         count = len(self.names)
         if self.values.shape != (count,) or self.covariance.shape != (count, count):
             raise ValueError(

@@ -1,6 +1,6 @@
 """What a record does to an array before it trusts it: copy, check, freeze."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +37,22 @@ def frozen_complex(values: ArrayLike, name: str, *, ndim: int = 3) -> ComplexArr
         raise ValueError(f"{name} holds values that are not finite")
     array.setflags(write=False)
     return array
+
+
+def freeze(record: object, *names: str, ndim: int = 1) -> None:
+    """Replace fields of a frozen record by read-only copies of themselves; see ``frozen``.
+
+    ndim  the number of axes each of them must have
+    """
+    for name in names:
+        object.__setattr__(record, name, frozen(getattr(record, name), name, ndim=ndim))
+
+
+def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise ``ValueError`` naming the first field whose array has another shape."""
+    for name, shape in expected.items():
+        if (found := getattr(record, name).shape) != shape:
+            raise ValueError(f"{name} has shape {found}, expected {shape}")
 
 
 def same_length(named: Sequence[tuple[str, Array]]) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
@@ -97,8 +97,7 @@ class Budget:
     draws: int
 
     def __post_init__(self) -> None:
-        for name in ("probability", "single_error", "largest_error"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "probability", "single_error", "largest_error")
 
     def share(self, contribution: Contribution) -> float:
         """Return which share of the variance a contribution makes."""

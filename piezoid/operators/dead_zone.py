@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from piezoid.errors import NotInvertibleError
-from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.operators.library import KERNELS, address, contiguous
 
 
@@ -40,8 +40,7 @@ class DeadZones:
     weight: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "threshold", frozen(self.threshold, "threshold"))
-        object.__setattr__(self, "weight", frozen(self.weight, "weight"))
+        freeze(self, "threshold", "weight")
         same_length([("threshold", self.threshold), ("weight", self.weight)])
         strictly_increasing(self.threshold, "threshold")
         if 0.0 not in self.threshold:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, expect_shapes, freeze
 
 BLOCK_SAMPLES = 64  # run() works in blocks: below, Python's loop costs; above, the products do
 
@@ -100,13 +100,10 @@ class DiscreteSystem:
 
 
 def _freeze_matrices(system: ContinuousSystem | DiscreteSystem) -> None:
-    for name in "ABCD":
-        object.__setattr__(system, name, frozen(getattr(system, name), name, ndim=2))
+    freeze(system, "A", "B", "C", "D", ndim=2)
     states, (outputs, inputs) = len(system.A), system.D.shape
-    shapes = {"A": (states, states), "B": (states, inputs), "C": (outputs, states)}
-    for name, expected in shapes.items():
-        if (found := getattr(system, name).shape) != expected:
-            raise ValueError(f"{name} has shape {found}, expected {expected}")
+    expected = {"A": (states, states), "B": (states, inputs), "C": (outputs, states)}
+    expect_shapes(system, expected)
 
 
 def _transfer(

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from piezoid.errors import NotInvertibleError
-from piezoid.numerics.arrays import Array, frozen, same_length, strictly_increasing
+from piezoid.numerics.arrays import Array, freeze, same_length, strictly_increasing
 from piezoid.operators.library import KERNELS, address, contiguous
 
 
@@ -27,8 +27,7 @@ class PrandtlIshlinskii:
     weight: Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "threshold", frozen(self.threshold, "threshold"))
-        object.__setattr__(self, "weight", frozen(self.weight, "weight"))
+        freeze(self, "threshold", "weight")
         same_length([("threshold", self.threshold), ("weight", self.weight)])
         strictly_increasing(self.threshold, "threshold")
         if self.threshold[0] != 0.0:

@@ -1,9 +1,18 @@
 """What a record does to its arrays, and how much noise is on one."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from piezoid.numerics.arrays import frozen, same_length, strictly_increasing
+from piezoid.numerics.arrays import (
+    Array,
+    expect_shapes,
+    freeze,
+    frozen,
+    same_length,
+    strictly_increasing,
+)
 from piezoid.numerics.noise import white_noise_rms
 
 
@@ -29,6 +38,35 @@ def test_what_is_wrong_with_an_array_is_told_with_its_first_place() -> None:
     strictly_increasing(np.array([-1e308, 1e308]), "x")
     with pytest.raises(ValueError, match="c has 1 values, a has 2"):
         same_length([("a", np.ones(2)), ("b", np.ones(2)), ("c", np.ones(1))])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Held:
+    row: Array
+    table: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "row")
+        freeze(self, "table", ndim=2)
+        expect_shapes(self, {"row": (3,), "table": (3, 2)})
+
+
+def test_a_record_holds_copies_of_the_arrays_it_was_given() -> None:
+    row, table = np.ones(3), np.ones((3, 2))
+    held = Held(row=row, table=table)
+    row[0] = table[0, 0] = 7.0
+    assert held.row[0] == held.table[0, 0] == 1.0
+    assert not held.row.flags.writeable
+    assert not held.table.flags.writeable
+
+
+def test_a_record_names_the_field_whose_axes_values_or_shape_are_wrong() -> None:
+    with pytest.raises(ValueError, match="table has 1 axes, expected 2"):
+        Held(row=np.ones(3), table=np.ones(3))
+    with pytest.raises(ValueError, match=r"row\[2\] is nan, expected finite"):
+        Held(row=np.array([0.0, 1.0, np.nan]), table=np.ones((3, 2)))
+    with pytest.raises(ValueError, match=r"table has shape \(2, 3\), expected \(3, 2\)"):
+        Held(row=np.ones(3), table=np.ones((2, 3)))
 
 
 def test_noise_is_told_from_what_is_smooth_and_from_jumps(rng: np.random.Generator) -> None:

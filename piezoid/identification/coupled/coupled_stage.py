@@ -13,7 +13,7 @@ from piezoid.identification.coupled.hysteresis_terms import (
     oversampled,
 )
 from piezoid.identification.coupled.modal_sum import modal_columns
-from piezoid.numerics.arrays import Array, ComplexArray, frozen
+from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
 from piezoid.numerics.quantiles import student_quantile
 
 # Between levels the model interpolates; a drive within so much of the outer ones counts as theirs,
@@ -69,8 +69,11 @@ class CoupledStage:
     replicate_frequency: Array
 
     def __post_init__(self) -> None:
-        for name, ndim in _ARRAYS.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        freeze(self, "levels_V", "lag_Hz")
+        freeze(self, "log_frequency", "log_damping", ndim=2)
+        freeze(self, "elongation_V_per_m", "scale_V", "term_V", "linear_V", ndim=2)
+        freeze(self, "replicate_frequency", ndim=3)
+        freeze(self, "residue_m_per_V", ndim=4)
         modes, inputs = self.log_frequency.shape[1], len(self.inputs)
         columns = 2 * modes + len(self.lag_Hz) + 1
         expected = {
@@ -78,9 +81,7 @@ class CoupledStage:
             "elongation_V_per_m": (inputs, len(self.outputs)),
             "term_V": (inputs, TERMS),
         }
-        for name, shape in expected.items():
-            if (found := getattr(self, name).shape) != shape:
-                raise ValueError(f"{name} has shape {found}, expected {shape}")
+        expect_shapes(self, expected)
 
     def coordinate(self, level_V: float) -> float:
         """Return l of a level: -1 at the smallest of the data, 1 at the largest.
@@ -217,20 +218,6 @@ class CoupledStage:
         f = lines * self.sampling_rate_Hz / samples
         added[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
         return added
-
-
-_ARRAYS = {
-    "levels_V": 1,
-    "log_frequency": 2,
-    "log_damping": 2,
-    "lag_Hz": 1,
-    "residue_m_per_V": 4,
-    "elongation_V_per_m": 2,
-    "scale_V": 2,
-    "term_V": 2,
-    "linear_V": 2,
-    "replicate_frequency": 3,
-}
 
 
 def level_coordinate(level_V: float, levels_V: Array) -> float:

@@ -17,7 +17,7 @@ from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.periodic_data import PeriodicData
 from piezoid.identification.dynamics.periodic_estimate import estimate_response, interpolated
 from piezoid.identification.dynamics.repetition import periodic_recordings
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.records.recording import Recording
 
 FEWEST_DRIVEN = 8  # lines: fewer are a triangle's or a sine's
@@ -51,15 +51,8 @@ class DetectionLines:
     periods: int
 
     def __post_init__(self) -> None:
-        for name, ndim in (
-            ("driven_Hz", 1),
-            ("driven_m", 2),
-            ("frequency_Hz", 1),
-            ("amplitude_m", 2),
-            ("noise_m", 2),
-            ("drive_rms_V", 1),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        freeze(self, "driven_Hz", "frequency_Hz", "drive_rms_V")
+        freeze(self, "driven_m", "amplitude_m", "noise_m", ndim=2)
 
     def driven_level_m(self) -> Array:
         """Return the rms amplitude of driven lines, (outputs,), m."""

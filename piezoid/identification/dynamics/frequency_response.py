@@ -10,7 +10,8 @@ from piezoid.errors import ExcitationError
 from piezoid.numerics.arrays import (
     Array,
     ComplexArray,
-    frozen,
+    expect_shapes,
+    freeze,
     frozen_complex,
     strictly_increasing,
 )
@@ -60,8 +61,9 @@ class FrequencyResponse:
     periods: int
 
     def __post_init__(self) -> None:
-        for name, ndim in _REAL_FIELDS:
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+        freeze(self, "frequency_Hz", "drive_rms_V")
+        freeze(self, "coherence", ndim=2)
+        freeze(self, "noise_variance", "distortion_variance", ndim=3)
         object.__setattr__(self, "response", frozen_complex(self.response, "response"))
         for name in ("is_interference", "is_rejected"):
             flags = np.array(getattr(self, name), dtype=np.bool_)
@@ -69,12 +71,10 @@ class FrequencyResponse:
             object.__setattr__(self, name, flags)
         strictly_increasing(self.frequency_Hz, "frequency_Hz")
         shape = (len(self.frequency_Hz), len(self.outputs), len(self.inputs))
-        for name in ("response", "noise_variance", "distortion_variance"):
-            if (found := getattr(self, name).shape) != shape:
-                raise ValueError(f"{name} has shape {found}, expected {shape}")
-        for name in ("coherence", "is_interference", "is_rejected"):
-            if (found := getattr(self, name).shape) != shape[:2]:
-                raise ValueError(f"{name} has shape {found}, expected {shape[:2]}")
+        by_path = ("response", "noise_variance", "distortion_variance")
+        by_output = ("coherence", "is_interference", "is_rejected")
+        expect_shapes(self, dict.fromkeys(by_path, shape))
+        expect_shapes(self, dict.fromkeys(by_output, shape[:2]))
 
     @property
     def variance(self) -> Array:
@@ -121,13 +121,6 @@ class FrequencyResponse:
         return FrequencyResponse(**{**record, **changed})
 
 
-_REAL_FIELDS = (
-    ("frequency_Hz", 1),
-    ("noise_variance", 3),
-    ("distortion_variance", 3),
-    ("coherence", 2),
-    ("drive_rms_V", 1),
-)
 _BY_LINE = (
     "frequency_Hz",
     "response",

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
 from piezoid.identification.dynamics.modal_states import for_each, lag_states, mode_states
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, expect_shapes, freeze
 from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.operators.analogue import cascade
 from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
@@ -65,7 +65,7 @@ class LinearDynamics:
 
     def __post_init__(self) -> None:
         for name, ndim in _ARRAYS:
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=ndim))
+            freeze(self, name, ndim=ndim)
         paths = (len(self.outputs), len(self.inputs))
         modes, lags = len(self.mode_frequency_Hz), len(self.lag_frequency_Hz)
         expected = {
@@ -77,9 +77,7 @@ class LinearDynamics:
             "static_gain_std_m_per_V": paths,
             "shape_covariance": (2 * modes + lags + 1,) * 2,
         }
-        for name, shape in expected.items():
-            if (found := getattr(self, name).shape) != shape:
-                raise ValueError(f"{name} has shape {found}, expected {shape}")
+        expect_shapes(self, expected)
         positive = (*self.mode_frequency_Hz, *self.mode_damping, *self.lag_frequency_Hz)
         if min(positive) <= 0 or not self.delay_s >= 0:
             raise ValueError("frequencies and dampings must be > 0, delay_s >= 0")

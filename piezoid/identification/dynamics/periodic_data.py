@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 
 Spectrum = NDArray[np.complex128]
 EXCITED_FRACTION = 0.02  # designed lines differ by less; what leaks onto the others lies below
@@ -31,8 +31,7 @@ class PeriodicData:
     displacement_m: Array
 
     def __post_init__(self) -> None:
-        for name in ("voltage_V", "displacement_m"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name, ndim=4))
+        freeze(self, "voltage_V", "displacement_m", ndim=4)
         samples, _, realisations, periods = self.voltage_V.shape
         expected = (
             (samples, len(self.inputs), realisations, periods),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.records.sweep import reversals_of
 
 POINTS = 41
@@ -27,8 +27,7 @@ class Loop:
     span: float
 
     def __post_init__(self) -> None:
-        for name in ("drive", "opening", "rise"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "drive", "opening", "rise")
 
 
 def loops_of(drive: Array, response: Array, noise: float) -> tuple[Loop, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.chain import Samples
 from piezoid.records.recording import Recording
 from piezoid.records.rest import is_at_rest
@@ -66,8 +66,7 @@ class Piece:
     lost: Samples = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "drive", frozen(self.drive, "drive"))
-        object.__setattr__(self, "response", frozen(self.response, "response"))
+        freeze(self, "drive", "response")
 
     @property
     def rows(self) -> int:

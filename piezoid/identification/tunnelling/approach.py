@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.tunnelling.clipping import rows_at_limit
-from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.numerics.arrays import Array, freeze, same_length
 
 FEWEST_POINTS = 8  # three parameters, two of noise, and something left over to judge them by
 
@@ -48,8 +48,7 @@ class ApproachCurve:
     duration_s: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "height_m", frozen(self.height_m, "height_m"))
-        object.__setattr__(self, "current_A", frozen(self.current_A, "current_A"))
+        freeze(self, "height_m", "current_A")
         same_length([("height_m", self.height_m), ("current_A", self.current_A)])
         if self.bias_V is not None and not math.isfinite(self.bias_V):
             raise ValueError(f"{self.label}: bias_V is {self.bias_V}, expected a voltage")

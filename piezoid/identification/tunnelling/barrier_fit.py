@@ -27,7 +27,7 @@ from piezoid.identification.tunnelling.weighted_fit import (
     WeightedFit,
     fit_sweeps,
 )
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
@@ -78,7 +78,7 @@ class BarrierFit:
     reasons: tuple[Reason, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", frozen(self.covariance, "covariance", ndim=2))
+        freeze(self, "covariance", ndim=2)
 
 
 def fit_barrier(

@@ -33,7 +33,7 @@ from piezoid.identification.tunnelling.loop_spectra import (
     spectra_of_all,
     spectra_of_dither,
 )
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
@@ -95,9 +95,8 @@ class ClosedLoopFit:
     mode: DriveMode | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "logs", frozen(self.logs, "logs"))
-        object.__setattr__(self, "covariance", frozen(self.covariance, "covariance", ndim=2))
-        object.__setattr__(self, "common", frozen(self.common, "common", ndim=2))
+        freeze(self, "logs")
+        freeze(self, "covariance", "common", ndim=2)
 
     @property
     def naive_error(self) -> float:

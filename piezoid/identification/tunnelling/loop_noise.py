@@ -17,7 +17,7 @@ from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import lines_of
-from piezoid.numerics.arrays import Array, frozen
+from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import student_quantile
 
 _MAINS_Hz = (50.0, 60.0)
@@ -75,8 +75,7 @@ class LoopNoise:
     sources: tuple[NoiseSource, ...]
 
     def __post_init__(self) -> None:
-        for name in ("frequency_Hz", "density_m2_per_Hz"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "frequency_Hz", "density_m2_per_Hz")
 
     @property
     def limiting_source(self) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ExcitationError
-from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.operators.tunnelling import log_current
 
 _LOST_FRACTION = 0.01  # of the samples below the floor: then the tip was not tunnelling
@@ -40,8 +40,7 @@ class LoopRecord:
     period_samples: int | None
 
     def __post_init__(self) -> None:
-        for name in ("reference", "drive_V", "current_A"):
-            object.__setattr__(self, name, frozen(getattr(self, name), name))
+        freeze(self, "reference", "drive_V", "current_A")
         same_length([(n, getattr(self, n)) for n in ("drive_V", "reference", "current_A")])
         if not (math.isfinite(self.sampling_rate_Hz) and self.sampling_rate_Hz > 0.0):
             raise ValueError(f"{self.label}: sampling_rate_Hz is {self.sampling_rate_Hz}")
