@@ -23,8 +23,8 @@ STRANGE = 1.25  # times the noise: what a class leaves of a material that it doe
 STILL = 2.5  # standard errors of what is there beside it
 DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 # Size over structural residual that a name needs. On 200 stages of thirteen laws wrong names (but
-# initial states) lie at 0.43 to 1.5, half of them below; the smallest right ones are a creep on the
-# bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
+# initial states) lie at 0.43 to 1.5, half of them below it; the smallest right ones are a creep of
+# the bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
 STRUCTURAL = 0.8
 FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 

@@ -240,8 +240,8 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
 def _contradicts(one: _Answer, usual: _Answer) -> bool:
     """Tell whether gain and range are of another stage.
 
-    Between two holds of nearly one level the lowest frequencies hold hysteresis and creep more than
-    gain; the range of the readings over that of the drive is then the stage's own.
+    Between two holds of nearly one level the lowest frequencies show hysteresis and creep more
+    than gain; the range of the readings over that of the drive is then the stage's own.
     """
     if one.gain_m_per_V * usual.gain_m_per_V <= 0.0:
         return True
