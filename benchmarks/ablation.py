@@ -125,7 +125,7 @@ RULES = (
         name="one more state of hysteresis",
         places=((forward_selection, "with_best_bouc_wen"),),
         without=lambda view, *_: view,
-        matters=_leaves_less(forward_selection.KNEE),
+        matters=_leaves_less(forward_selection.BOUC_WEN),
     ),
     Rule(
         name="another beginning",

@@ -99,7 +99,7 @@ def _markdown(text: str) -> str:
 def _page(effect: Effect) -> str:
     said = _sections(effect)
     where = coordinate_of(effect.name)
-    rivals = ", ".join(f"[{words(name)}]({name}.md)" for name in effect.rivals)
+    rivals = ", ".join(f"[{words(name)}]({name}.md)" for name in effect.confounded)
     picture = (
         f"A healthy recording of the virtual laboratory, and the same recording with this effect "
         f"injected at {100 * SHARE:g} % of the stroke. Left: the loops. Right: what the effect "
