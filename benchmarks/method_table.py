@@ -25,8 +25,8 @@ from seed_paper_design import (
     lateral_specification,
 )
 from stepped_ceramic import VOLTS, STROKE_m, displacement_m, drawn, stepped
+from varied_chains import varied
 
-from benchmarks.varied_chains import varied
 from piezoid.design.chain import Chain, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign
 from piezoid.design.hysteresis_bounds import affine_bounds

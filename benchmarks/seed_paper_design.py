@@ -12,8 +12,8 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from varied_chains import varied
 
-from benchmarks.varied_chains import varied
 from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
