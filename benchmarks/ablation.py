@@ -176,6 +176,11 @@ RULES = (
         without=_evidence(less=False),
     ),
     Rule(
+        name="not small beside structure",
+        places=((candidate, "exceeds_structure"),),
+        without=lambda *_: True,
+    ),
+    Rule(
         name="a least size",
         places=((JUDGED, "is_significant"),),
         without=lambda one: one.is_evidence,

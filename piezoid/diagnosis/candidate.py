@@ -1,4 +1,4 @@
-"""Judgement: an effect with everything refitted around it, against the same without it."""
+"""A candidate: an effect with everything refitted around it, against the same without it."""
 
 from dataclasses import dataclass, replace
 from math import sqrt
@@ -34,10 +34,10 @@ class Candidate:
     """An effect beside others.
 
     selected  the effect with its parameters
-    cv      what it brings
-    placebo      what its best placebo brings, None where there is none
+    cv        what it brings
+    placebo   what its best placebo brings, None where there is none
     share     rms of what it adds beyond the null, of the whole stroke
-    physical     whether physics allows it
+    physical  whether physics allows it
     without   the view with the others at work
     view      the view with it at work as well
     """
@@ -57,8 +57,15 @@ class Candidate:
 
     @property
     def is_significant(self) -> bool:
-        """Tell whether this is evidence, and enough of it to be named."""
+        """Tell whether this is evidence, of more than the least size that is looked for."""
         return self.is_evidence and self.share > self.effect.minimum_share
+
+    @property
+    def has_a_name(self) -> bool:
+        """Tell whether it is significant and not small beside the structure that is left."""
+        return self.is_significant and exceeds_structure(
+            self.share, self.view.rms, self.view.noise
+        )
 
     @property
     def is_evidence(self) -> bool:
@@ -89,7 +96,7 @@ class Candidate:
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
-    """Tell whether an effect is larger than the structure that the nuisance class leaves.
+    """Tell whether an effect is not small beside the structure that the nuisance class leaves.
 
         2 share > STRUCTURAL sqrt(max(rms^2 - noise^2, 0))
 

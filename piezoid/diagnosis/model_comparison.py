@@ -11,7 +11,7 @@ Source: Vuong, Econometrica 57 (1989).
 from collections.abc import Sequence
 
 from piezoid.diagnosis.blocks import paired_z
-from piezoid.diagnosis.candidate import Candidate, exceeds_structure, judged
+from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
@@ -35,22 +35,16 @@ def compare_models(
 ) -> tuple[list[Candidate], Confounded]:
     """Judge every selected effect or what replaces it, and name the effects that do as well.
 
-    What no longer speaks beside all others goes, the least of it first.
+    What has no name beside all others goes, the least of it first.
     """
     selected = list(selected)
     while True:
         causes, confounded = _compare_each(clean, selected, executor)
-        mute = [cause for cause in causes if not _stands(cause)]
+        mute = [cause for cause in causes if not cause.has_a_name]
         if not mute:
             return causes, confounded
         least = min(mute, key=lambda cause: cause.cv.gain)
         selected = [cause.selected for cause in causes if cause is not least]
-
-
-def _stands(cause: Candidate) -> bool:
-    return cause.is_significant and exceeds_structure(
-        cause.share, cause.view.rms, cause.view.noise
-    )
 
 
 def _compare_each(

@@ -47,7 +47,7 @@ class NuisanceClass:
     """The class on some tracks, each with an initial state.
 
     histories  tracks with their initial states
-    bouc_wen       a Bouc-Wen state beside the others, or none
+    bouc_wen   a Bouc-Wen state beside the others, or none
     free       whether the first states of every track may be corrected
     """
 

@@ -24,15 +24,15 @@ Row = tuple[Trial, CrossValidated, Array]
 class ScoreTest:
     """The best of an effect's trials.
 
-    trial  the best real one that physics allows, or the best real one
-    cv   what it brings
-    placebo   what the best placebo brings, None where there is none
-    share  rms of what it adds, of the whole stroke
-    bound  the largest such share the data allow, one-sided 95 %
-    floor  the share below which the trial counts its first coefficient as none
+    trial       the best real one that physics allows, or the best real one
+    cv          what it brings
+    placebo     what the best placebo brings, None where there is none
+    share       rms of what it adds, of the whole stroke
+    bound       the largest such share the data allow, one-sided 95 %
+    floor       the share below which the trial counts its first coefficient as none
     absorption  how many times more it adds than that: the rest the null takes up
-    physical  whether physics allows it
-    separable  whether the null leaves enough of it to tell it from hysteresis
+    physical    whether physics allows it
+    separable   whether the null leaves enough of it to tell it from hysteresis
     total_gain  1 - rms / rms without, all that comes with it included
     """
 

@@ -3,8 +3,8 @@
 Every effect gets a score test by its tangents; the shortlist is refitted with the whole model, and
 the one that then leaves the smallest error is selected, if it is significant, physical and clearly
 better than its placebos. All are tested again beside it. At the end each must hold beside all
-others and exceed the structure that the nuisance class leaves, and a confounded effect that does
-better replaces it.
+others and not be small beside the structure that the nuisance class leaves, and a confounded
+effect that does better replaces it.
 """
 
 from collections.abc import Collection, Mapping
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import (
     Candidate,
-    exceeds_structure,
     part_explained,
     structural_candidate,
 )
@@ -141,8 +140,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         if judgement is None:
             continue
         found, structure = judgement
-        larger = exceeds_structure(structure.share, final.rms, final.noise)
-        if structure.is_significant and larger and _stands(structure, final, beside=beside):
+        if structure.has_a_name and _stands(structure, final, beside=beside):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
         outcome = replace(outcome, screened={**outcome.screened, effect.name: found})

@@ -137,3 +137,13 @@ def test_an_effect_is_larger_than_the_structure_that_is_left_or_has_no_name(
     share, rms, noise, larger
 ):
     assert exceeds_structure(share, rms, noise) is larger
+
+
+@pytest.mark.parametrize(("noise", "named"), [(1.0, True), (0.9999, False)])
+def test_what_is_sure_and_small_beside_what_is_left_is_significant_and_has_no_name(noise, named):
+    """Of half the stroke 0.02 is added, and 0.014 of structure is left or none."""
+    found = replace(
+        judged(thermal_drift.EFFECT, held(gain=0.5, z=20.0), left=1.0, noise=noise), share=0.001
+    )
+    assert found.is_significant
+    assert found.has_a_name is named

@@ -1,7 +1,7 @@
 """What a search keeps, takes back, and says of the rest; stand-ins for the fits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +14,9 @@ from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.forward_selection import SelectionState
+from piezoid.diagnosis.simulation import Simulated
 from piezoid.diagnosis.slip_alternative import SlipAlternative, fault_beside_cause
+from piezoid.diagnosis.something_else import without_names
 from piezoid.numerics.executor import SERIAL
 
 from .bench import healthy_view
@@ -26,13 +28,8 @@ class Cause:
 
     name: str
     gain: float
-    is_significant: bool = True
+    has_a_name: bool = True
     quiet: float = float("inf")
-    share: float = 0.5
-
-    @property
-    def view(self) -> SimpleNamespace:
-        return of_noise(1.0)
 
     @property
     def selected(self) -> str:
@@ -59,7 +56,7 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
         gains = {"creep": 0.5, "lag": 0.1, "delay": 0.2}
         # the delay is evidence once the lag is gone
         return [
-            Cause(name, gains[name], is_significant=name == "creep" or "lag" not in selected)
+            Cause(name, gains[name], has_a_name=name == "creep" or "lag" not in selected)
             for name in selected
         ], {}
 
@@ -194,3 +191,19 @@ def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_i
     monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
     assert search._best_selection("plays", {}, SERIAL).clean == initial_guess
     assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
+
+
+@pytest.mark.parametrize(
+    ("undone", "kept", "is_told"),
+    [(0.010, 0.009, True), (0.009, 0.009, False), (0.009, 0.010, False)],
+)
+def test_a_slip_is_told_only_where_undoing_it_helps_the_simulation(undone, kept, is_told) -> None:
+    """Other faults need not help: what is coarse stays coarse."""
+    view = healthy_view()
+    slip = Fault(tracks=view.tracks, value=3.0, spread=0.5, p_value=1e-6)
+    nothing = without_names(view, search.without_causes(view, ""))
+    faults = {"timestamp_fault": slip, "quantisation": slip}
+    found = replace(nothing, outcome=replace(nothing.outcome, faults=faults))
+    numbers = Simulated(baseline=0.02, final=kept, without=dict.fromkeys(faults, undone))
+    told = diagnose._without_idle_slips(found, numbers).outcome.faults
+    assert set(told) == {"quantisation"} | ({"timestamp_fault"} if is_told else set())

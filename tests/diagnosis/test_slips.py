@@ -6,8 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.zoo.score import recorded
+from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.blocks import paired_z
-from piezoid.diagnosis.diagnose import _seen_in, view_on
+from piezoid.diagnosis.diagnose import _seen_in, diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import (
     delay,
@@ -237,3 +239,11 @@ def test_a_time_is_told_only_of_recordings_that_are_whole():
     tracks = [SimpleNamespace(name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
     slips = [Slip(track=k, instant=250, samples=1.0, gain=0.5) for k in range(3)]
     assert places_of(slips, tracks) == ("a from 2.5 s on", "b", "b")
+
+
+def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
+    """Undoing the slip that readings seem to show in other_axis.csv raises the held-out error."""
+    recordings, lab = recorded(drawn(stage("preisach_lorentzian", "healthy", 0, 990_000)))
+    some = [one for one in recordings if one.name in ("sweep.csv", "check.csv", "other_axis.csv")]
+    assert len(some) == 3
+    assert diagnose(some, lab=lab).names == ()

@@ -32,3 +32,11 @@ def test_a_long_hold_contradicts_the_gain_of_no_sweep(seed: int, tmp_path: Path)
     write_campaign(made, tmp_path)
     files = sorted((tmp_path / "recordings").glob("*.csv"))
     assert misfits(ingest_all(files, read_lab(tmp_path / "recordings/lab.toml"))) == ()
+
+
+def test_two_holds_of_nearly_one_level_contradict_no_sweep(tmp_path: Path) -> None:
+    """Between them the stage moves by its memory; the range of the readings is its own."""
+    write_campaign(draw_campaign(60026), tmp_path)
+    files = sorted((tmp_path / "recordings").glob("*.csv"))
+    assert len(files) > 2
+    assert misfits(ingest_all(files, read_lab(tmp_path / "recordings/lab.toml"))) == ()
