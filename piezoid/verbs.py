@@ -29,6 +29,7 @@ from piezoid.identification import fit as identification
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
+from piezoid.numerics.one_thread import on_one_thread
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect
 from piezoid.records.comparison import refuse_misfits
@@ -77,6 +78,7 @@ def read_lab(path: Place) -> Lab:
     return laboratory.read_lab(path_of(path))
 
 
+@on_one_thread
 def fit(
     recordings: Recordings,
     *,
@@ -105,6 +107,7 @@ def fit(
     )
 
 
+@on_one_thread
 def diagnose(
     recordings: Recordings,
     *,
@@ -146,6 +149,7 @@ def diagnose(
     return replace(found, model=follows)
 
 
+@on_one_thread
 def plan(
     model: ActuatorModel,
     diagnosis: Diagnosis,
@@ -180,6 +184,7 @@ def plan(
     )
 
 
+@on_one_thread
 def design(
     model: ActuatorModel,
     *,
@@ -211,6 +216,7 @@ def design(
     )
 
 
+@on_one_thread
 def export(
     model: ActuatorModel,
     design: Design,
@@ -247,6 +253,7 @@ def export(
     )
 
 
+@on_one_thread
 def verify(
     parameters: ParameterFile | Shipping,
     model: ActuatorModel,
@@ -334,6 +341,7 @@ def report(
     return page
 
 
+@on_one_thread
 def calibrate(
     recordings: Recordings | Place | Sequence[Place],
     *,

@@ -17,6 +17,7 @@ from piezoid.identification.restoring_force.equation_error import Start
 from piezoid.identification.restoring_force.task import Task, drive_and_motion, task_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
+from piezoid.numerics.one_thread import on_one_thread
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.hysteretic_mode import (
     BoucWenSpring,
@@ -130,6 +131,7 @@ class RestoringForceModel:
 PERIODS = 5  # of a periodic drive: the last is returned
 
 
+@on_one_thread
 def identify_restoring_force(
     recording: Recording, *, axis: str | None = None, hold: Hold = "zero_order"
 ) -> RestoringForceModel:

@@ -22,6 +22,7 @@ from piezoid.identification.restoring_force.fit import FAINT, LAWS, simulated_ap
 from piezoid.identification.restoring_force.task import BLOCKS, Task, drive_and_motion, task_of
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import Rows, Rule, minimise
+from piezoid.numerics.one_thread import on_one_thread
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.hysteretic_mode import Hold, fine_drive
@@ -82,6 +83,7 @@ class HysteresisPlacement:
         return shown("Where the hysteresis stands", [("verdict", self.text), *rows])
 
 
+@on_one_thread
 def place_hysteresis(
     recording: Recording, *, axis: str | None = None, hold: Hold = "zero_order"
 ) -> HysteresisPlacement:
