@@ -119,14 +119,6 @@ def test_a_delay_is_named_though_a_curve_along_the_speed_leaves_less_of_the_clas
     assert [f["effect"] for f in unseal(made, SCHEMA, "diagnosis.json")["findings"]] == ["delay"]
 
 
-def test_every_tenth_sample_at_500_hertz_is_not_the_grid_as_well():
-    campaign = draw_campaign(57001, plans=PLANS, uncatalogued={"every_nth": 1.0})
-    recordings, lab = recorded(campaign)
-    found = diagnose(recordings, lab=lab)
-    assert set(found.names) <= {NAME, "outliers"}
-    assert found.findings[0].coordinate == "sample_index"
-
-
 def test_a_reading_that_ends_is_told_with_its_level():
     campaign = draw_campaign(401, truth="bouc_wen", plans=PLANS, uncatalogued={"range_end": 4.0})
     recordings, lab = recorded(campaign)

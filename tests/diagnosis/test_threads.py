@@ -8,9 +8,8 @@ from .bench import recorded
 
 
 def test_a_diagnosis_is_the_same_byte_for_byte_however_many_threads_make_it() -> None:
-    plans = ("sweep", "rates", "staircase")
-    recordings, lab = recorded(draw_campaign(31, effects=("lag", "creep"), plans=plans))
+    recordings, lab = recorded(draw_campaign(31, effects=("lag",), plans=("rates",)))
     alone, said = diagnose(recordings, lab=lab), set()
     together = diagnose(recordings, lab=lab, threads=3, progress=said.add)
     assert write_diagnosis(together) == write_diagnosis(alone)
-    assert {"testing creep", "telling lag from its rivals"} <= said
+    assert {"testing lag", "telling lag from its rivals"} <= said

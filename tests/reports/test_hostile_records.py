@@ -13,7 +13,7 @@ from piezoid.errors import PiezoidError
 from piezoid.identification.store import read_model, write_model
 from piezoid.provenance import seal
 from piezoid.verification.verification import verification_from_json
-from piezoid_reports.fleet.records import Fleet, stage_from_json
+from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
 from piezoid_reports.fleet.render import render_fleet
 from piezoid_reports.render import render, render_design
 from tests.reports.anatomy import Anatomy
@@ -28,20 +28,25 @@ def _kept(name: str) -> bytes:
         return archive.read(f"{name}/first")
 
 
-def _fleet(content: bytes) -> str:
-    stages = [stage_from_json(content, "batch.json")] * 8
-    return render_fleet(Fleet(name="night", stages=tuple(stages)))
+def _fleet(stage: FleetStage) -> str:
+    return render_fleet(Fleet(name="night", stages=(stage,) * 8))
 
 
-PAGES: dict[str, Callable[[bytes], str]] = {
-    "model.json": lambda content: render(read_model(content), [recording()]),
-    "design.json": lambda content: render_design(
-        stage_model(axis_model()), design_from_json(content)
+# how each file is read, and what is drawn of it
+PAGES: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str]]] = {
+    # an axis of another name is read, and refused beside this recording
+    "model.json": (lambda content: render(read_model(content), [recording()]), str),
+    "design.json": (
+        design_from_json,
+        lambda design: render_design(stage_model(axis_model()), design),
     ),
-    "verification.json": lambda content: render(
-        stage_model(axis_model()), [recording()], verification=verification_from_json(content)
+    "verification.json": (
+        verification_from_json,
+        lambda verification: render(
+            stage_model(axis_model()), [recording()], verification=verification
+        ),
     ),
-    "batch.json": _fleet,
+    "batch.json": (lambda content: stage_from_json(content, "batch.json"), _fleet),
 }
 
 
@@ -60,12 +65,13 @@ def _sealed(record: dict[str, Any]) -> bytes:
     return seal(record["schema"], held)
 
 
-def _page(record: dict[str, Any], page: Callable[[bytes], str]) -> str | None:
-    """Return the page of a record, None where the record is refused as no such file."""
+def _is_read(record: dict[str, Any], read: Callable[[bytes], Any]) -> bool:
+    """Whether it is taken for such a file."""
     try:
-        return page(_sealed(record))
+        read(_sealed(record))
     except PiezoidError:
-        return None
+        return False
+    return True
 
 
 def _skeleton(page: str) -> list[str]:
@@ -76,21 +82,20 @@ def _skeleton(page: str) -> list[str]:
 def test_no_text_of_a_sealed_file_adds_an_element_or_an_attribute(name: str) -> None:
     first = _kept(name) if name != "model.json" else write_model(stage_model(axis_model()))
     record = json.loads(first)
+    read, drawn = PAGES[name]
     free = []
     for holder, key in _places(record):
         before, holder[key] = holder[key], "harmless"
-        if _page(record, PAGES[name]) is None:
-            holder[key] = before
-        else:
+        if _is_read(record, read):
             free.append((holder, key))
+        else:
+            holder[key] = before
     assert len(free) > 3
-    tame = _page(record, PAGES[name])
-    assert tame is not None
+    tame = drawn(read(_sealed(record)))
     for hostile in HOSTILE:
         if "\ud800" in hostile or not hostile:
             continue
         for holder, key in free:
             holder[key] = hostile
-        page = _page(record, PAGES[name])
-        assert page is not None
+        page = drawn(read(_sealed(record)))
         assert _skeleton(page) == _skeleton(tame)
