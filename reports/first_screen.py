@@ -12,6 +12,7 @@ from piezoid.identification.quality import (
     SECOND_HALF,
     WIDEST_HALVED,
 )
+from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid_reports.held_back import held_back
 from piezoid_reports.junction_words import told_interval
 from piezoid_reports.page import Card, Figure, Page
@@ -178,4 +179,14 @@ def _guarantee(page: Page, loop: LoopDesign | None, range_m: float) -> str:
     guaranteed_m = loop.certificate.guaranteed_error_m
     if range_m < guaranteed_m < np.inf:
         return "none of use: wider than the stroke"
-    return told(guaranteed_m, "m") if np.isfinite(guaranteed_m) else "none: not bounded"
+    if not np.isfinite(guaranteed_m):
+        return "none: not bounded"
+    slow_m = loop.certificate.guaranteed_at(
+        spiral_speed_m_per_s(TRACKED_Hz, page.verification.radius_m)
+    )
+    fastest = f"{told(guaranteed_m, 'm')} at the fastest"
+    return (
+        f"{told(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {fastest}"
+        if slow_m < guaranteed_m
+        else fastest
+    )

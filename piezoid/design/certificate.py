@@ -16,10 +16,39 @@ from piezoid.numerics.frequency import grid_Hz, response
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from piezoid.operators.recursive_filter import recursive_filter
 from piezoid.readable import told
+from piezoid.record_json import Unbounded
 
 _TAIL = 1e-12
 _LONGEST = 400_000
 _SIGMAS = 3.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedBound:
+    """What bounds the error of one member at any speed V of the reference.
+
+        |e| <= steady + min(hysteresis, tau_h V) + tau_r V
+
+    steady_m        what converter and disturbances do to a reference at rest
+    hysteresis_m    ||g||_1 sup|delta|, however fast
+    hysteresis_s    tau_h; infinite where the loop may amplify increments
+    reference_s     tau_r
+    """
+
+    label: str
+    steady_m: float
+    hysteresis_m: float
+    hysteresis_s: Unbounded
+    reference_s: float
+
+    def hysteresis_at(self, slew_m_per_s: float) -> float:
+        """Return what hysteresis adds at most, m."""
+        return min(self.hysteresis_m, self.hysteresis_s * slew_m_per_s)
+
+    def at(self, slew_m_per_s: float) -> float:
+        """Return the bound, m."""
+        following_m = self.reference_s * slew_m_per_s
+        return self.steady_m + self.hysteresis_at(slew_m_per_s) + following_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +72,8 @@ class Certificate:
     noise_error_m               three standard deviations due to sensor noise; not in the sum
     worst_member                the member that decides the sum
     conditions                  what must be true, whole sentences
+    speed_bounds                of every member, for slower references; empty in files of versions
+                                that did not keep them
     """
 
     form: str
@@ -59,6 +90,18 @@ class Certificate:
     reference_slew_m_per_s: float = 0.0
     worst_member: str
     conditions: tuple[str, ...]
+    speed_bounds: tuple[SpeedBound, ...] = ()
+
+    def guaranteed_at(self, slew_m_per_s: float) -> float:
+        """Return what is guaranteed of references that are never faster, m.
+
+        It is no more than ``guaranteed_error_m``, and infinite beyond ``reference_slew_m_per_s``:
+        nothing is guaranteed of what is faster.
+        """
+        if slew_m_per_s > self.reference_slew_m_per_s:
+            return float(np.inf)
+        found_m = max((one.at(slew_m_per_s) for one in self.speed_bounds), default=np.inf)
+        return min(found_m, self.guaranteed_error_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,20 +134,6 @@ class Operation:
     disturbances: Disturbances = field(default_factory=lambda: Disturbances())
 
 
-@dataclass(frozen=True, kw_only=True)
-class _MemberErrors:
-    label: str
-    hysteresis_m: float
-    reference_m: float
-    converter_m: float
-    disturbance_m: float
-    noise_m: float
-
-    @property
-    def total_m(self) -> float:
-        return self.hysteresis_m + self.reference_m + self.converter_m + self.disturbance_m
-
-
 def certify(
     members: Sequence[Fraction],
     R: ArrayLike,
@@ -135,25 +164,29 @@ def certify(
     for member in members:
         _refuse_unstable(margins(member, R, S))
     filtered = product(T, path.filter)
-    errors = [
-        _member_errors(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
-    ]
-    worst = max(errors, key=lambda error: error.total_m)
+    speeds = tuple(
+        _speed_bound(m, R, S, filtered, path.preview_samples, bounds, operation) for m in members
+    )
+    slew_m_per_s = operation.reference_slew_m_per_s
+    place = max(range(len(members)), key=lambda k: speeds[k].at(slew_m_per_s))
+    worst = speeds[place]
+    converter_m = _converter_m(members[place], R, S, operation)
     return Certificate(
         form=bounds.form,
         increment_gain=eps,
         loop_peak=peak,
         small_gain=eps * peak,
         is_guaranteed=eps * peak < 1.0,
-        hysteresis_error_m=worst.hysteresis_m,
-        reference_error_m=worst.reference_m,
-        converter_error_m=worst.converter_m,
-        guaranteed_error_m=worst.total_m,
-        noise_error_m=max(error.noise_m for error in errors),
-        disturbance_error_m=worst.disturbance_m,
-        reference_slew_m_per_s=operation.reference_slew_m_per_s,
+        hysteresis_error_m=worst.hysteresis_at(slew_m_per_s),
+        reference_error_m=worst.reference_s * slew_m_per_s,
+        converter_error_m=converter_m,
+        guaranteed_error_m=worst.at(slew_m_per_s),
+        noise_error_m=max(_noise_m(m, R, S, operation) for m in members),
+        disturbance_error_m=worst.steady_m - converter_m,
+        reference_slew_m_per_s=slew_m_per_s,
         worst_member=worst.label,
         conditions=(*bounds.conditions, *_conditions(len(members), operation, bounds)),
+        speed_bounds=speeds,
     )
 
 
@@ -181,7 +214,7 @@ def without_difference(polynomial: ArrayLike) -> Array:
     return np.cumsum(coefficients)[:-1]
 
 
-def _member_errors(
+def _speed_bound(
     member: Fraction,
     R: ArrayLike,
     S: ArrayLike,
@@ -189,38 +222,46 @@ def _member_errors(
     preview: int,
     bounds: HysteresisBounds,
     operation: Operation,
-) -> _MemberErrors:
+) -> SpeedBound:
     P = closed_loop_polynomial(member, R, S)
-    through = product(member.B_position, S)
-    g_sum = peak_gain(through, P)
-    step_m = operation.reference_slew_m_per_s / member.sampling_rate_Hz
-    by_size_m = g_sum * bounds.error_m / bounds.gain_m_per_V
     late = total(delayed(P, preview), -product(filtered, member.B_position))
-    noise = float(np.sqrt((impulse_response(product(member.B_position, R), P) ** 2).sum()))
-    return _MemberErrors(
+    by_size_m = peak_gain(product(member.B_position, S), P) * bounds.error_m / bounds.gain_m_per_V
+    converter_m = _converter_m(member, R, S, operation)
+    return SpeedBound(
         label=member.label,
-        hysteresis_m=min(by_size_m, _by_increments_m(member, R, S, filtered, P, bounds, step_m)),
-        reference_m=peak_gain(without_difference(late), P) * step_m,
-        converter_m=g_sum * 0.5 * operation.voltage_step_V,
-        disturbance_m=_disturbed_m(member, R, S, P, operation.disturbances),
-        noise_m=_SIGMAS * noise * operation.sensor_noise_rms_m,
+        steady_m=converter_m + _disturbed_m(member, R, S, P, operation.disturbances),
+        hysteresis_m=by_size_m,
+        hysteresis_s=_by_increments_s(member, R, S, filtered, P, bounds),
+        reference_s=peak_gain(without_difference(late), P) / member.sampling_rate_Hz,
     )
 
 
-def _by_increments_m(
+def _converter_m(member: Fraction, R: ArrayLike, S: ArrayLike, operation: Operation) -> float:
+    through = product(member.B_position, S)
+    half_step_V = 0.5 * operation.voltage_step_V
+    return peak_gain(through, closed_loop_polynomial(member, R, S)) * half_step_V
+
+
+def _noise_m(member: Fraction, R: ArrayLike, S: ArrayLike, operation: Operation) -> float:
+    followed = product(member.B_position, R)
+    passed = impulse_response(followed, closed_loop_polynomial(member, R, S))
+    return _SIGMAS * float(np.sqrt((passed**2).sum())) * operation.sensor_noise_rms_m
+
+
+def _by_increments_s(
     member: Fraction,
     R: ArrayLike,
     S: ArrayLike,
     filtered: Array,
     P: Array,
     bounds: HysteresisBounds,
-    step_m: float,
 ) -> float:
-    """Return the bound from increments; infinite where the loop may amplify them."""
+    """Return the bound from increments, for 1 m/s; infinite where the loop may amplify them."""
     eps = bounds.increment_gain
     amplified = eps * peak_gain(product(member.B, R), P)
     if amplified >= 1.0:
         return float(np.inf)
+    step_m = 1.0 / member.sampling_rate_Hz
     command_step_V = peak_gain(product(filtered, member.A), P) * step_m / (1.0 - amplified)
     integrated = peak_gain(product(member.B_position, without_difference(S)), P)
     return integrated * eps * command_step_V

@@ -54,6 +54,14 @@ class Scenario:
         return found
 
 
+def spiral_speed_m_per_s(frequency_Hz: float, radius_m: float) -> float:
+    """Return how fast a compared spiral is at its rim, where it is fastest.
+
+    v = R f sqrt((2 pi)^2 + 1/turns^2),   along and across the turns
+    """
+    return float(radius_m * frequency_Hz * np.hypot(2.0 * np.pi, 1.0 / _TURNS))
+
+
 def _constant_angular(f: float) -> Callable[[float], Path]:
     return partial(constant_angular_velocity, frequency_Hz=f, turns=_TURNS)
 

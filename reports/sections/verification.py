@@ -5,7 +5,8 @@ import numpy as np
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
-from piezoid.verification.verification import Verification
+from piezoid.verification.scenarios import spiral_speed_m_per_s
+from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.motions import motions
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
@@ -28,14 +29,14 @@ def render(page: Page) -> Section | None:
         "identified stage: converters, noise, and stages the recordings allow as well. Every axis "
         "is led to the middle of its references first. Nobody knows how a stage was driven before "
         "that: of two pasts over its whole range spirals show the worse.",
-        parts=tuple(_parts(found)),
+        parts=tuple(_parts(page, found)),
     )
 
 
-def _parts(found: Verification) -> list[Part]:
+def _parts(page: Page, found: Verification) -> list[Part]:
     return [
         _summary(found),
-        *_figures(found),
+        *_figures(page, found),
         *_currents(found),
         Heading(text="Verdicts"),
         _verdicts(found),
@@ -62,7 +63,7 @@ def _summary(found: Verification) -> Prose:
     return Prose(text=text, tone="good" if found.passed else "bad")
 
 
-def _figures(found: Verification) -> list[Part]:
+def _figures(page: Page, found: Verification) -> list[Part]:
     """Return all pictures beside each other, the table of the comparison after them."""
     compared = [_shape_figure(found)] if found.comparison else []
     drawn = tuple(spiral(trace, found) for trace in found.traces)
@@ -80,7 +81,7 @@ def _figures(found: Verification) -> list[Part]:
             if drawn
             else []
         ),
-        *([_table(found)] if found.comparison else []),
+        *([_table(page, found)] if found.comparison else []),
     ]
 
 
@@ -120,7 +121,7 @@ def _shape_figure(found: Verification) -> Figure:
     )
 
 
-def _table(found: Verification) -> Table:
+def _table(page: Page, found: Verification) -> Table:
     further = {(row.method, row.frequency_Hz): row for row in found.spirals}
     rows = []
     for row in found.comparison:
@@ -133,6 +134,7 @@ def _table(found: Verification) -> Table:
                 told(row.rms_m, "m"),
                 told(row.rms_percent, "%"),
                 told(row.max_m, "m"),
+                _guaranteed(page, found, row),
                 told(row.aligned_rms_m, "m"),
                 told(row.delay_s, "s"),
                 told(spiral.radial_rms_m, "m"),
@@ -146,11 +148,28 @@ def _table(found: Verification) -> Table:
         "delay (negative: early); error of the radius; scatter of "
         f"the distance between turns. {_methods(found)}.",
         columns=(
-            *("turns a second", "method", "rms", "of diameter", "largest"),
+            *("turns a second", "method", "rms", "of diameter", "largest", "guaranteed"),
             *("shape rms", "delay", "radial rms", "pitch"),
         ),
         rows=tuple(rows),
     )
+
+
+def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
+    """Return what both axes' certificates say of the distance from the path at its speed."""
+    loops = [
+        loop
+        for axis in (page.design.axes if page.design is not None else ())
+        for loop in axis.loops
+        if axis.axis in found.methods and loop.method == row.method
+    ]
+    proven = [loop.certificate for loop in loops if loop.certificate is not None]
+    if not found.passed or not proven or not all(one.is_guaranteed for one in proven):
+        return ""
+    speed_m_per_s = spiral_speed_m_per_s(row.frequency_Hz, found.radius_m)
+    bounds_m = [one.guaranteed_at(speed_m_per_s) for one in proven]
+    bound_m = float(np.hypot.reduce(bounds_m))
+    return told(bound_m, "m") if bound_m < 2.0 * found.radius_m else ""
 
 
 def _methods(found: Verification) -> str:

@@ -108,6 +108,18 @@ def test_the_guaranteed_error_is_never_exceeded_in_closed_loop(frequency_Hz, ste
     )
 
 
+def test_of_a_slower_reference_as_much_is_guaranteed_as_by_a_certificate_of_its_own():
+    bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
+    plant, o = loop(bounds)
+    fast_m_per_s = 2e-3
+    _, fast = certificate_of(plant, o, bounds, fast_m_per_s, 5e-3)
+    for slow_m_per_s in (1e-7, 2e-5, 3e-4, fast_m_per_s):
+        _, slow = certificate_of(plant, o, bounds, slow_m_per_s, 5e-3)
+        assert fast.guaranteed_at(slow_m_per_s) == pytest.approx(slow.guaranteed_error_m)
+    assert fast.guaranteed_at(2e-5) < 0.1 * fast.guaranteed_error_m
+    assert np.isinf(fast.guaranteed_at(1.01 * fast_m_per_s))
+
+
 def test_the_worst_row_of_half_steps_errs_by_what_is_guaranteed_of_a_converter():
     bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
     plant, o = loop(bounds)

@@ -11,7 +11,7 @@ from piezoid.verification.trace import POINTS, SpiralTrace
 from piezoid.verification.verification import Verification, verification_from_json
 from piezoid.verification.verify import verify
 from piezoid_reports.motions import motions
-from piezoid_reports.page import Section
+from piezoid_reports.page import Page, Section
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
 from piezoid_reports.spirals import SHADES, spiral
@@ -29,18 +29,13 @@ def found() -> Verification:
 
 
 def chapter(found: Verification) -> tuple[Section, Anatomy]:
-    page = render(stage_model(axis_model()), [recording()], verification=found)
-    made = verification.render(_Given(found))  # type: ignore[arg-type]
+    model = stage_model(axis_model())
+    page = render(model, [recording()], verification=found)
+    bare = Page(model=model, recordings=(), traces={}, model_digest="", verification=found)
+    made = verification.render(bare)
     assert made is not None
     assert len(page) < 3_000_000
     return made, Anatomy(page)
-
-
-class _Given:
-    """What the chapter reads of a page."""
-
-    def __init__(self, found: Verification) -> None:
-        self.verification = found
 
 
 def texts(found: Verification) -> list[str]:
