@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.design.joint_error import joint_error
 from piezoid.design.slope_ratio import (
     envelope_reach_V,
-    model_error_m,
     output_reach_m,
     ratio_sector,
     static_difference,
@@ -74,8 +74,8 @@ def affine_bounds(
     middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
     scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
     line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
-    static = static_difference(model.dead_zones, None, middle, output_reach_m(model, reach_V))
-    bent = gain / bend * static_difference(model.envelope, None, bend, reach_V)
+    static = static_difference(model.dead_zones, middle, output_reach_m(model, reach_V))
+    bent = gain / bend * static_difference(model.envelope, bend, reach_V)
     plays = worst_case(scaled, line, envelope_reach_V(model, reach_V)).bound
     error = plays + bent + static + remainder_m
     return HysteresisBounds(
@@ -106,9 +106,7 @@ def inverse_bounds(
 ) -> HysteresisBounds:
     """Bound what exact inversion of a model leaves, from models refitted to resampled data.
 
-        |Gamma_t[u] - Gamma_m[u]| <= Lip(Psi_m) (int_0^V |W_t - W_m| dr
-                                     + Lip(H_m) sup |gamma_t - gamma_m|)
-                                     + sup |Psi_t - Psi_m| + rho_max
+        |Gamma_t[u] - Gamma_m[u]| <= sup over all histories, see ``joint_error``, + rho_max
         m = min D(Gamma_t o Gamma_m^-1),   M = max of the same, see ``slope_ratio``
 
     The compensation error is the model error at the inverse's output. Each replicate stands for
@@ -121,8 +119,14 @@ def inverse_bounds(
     """
     reference = model.regauged()
     truths = [replicate.regauged() for replicate in replicates]
-    errors = [model_error_m(reference, truth, reach_V) for truth in truths]
-    sectors = np.array([ratio_sector(reference, truth, reach_V) for truth in truths])
+    apart = joint_error(reference, truths, reach_V)
+    errors = apart.error_m
+    sectors = np.array(
+        [
+            ratio_sector(reference, truth, reach_V, apart, error_m)
+            for truth, error_m in zip(truths, errors.tolist(), strict=True)
+        ]
+    )
     low = float(np.quantile(sectors[:, 0], 1.0 - confidence))
     high = float(np.quantile(sectors[:, 1], confidence))
     centre = 0.5 * (low + high)

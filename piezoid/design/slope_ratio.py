@@ -1,4 +1,4 @@
-"""How steep a true hysteresis can be behind the exact inverse of a model, and how far both differ.
+"""How steep a true hysteresis can be behind the exact inverse of a model.
 
     Gamma_t o Gamma_m^-1 = Psi_t H_t kappa H_m^-1 Psi_m^-1,   kappa = gamma_t o gamma_m^-1
 
@@ -9,44 +9,35 @@ to r and those of H_t up to some r' in [k_1 r, k_2 r]. Its slope is W_t(r') / W_
 
 import numpy as np
 
+from piezoid.design.joint_error import JointError
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.worst_case import worst_case
 
 Interval = tuple[float, float]
 
 
-def model_error_m(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
-) -> float:
-    """Return a bound of |Gamma_t[u] - Gamma_m[u]| for |u| <= reach, both in one gauge.
-
-    Lip(Psi_m) sup |H_t gamma_t - H_m gamma_m| + sup |Psi_t - Psi_m|
-    """
-    static = static_difference(
-        truth.dead_zones, model.dead_zones, 0.0, output_reach_m(truth, reach_V)
-    )
-    return float(model.dead_zones.slope.max()) * _memory_error_m(model, truth, reach_V) + static
-
-
 def ratio_sector(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
+    model: ModifiedPrandtlIshlinskii,
+    truth: ModifiedPrandtlIshlinskii,
+    reach_V: float,
+    apart: JointError,
+    error_m: float,
 ) -> Interval:
-    """Return least and greatest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach."""
-    bend = _bend(model, truth, reach_V)
+    """Return least and greatest increment gain of Gamma_t o Gamma_m^-1 for |u| <= reach.
+
+    apart    of the model: its grid of voltages and what it can put out at each
+    error_m  how far the outputs of both can be apart
+    """
+    bend = _bends(model, truth, apart.voltage_V)
+    static = _static_ratios(model.dead_zones, truth.dead_zones, apart, error_m)
     plays = _ratios(
         _pieces_of_plays(model, envelope_reach_V(model, reach_V)),
         _pieces_of_plays(truth, np.inf),
-        stretch=bend,
+        stretch=(float(bend[0].min()), float(bend[1].max())),
     )
-    static = _ratios(
-        _pieces_of_zones(model.dead_zones, output_reach_m(model, reach_V)),
-        _pieces_of_zones(truth.dead_zones, np.inf),
-        slack=_memory_error_m(model, truth, reach_V),
-    )
-    low, high = (bend[k] * plays[k] * static[k] for k in (0, 1))
-    return low, high
+    low, high = float((bend[0] * static[0]).min()), float((bend[1] * static[1]).max())
+    return plays[0] * low, plays[1] * high
 
 
 def envelope_reach_V(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
@@ -60,35 +51,42 @@ def output_reach_m(model: ModifiedPrandtlIshlinskii, reach_V: float) -> float:
     return float(np.abs(model.plays.loading_curve(end_V)[0]))
 
 
-def static_difference(
-    zones: DeadZones, other: DeadZones | None, slope: float, reach: float
-) -> float:
-    """Return sup over |h| <= reach of |Psi(h) - other(h) - slope h|; it is met at a knot."""
-    knots = zones.threshold if other is None else np.union1d(zones.threshold, other.threshold)
+def static_difference(zones: DeadZones, slope: float, reach: float) -> float:
+    """Return sup over |h| <= reach of |Psi(h) - slope h|; it is met at a knot."""
+    knots = zones.threshold
     h: Array = np.concatenate([[-reach], knots[np.abs(knots) < reach], [reach]])
-    difference = zones.run(h) - slope * h - (0.0 if other is None else other.run(h))
-    return float(np.abs(difference).max())
+    return float(np.abs(zones.run(h) - slope * h).max())
 
 
-def _memory_error_m(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
-) -> float:
-    """Bound |H_t[gamma_t(u)] - H_m[gamma_m(u)]|: the operators' distance, and the envelopes'."""
-    widest_V = envelope_reach_V(truth, reach_V)
-    bends_V = static_difference(truth.envelope, model.envelope, 0.0, reach_V)
-    plays_m = worst_case(truth.plays, model.plays, widest_V).bound
-    return plays_m + float(np.abs(model.plays.weight).sum()) * bends_V
-
-
-def _bend(
-    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, reach_V: float
-) -> Interval:
-    """Return least and greatest slope of kappa: both envelopes have one argument."""
+def _bends(
+    model: ModifiedPrandtlIshlinskii, truth: ModifiedPrandtlIshlinskii, voltage_V: Array
+) -> tuple[Array, Array]:
+    """Return the least and the greatest slope of kappa between each two voltages."""
     knots = np.union1d(model.envelope.threshold, truth.envelope.threshold)
-    edges = np.concatenate([[-reach_V], knots[np.abs(knots) < reach_V], [reach_V]])
+    knots = knots[(knots > voltage_V[0]) & (knots < voltage_V[-1])]
+    edges = np.union1d(voltage_V, knots)
     middle = 0.5 * (edges[1:] + edges[:-1])
     ratio = truth.envelope.run_with_slope(middle)[1] / model.envelope.run_with_slope(middle)[1]
-    return float(ratio.min()), float(ratio.max())
+    first = np.searchsorted(edges, voltage_V[:-1])
+    return np.minimum.reduceat(ratio, first), np.maximum.reduceat(ratio, first)
+
+
+def _static_ratios(
+    zones: DeadZones, truth: DeadZones, apart: JointError, error_m: float
+) -> tuple[Array, Array]:
+    """Return the extremes of Psi_t' / Psi_m' at outputs together, between each two voltages."""
+    low_m, high_m = zones.run(apart.least_m[:-1]), zones.run(apart.most_m[1:])
+    own, other = (
+        np.concatenate([[-np.inf], z.run(z.threshold), [np.inf]]) for z in (zones, truth)
+    )
+    first = np.maximum(own[:-1], low_m[:, None])  # (cells, pieces of the model)
+    last = np.minimum(own[1:], high_m[:, None])
+    met = (first <= last)[:, :, None] & (
+        (other[:-1] <= last[:, :, None] + error_m) & (other[1:] >= first[:, :, None] - error_m)
+    )
+    ratio = truth.slope / zones.slope[:, None]
+    least = np.where(met, ratio, np.inf).min(axis=(1, 2))
+    return least, np.where(met, ratio, -np.inf).max(axis=(1, 2))
 
 
 _Pieces = tuple[Array, Array]
@@ -101,25 +99,15 @@ def _pieces_of_plays(model: ModifiedPrandtlIshlinskii, reach_V: float) -> _Piece
     return edges, model.plays.slope[inside]
 
 
-def _pieces_of_zones(zones: DeadZones, reach_m: float) -> _Pieces:
-    knots = zones.threshold[np.abs(zones.threshold) < reach_m]
-    first = int(np.searchsorted(zones.threshold, -reach_m, side="right"))
-    slopes = zones.slope[first : first + len(knots) + 1]
-    return np.concatenate([[-reach_m], knots, [reach_m]]), slopes
-
-
-def _ratios(
-    model: _Pieces, truth: _Pieces, *, stretch: Interval = (1.0, 1.0), slack: float = 0.0
-) -> Interval:
+def _ratios(model: _Pieces, truth: _Pieces, *, stretch: Interval) -> Interval:
     """Return the extremes of truth's slope over the model's where both may be together.
 
     stretch  factors between the model's place and the truth's
-    slack    how far apart the places may be besides
     """
     low, high = np.inf, 0.0
     edges, slopes = truth
     for start, end, slope in zip(model[0][:-1], model[0][1:], model[1], strict=True):
-        met = (edges[:-1] < stretch[1] * end + slack) & (edges[1:] > stretch[0] * start - slack)
+        met = (edges[:-1] < stretch[1] * end) & (edges[1:] > stretch[0] * start)
         low = min(low, float(slopes[met].min() / slope))
         high = max(high, float(slopes[met].max() / slope))
     return low, high

@@ -86,6 +86,30 @@ def test_the_inverse_of_a_model_leaves_no_more_than_its_bounds(model, truths, rn
     assert (bounds.slope_max - bounds.slope_min) * centre < 3.0 * (most - least)
 
 
+def test_what_one_part_has_too_much_and_another_too_little_is_not_added_up(rng):
+    plain = hysteresis()
+    reach_m = float(plain.plays.loading_curve(np.array([REACH_V]))[0])
+    more = DeadZones(
+        threshold=np.array([-0.2 * reach_m, 0.0, 0.2 * reach_m]), weight=np.array([0.2, 1.0, 0.2])
+    )
+    less = DeadZones(
+        threshold=np.array([-0.2, 0.0, 0.2]) * REACH_V, weight=np.array([-0.16, 1.0, -0.16])
+    )
+    truth = hysteresis(zones=more, envelope=less)
+    bounds = inverse_bounds(
+        plain, [truth], REACH_V, gain_m_per_V=LATERAL_m_per_V, remainder_m=0.0, confidence=1.0
+    )
+    worst = 0.0
+    for _ in range(200):
+        u = np.cumsum(rng.normal(size=300))
+        u *= REACH_V / np.abs(u).max() * rng.uniform(0.5, 1.0)
+        apart = truth.run(u, truth.virgin_memory())[0] - plain.run(u, plain.virgin_memory())[0]
+        worst = max(worst, np.abs(apart).max())
+    bends_m = 0.8 * 0.2 * reach_m  # what either part alone does at the end of the range
+    assert worst <= bounds.error_m < 2.0 * worst
+    assert bounds.error_m < 0.2 * bends_m
+
+
 def test_the_sector_of_the_example_is_its_extreme_slopes():
     bounds = affine_bounds(hysteresis(), REACH_V, remainder_m=0.0)
     assert bounds.increment_gain == pytest.approx((1.02 - 0.72) / (1.02 + 0.72))
