@@ -1,15 +1,17 @@
 """design_stage: a model in, the controllers of its axes out."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 from piezoid.design.converters import converters_of
+from piezoid.design.damping import raised
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.from_junction import axis_of, vertical_task
 from piezoid.design.from_model import FORMS, LateralTask, lateral_task
 from piezoid.design.lateral import design_lateral
+from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
@@ -45,10 +47,14 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """How one axis is designed, and what it is asked for by default."""
+    """How one axis is designed, and what it is asked for by default.
+
+    families  by form, of an axis whose mode may be damped; none of a tip
+    """
 
     design: Callable[[Specification], AxisDesign]
     specification: Specification
+    families: Mapping[str, PlantFamily] = field(default_factory=dict)
 
 
 def design_stage(
@@ -68,7 +74,7 @@ def design_stage(
                       The tunnelling axis keeps the rate at which its loop was identified
     lab               converters of every axis; voltages and set point of the tunnelling axis
     asked             specifications; an axis without gets its default, or the nearest bandwidth
-                      below it that can be met
+                      below it that can be met, or more where a mode can be damped
     forms             of the observers of X and Y; the inverse one is recommended, the affine one
                       is there to be compared and takes longer
 
@@ -156,10 +162,16 @@ def _outcome(name: str, task: _Task, wanted: Specification) -> Outcome:
 
 
 def _designed(task: _Task, wanted: Specification) -> AxisDesign:
-    """Design exactly what somebody asks for; a default may give way in its bandwidth."""
+    """Design exactly what somebody asks for; a default may give way in its bandwidth,
+    and goes beyond it where damping a mode allows that.
+    """
     if wanted is not task.specification:
         return task.design(wanted)
-    return at_feasible_bandwidth(task.design, wanted)
+    base = at_feasible_bandwidth(task.design, wanted)
+    if not task.families:
+        return base
+    form = next(form for form in FORMS if form in task.families)
+    return raised(base, task.families[form], wanted, task.design, form=form)
 
 
 def _tasks(
@@ -195,7 +207,9 @@ def _lateral_task(
         )
     task = lateral_task(axis, _rate_Hz(model, rate_Hz), forms=forms)
     specification = _between_converters(name, task.specification, lab)
-    return _Task(design=partial(_lateral, name, task), specification=specification)
+    return _Task(
+        design=partial(_lateral, name, task), specification=specification, families=task.families
+    )
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
