@@ -143,11 +143,11 @@ def raised(
     design   of the whole axis, for a specification
     form     of the recommended loop
 
-    The base is returned where no mode rings, where nothing guarantees it, and where damping does
-    not gain a tenth.
+    The base is returned where no mode rings, where nothing bounds the hysteresis or eps leaves no
+    loop with T_v = 1 at rest, and where damping does not gain a tenth.
     """
     mode, certificate = ringing_mode(family.nominal), base.recommended.certificate
-    if mode is None or certificate is None or not certificate.is_guaranteed:
+    if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
         return base
     guarded = replace(
         default, templates=(*default.templates, _small_gain(family, certificate.increment_gain))
