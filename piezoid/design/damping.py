@@ -131,7 +131,7 @@ def raised(
     *,
     form: str,
 ) -> AxisDesign:
-    """Return the same axis with the largest bandwidth that damping its mode allows.
+    """Return the same axis, its recommended loop with the bandwidth that damping its mode allows.
 
     At most the mode's frequency; with every margin and template of the default, and with the small
     gain that guarantees the loop in front of the hysteresis:
@@ -140,7 +140,7 @@ def raised(
 
     base     designed for the default
     family   of the recommended loop
-    design   of the whole axis, for a specification
+    design   of the recommended loop, for a specification
     form     of the recommended loop
 
     The base is returned where no mode rings, where nothing bounds the hysteresis or eps leaves no
@@ -168,7 +168,9 @@ def raised(
             nearest_Hz *= _STEP_DOWN
             continue
         proven = found.recommended.certificate
-        return found if proven is not None and proven.is_guaranteed else base
+        if proven is None or not proven.is_guaranteed:
+            return base
+        return replace(found, loops=(found.recommended, *base.loops[1:]))
     return base
 
 

@@ -1,7 +1,7 @@
 """design_stage: a model in, the controllers of its axes out."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 from piezoid.design.converters import converters_of
@@ -11,7 +11,6 @@ from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.from_junction import axis_of, vertical_task
 from piezoid.design.from_model import FORMS, LateralTask, lateral_task
 from piezoid.design.lateral import design_lateral
-from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
@@ -49,12 +48,12 @@ class Outcome:
 class _Task:
     """How one axis is designed, and what it is asked for by default.
 
-    families  by form, of an axis whose mode may be damped; none of a tip
+    raised  what a default may become where a mode can be damped; a tip's stays as it is
     """
 
     design: Callable[[Specification], AxisDesign]
     specification: Specification
-    families: Mapping[str, PlantFamily] = field(default_factory=dict)
+    raised: Callable[[AxisDesign, Specification], AxisDesign] = lambda base, _: base
 
 
 def design_stage(
@@ -167,11 +166,7 @@ def _designed(task: _Task, wanted: Specification) -> AxisDesign:
     """
     if wanted is not task.specification:
         return task.design(wanted)
-    base = at_feasible_bandwidth(task.design, wanted)
-    if not task.families:
-        return base
-    form = next(form for form in FORMS if form in task.families)
-    return raised(base, task.families[form], wanted, task.design, form=form)
+    return task.raised(at_feasible_bandwidth(task.design, wanted), wanted)
 
 
 def _tasks(
@@ -208,8 +203,17 @@ def _lateral_task(
     task = lateral_task(axis, _rate_Hz(model, rate_Hz), forms=forms)
     specification = _between_converters(name, task.specification, lab)
     return _Task(
-        design=partial(_lateral, name, task), specification=specification, families=task.families
+        design=partial(_lateral, name, task),
+        specification=specification,
+        raised=partial(_raised, name, task),
     )
+
+
+def _raised(name: str, task: LateralTask, base: AxisDesign, default: Specification) -> AxisDesign:
+    """Return the axis with its recommended loop beyond a mode; loops to compare it with stay."""
+    form = next(form for form in FORMS if form in task.families)
+    alone = replace(task, families={form: task.families[form]})
+    return raised(base, task.families[form], default, partial(_lateral, name, alone), form=form)
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:
