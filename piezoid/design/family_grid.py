@@ -120,7 +120,7 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
     Stability is read from the winding of P(e^jw): a polynomial in q^-1 that starts with 1 winds
     once around zero for each root outside the unit circle.
     """
-    functions, outside = _magnitudes(grid, R, S)
+    functions, outside = magnitudes(grid, R, S)
     excess_dB = float(decibel((functions / grid.limits[:, None, :]).max()))
     if outside:
         excess_dB = _UNSTABLE_dB * outside + max(excess_dB, 0.0)
@@ -139,7 +139,7 @@ def judge(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> Judgement:
 
 def worst_place(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstPlace:
     """Say where a loop is worst, over the family."""
-    functions, outside = _magnitudes(grid, R, S)
+    functions, outside = magnitudes(grid, R, S)
     ratio = (functions / grid.limits[:, None, :]).max(axis=1)
     row, column = np.unravel_index(int(np.argmax(ratio)), ratio.shape)
     band = grid.frequency_Hz <= grid.specification.bandwidth_Hz * (1.0 + 1e-12)
@@ -153,7 +153,7 @@ def worst_place(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> WorstPlace:
     )
 
 
-def _magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:
+def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int]:
     """Return |Syp|, |Sup|, |Syb|, |Syv|, (functions, members, frequencies), and the largest
     number of unstable poles of a member.
     """

@@ -59,7 +59,7 @@ def nearest_feasible(
         middle = 0.5 * (low + high)
         low, high = (middle, high) if meets(middle) else (low, middle)
     for _ in range(_STEPS_DOWN):
-        nearest_Hz = _rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
+        nearest_Hz = rounded_down(float(np.exp(low)) * specification.bandwidth_Hz)
         # what a search finds is not monotone in what it is asked: the advice itself is tried
         if meets(float(np.log(nearest_Hz / specification.bandwidth_Hz))):
             return NearestFeasible(bandwidth_Hz=nearest_Hz, relaxation_dB=relaxation_dB)
@@ -72,8 +72,13 @@ def refuse(
     specification: Specification,
     violations: tuple[Violation, ...],
     nearest: NearestFeasible,
+    *,
+    because: str = "",
 ) -> NoReturn:
-    """Raise ``TemplateError`` for a specification no candidate meets."""
+    """Raise ``TemplateError`` for a specification no candidate meets.
+
+    because  what about the plant stands in the way, a whole sentence
+    """
     worst = violations[0]
     relaxed = "relax " + " and ".join(
         f"'{name}' by {_rounded_up(excess_dB):.2f} dB"
@@ -87,7 +92,8 @@ def refuse(
             f"{relaxed}."
         )
     raise TemplateError(
-        f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}",
+        f"axis {axis}, bandwidth {specification.bandwidth_Hz:.6g} Hz: {worst.sentence}"
+        f"{'. ' if because else ''}{because}",
         needed="a controller with which every member of the plant family meets every limit",
         remedy=remedy,
         axis=axis,
@@ -122,8 +128,8 @@ def at_feasible_bandwidth(
     return design(asked)
 
 
-def _rounded_down(value: float) -> float:
-    """Return the value cut to three digits, so that what is advised is still feasible."""
+def rounded_down(value: float) -> float:
+    """Return a positive value cut to three digits, so that what is advised is still feasible."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 2)
     return float(np.floor(value / unit + 1e-9) * unit)
 

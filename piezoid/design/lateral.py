@@ -8,6 +8,7 @@ from typing import NoReturn
 import numpy as np
 
 from piezoid.design.certificate import Certificate, Disturbances, Operation, certify
+from piezoid.design.damping import in_the_way, must_damp
 from piezoid.design.design import (
     AxisDesign,
     Candidate,
@@ -26,7 +27,7 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.requirements import severity, unmet
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation
-from piezoid.design.tuning import METHODS, TunedObserver, tune_observer
+from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer
 from piezoid.errors import TemplateError
 
 NO_DISTURBANCES = Disturbances()
@@ -115,7 +116,7 @@ class _Request:
 
 def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign:
     members = members_of(request.family)
-    found = [_tuned(request, specification, method) for method in METHODS]
+    found = [_tuned(request, specification, method) for method in _methods(request, specification)]
     missed = [_missed(members, t, specification) for t in found]
     if all(missed):
         _refuse(request, members, specification, min(missed, key=severity))
@@ -146,6 +147,12 @@ def _lateral_loop(request: _Request, specification: Specification) -> LoopDesign
     )
 
 
+def _methods(request: _Request, specification: Specification) -> tuple[str, ...]:
+    if must_damp(request.family.nominal, specification.bandwidth_Hz):
+        return (*METHODS, DAMPED)
+    return METHODS
+
+
 def _tuned(
     request: _Request, specification: Specification, method: str, *, until_met: bool = False
 ) -> TunedObserver:
@@ -168,11 +175,17 @@ def _refuse(
     def attempt(asked: Specification) -> tuple[Violation, ...]:
         tries = (
             _missed(members, _tuned(request, asked, method, until_met=True), asked)
-            for method in METHODS
+            for method in reversed(_methods(request, asked))
         )
         return min(_until_empty(tries), key=severity)
 
-    refuse(request.axis, specification, best, nearest_feasible(specification, best, attempt))
+    refuse(
+        request.axis,
+        specification,
+        best,
+        nearest_feasible(specification, best, attempt),
+        because=in_the_way(request.family, specification.bandwidth_Hz),
+    )
 
 
 def _until_empty(

@@ -15,7 +15,7 @@ from piezoid.numerics.polynomial import roots_of
 from piezoid.toml_text import read_toml
 
 AT_BANDWIDTH_dB = -3.0
-_MODE_SHARE = 0.15
+MODE_SHARE = 0.15
 _DELAY_SHARE = 0.03
 _CONTROL_LIMIT_dB = 20.0
 
@@ -112,7 +112,7 @@ def default_specification(
     scan               a tenth of the bandwidth
     """
     plant = family.nominal
-    bandwidth_Hz = min(_MODE_SHARE * slowest_Hz(plant), _DELAY_SHARE / rest_delay_s(plant))
+    bandwidth_Hz = min(MODE_SHARE * slowest_Hz(plant), _DELAY_SHARE / rest_delay_s(plant))
     least_gain = min(abs(member.gain) for member in family.members)
     ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(least_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz

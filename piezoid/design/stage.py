@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from piezoid.design.converters import converters_of
+from piezoid.design.damping import raised
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.from_junction import axis_of, vertical_task
@@ -45,10 +46,14 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True)
 class _Task:
-    """How one axis is designed, and what it is asked for by default."""
+    """How one axis is designed, and what it is asked for by default.
+
+    raised  what a default may become where a mode can be damped; a tip's stays as it is
+    """
 
     design: Callable[[Specification], AxisDesign]
     specification: Specification
+    raised: Callable[[AxisDesign, Specification], AxisDesign] = lambda base, _: base
 
 
 def design_stage(
@@ -68,7 +73,7 @@ def design_stage(
                       The tunnelling axis keeps the rate at which its loop was identified
     lab               converters of every axis; voltages and set point of the tunnelling axis
     asked             specifications; an axis without gets its default, or the nearest bandwidth
-                      below it that can be met
+                      below it that can be met, or more where a mode can be damped
     forms             of the observers of X and Y; the inverse one is recommended, the affine one
                       is there to be compared and takes longer
 
@@ -156,10 +161,12 @@ def _outcome(name: str, task: _Task, wanted: Specification) -> Outcome:
 
 
 def _designed(task: _Task, wanted: Specification) -> AxisDesign:
-    """Design exactly what somebody asks for; a default may give way in its bandwidth."""
+    """Design exactly what somebody asks for; a default may give way in its bandwidth,
+    and goes beyond it where damping a mode allows that.
+    """
     if wanted is not task.specification:
         return task.design(wanted)
-    return at_feasible_bandwidth(task.design, wanted)
+    return task.raised(at_feasible_bandwidth(task.design, wanted), wanted)
 
 
 def _tasks(
@@ -195,7 +202,18 @@ def _lateral_task(
         )
     task = lateral_task(axis, _rate_Hz(model, rate_Hz), forms=forms)
     specification = _between_converters(name, task.specification, lab)
-    return _Task(design=partial(_lateral, name, task), specification=specification)
+    return _Task(
+        design=partial(_lateral, name, task),
+        specification=specification,
+        raised=partial(_raised, name, task),
+    )
+
+
+def _raised(name: str, task: LateralTask, base: AxisDesign, default: Specification) -> AxisDesign:
+    """Return the axis with its recommended loop beyond a mode; loops to compare it with stay."""
+    form = next(form for form in FORMS if form in task.families)
+    alone = replace(task, families={form: task.families[form]})
+    return raised(base, task.families[form], default, partial(_lateral, name, alone), form=form)
 
 
 def _between_converters(name: str, default: Specification, lab: Lab) -> Specification:

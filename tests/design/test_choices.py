@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.chain import Section, plant_from_chain
-from piezoid.design.feasibility import _rounded_down
+from piezoid.design.feasibility import rounded_down
 from piezoid.design.poles import PoleChoice, observer_poles, slow_and_fast
 from piezoid.design.rst import sampled_poles
 from piezoid.design.tuning import _frequency, _placed_choices
@@ -63,4 +63,4 @@ def test_a_search_starts_with_the_published_tuning_and_then_with_slower_observer
 
 def test_what_is_advised_has_three_digits_and_is_never_more():
     for exact, said in ((123.9, 123.0), (0.012349, 0.0123), (99.96, 99.9), (120.0, 120.0)):
-        assert _rounded_down(exact) == pytest.approx(said, rel=1e-12)
+        assert rounded_down(exact) == pytest.approx(said, rel=1e-12)

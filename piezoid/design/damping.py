@@ -1,0 +1,212 @@
+"""A lightly damped mode that the loop damps: how far that raises a default bandwidth, in words.
+
+State feedback from an observer several times as fast as the mode moves the mode's poles to the
+left, where they keep their frequency. Integral resonant control and positive position feedback do
+the same with two or three numbers: over a family about a mode at 700 Hz known to 10 % they reach
+a fifth of it, the observer 500 Hz. What limits all of them is how far the loop's delay turns the
+mode, and how wide its interval is; docs/theory/control.md has the figures.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.design.design import AxisDesign, LoopDesign, members_of
+from piezoid.design.feasibility import rounded_down
+from piezoid.design.observer_loop import linear_controller
+from piezoid.design.plant import Fraction, PlantFamily
+from piezoid.design.poles import LIGHT
+from piezoid.design.requirements import unmet
+from piezoid.design.specification import MODE_SHARE, Specification
+from piezoid.design.templates import Template
+from piezoid.design.tuning import DAMPED, METHODS, tune_observer
+from piezoid.errors import TemplateError
+from piezoid.numerics.frequency import decibel
+from piezoid.numerics.polynomial import roots_of
+
+HYSTERESIS = "small gain of the hysteresis"
+_RESERVE = 0.95  # of the small gain: what lies between the lines of a search's grid
+_BISECTIONS = 5
+_WORTH = 1.1  # times the bandwidth: less is not worth a loop at its limits
+_STEPS_DOWN, _STEP_DOWN = 4, 0.95
+_PAST = 1e-3  # poles below are those of inputs on their way
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mode:
+    """The slowest pair of poles of a plant that rings.
+
+    frequency_Hz  natural
+    damping       of critical, below ``LIGHT``
+    """
+
+    frequency_Hz: float
+    damping: float
+
+
+def ringing_mode(plant: Fraction) -> Mode | None:
+    """Return the slowest mode of a plant; None where nothing rings."""
+    s = np.log(roots_of(plant.A)) * plant.sampling_rate_Hz
+    light = s[(s.imag > 0.0) & (-s.real < LIGHT * np.abs(s))]
+    if not len(light):
+        return None
+    slowest = light[np.argmin(np.abs(light))]
+    natural = float(np.abs(slowest))
+    return Mode(frequency_Hz=natural / (2.0 * np.pi), damping=float(-slowest.real) / natural)
+
+
+def must_damp(plant: Fraction, bandwidth_Hz: float) -> bool:
+    """Tell whether a bandwidth is beyond what a loop reaches that leaves the mode as it is."""
+    mode = ringing_mode(plant)
+    return mode is not None and bandwidth_Hz > (1.0 + 1e-9) * MODE_SHARE * mode.frequency_Hz
+
+
+def in_the_way(family: PlantFamily, bandwidth_Hz: float) -> str:
+    """Return what makes a mode hard to damp, in words; empty where the loop need not damp it."""
+    plant = family.nominal
+    if not must_damp(plant, bandwidth_Hz):
+        return ""
+    modes = [mode for mode in map(ringing_mode, family.members) if mode is not None]
+    found = [mode.frequency_Hz for mode in modes]
+    return (
+        f"To get there the loop must damp the mode at {found[0]:.4g} Hz, damping "
+        f"{modes[0].damping:.3g}. It lies anywhere from {min(found):.4g} to {max(found):.4g} Hz, "
+        f"and {turned(plant, modes[0])}, which the feedback must lead"
+    )
+
+
+def turned(plant: Fraction, mode: Mode) -> str:
+    """Return by how much everything late beside the mode turns it, in words.
+
+    The phase delay at rest of the whole plant, without the mode's own 2 z / w0.
+    """
+    weighed = [float(p @ np.arange(len(p)) / p.sum()) for p in (plant.B, plant.A)]
+    late_s = (weighed[0] - weighed[1]) / plant.sampling_rate_Hz
+    late_s -= mode.damping / (np.pi * mode.frequency_Hz)
+    return (
+        f"hold, converters and filters, {1e6 * late_s:.3g} us, turn it by "
+        f"{360.0 * mode.frequency_Hz * late_s:.3g} degrees"
+    )
+
+
+def told_of_mode(loop: LoopDesign) -> str:
+    """Return what a loop does about the slowest mode that rings, in words; empty without one."""
+    nominal = loop.members[0]
+    mode, damped = ringing_mode(nominal), damped_mode(loop)
+    if mode is None:
+        return ""
+    if damped is None:
+        return (
+            f"The loop stays below the mode at {mode.frequency_Hz:.4g} Hz and leaves it as it is; "
+            f"{turned(nominal, mode)}."
+        )
+    return (
+        f"The mode at {mode.frequency_Hz:.4g} Hz is damped by state feedback, from "
+        f"{mode.damping:.3g} to {damped:.3g} of critical; {turned(nominal, mode)}."
+    )
+
+
+def damped_mode(loop: LoopDesign) -> float | None:
+    """Return the damping that a mode gets which the loop must damp; None where it need not.
+
+    That of the least damped pole which the nominal state feedback leaves below 1.5 times the
+    mode's frequency.
+    """
+    nominal, gains = loop.members[0], loop.observer
+    mode = ringing_mode(nominal)
+    if mode is None or gains is None or not must_damp(nominal, loop.bandwidth_Hz):
+        return None
+    closed = np.linalg.eigvals(gains.A - np.outer(gains.B, gains.feedback_gain))
+    s = np.log(closed[np.abs(closed) > _PAST]) * nominal.sampling_rate_Hz
+    near = s[np.abs(s) <= 1.5 * 2.0 * np.pi * mode.frequency_Hz]
+    return float((-near.real / np.abs(near)).min(initial=1.0))
+
+
+def raised(
+    base: AxisDesign,
+    family: PlantFamily,
+    default: Specification,
+    design: Callable[[Specification], AxisDesign],
+    *,
+    form: str,
+) -> AxisDesign:
+    """Return the same axis, its recommended loop with the bandwidth that damping its mode allows.
+
+    At most the mode's frequency; with every margin and template of the default, and with the small
+    gain that guarantees the loop in front of the hysteresis:
+
+        |T_v| <= 0.95 / eps                                               (template)
+
+    base     designed for the default
+    family   of the recommended loop
+    design   of the recommended loop, for a specification
+    form     of the recommended loop
+
+    The base is returned where no mode rings, where nothing bounds the hysteresis or eps leaves no
+    loop with T_v = 1 at rest, and where damping does not gain a tenth.
+    """
+    mode, certificate = ringing_mode(family.nominal), base.recommended.certificate
+    if mode is None or certificate is None or certificate.increment_gain >= _RESERVE:
+        return base
+    guarded = replace(
+        default, templates=(*default.templates, _small_gain(family, certificate.increment_gain))
+    )
+
+    def asked(bandwidth_Hz: float) -> Specification:
+        return replace(guarded, bandwidth_Hz=bandwidth_Hz, scan_frequency_Hz=bandwidth_Hz / 10.0)
+
+    low_Hz = base.recommended.bandwidth_Hz
+    least_Hz = _WORTH * max(low_Hz, MODE_SHARE * mode.frequency_Hz)
+    nearest_Hz = _largest_Hz(family, asked, least_Hz, mode.frequency_Hz, form)
+    for _ in range(_STEPS_DOWN):
+        if nearest_Hz is None or nearest_Hz < least_Hz:
+            break
+        try:
+            found = design(asked(nearest_Hz))
+        except TemplateError:
+            nearest_Hz *= _STEP_DOWN
+            continue
+        proven = found.recommended.certificate
+        if proven is None or not proven.is_guaranteed:
+            return base
+        return replace(found, loops=(found.recommended, *base.loops[1:]))
+    return base
+
+
+def _largest_Hz(
+    family: PlantFamily,
+    asked: Callable[[float], Specification],
+    least_Hz: float,
+    most_Hz: float,
+    form: str,
+) -> float | None:
+    """Return the largest bandwidth, to three digits, that a loop meets which damps the mode."""
+    members = members_of(family)
+
+    def meets(bandwidth_Hz: float) -> bool:
+        specification = asked(bandwidth_Hz)
+        for method in (DAMPED, *METHODS):
+            tuned = tune_observer(family, specification, form=form, method=method, until_met=True)
+            controller = linear_controller(tuned.observer)
+            if not unmet(members, controller.R, controller.S, specification):
+                return True
+        return False
+
+    if least_Hz >= most_Hz or not meets(least_Hz):
+        return None
+    low, high = np.log(least_Hz), np.log(most_Hz)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if meets(float(np.exp(middle))) else (low, middle)
+    return max(rounded_down(float(np.exp(low))), least_Hz)
+
+
+def _small_gain(family: PlantFamily, increment_gain: float) -> Template:
+    level_dB = float(decibel(_RESERVE / increment_gain))
+    return Template(
+        name=HYSTERESIS,
+        function="Syb",
+        frequency_Hz=np.array([1.0, 0.5 * family.nominal.sampling_rate_Hz]),
+        upper_dB=np.array([level_dB, level_dB]),
+    )

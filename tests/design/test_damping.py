@@ -1,0 +1,145 @@
+"""A mode at 700 Hz of quality 40, known to 10 %: what a loop that damps it does to a real one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from benchmarks.varied_chains import varied
+from piezoid.design.certificate import Certificate
+from piezoid.design.chain import Chain, Section, family_from_chains
+from piezoid.design.damping import damped_mode, raised, ringing_mode, told_of_mode
+from piezoid.design.design import AxisDesign, LoopDesign
+from piezoid.design.hysteresis_bounds import HysteresisBounds
+from piezoid.design.lateral import design_lateral
+from piezoid.design.plant import PlantFamily
+from piezoid.design.specification import Specification, default_specification
+from piezoid.errors import TemplateError
+from piezoid.export.runtime_names import observer_values
+from piezoid.numerics.arrays import Array
+from piezoid.runtime.controller import Controller
+from tests.design.test_runtime_agreement import LIMITS
+
+RATE_Hz = 20e3
+GAIN_m_per_V = 1e-6
+MODE_Hz, DAMPING = 700.0, 0.0125
+ASKED_Hz = 500.0
+SLOPES = HysteresisBounds(
+    form="inverse",
+    gain_m_per_V=GAIN_m_per_V,
+    slope_min=0.6,
+    slope_max=1.4,
+    error_m=1e-7,
+    reach_V=3.0,
+    conditions=("bounds for tests",),
+)
+
+
+def family(spread: float = 0.1, mode_Hz: float = MODE_Hz, ends: int = 9) -> PlantFamily:
+    chain = Chain(
+        label="nominal",
+        sampling_rate_Hz=RATE_Hz,
+        gain=GAIN_m_per_V,
+        output_unit="m",
+        sections=(Section(frequency_Hz=mode_Hz, damping=DAMPING),),
+        delay_s=1.0 / RATE_Hz,
+    )
+    others = np.linspace(1.0 - spread, 1.0 + spread, ends).tolist()
+    return family_from_chains(chain, [varied(chain, mode_factor=k) for k in others if k != 1.0])
+
+
+def default(of: PlantFamily) -> Specification:
+    return default_specification(
+        of,
+        voltage_min_V=-10.0,
+        voltage_max_V=10.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=2e-8,
+    )
+
+
+def designed(of: PlantFamily, asked: Specification) -> AxisDesign:
+    return design_lateral("x", {"inverse": of}, asked, bounds={"inverse": SLOPES})
+
+
+@pytest.fixture(scope="module")
+def loop() -> LoopDesign:
+    of = family()
+    return designed(of, replace(default(of), bandwidth_Hz=ASKED_Hz)).recommended
+
+
+def left_of_a_tone(loop: LoopDesign, mode_Hz: float, tone_Hz: float) -> float:
+    """Return what the shipped C leaves of a tone on the position of a stage sampled here."""
+    assert loop.observer is not None
+    values = {**LIMITS, **observer_values(loop.observer), "method": "dob"}
+    controller = Controller(values)
+    controller.start(0.0, 0.0)
+    w = 2.0 * np.pi * mode_Hz
+    rows = [[0.0, 1.0], [-(w**2), -2.0 * DAMPING * w]], [[0.0], [w**2]], [[1.0, 0.0]], [[0.0]]
+    A, B, C, _, _ = cont2discrete(tuple(map(np.array, rows)), 1.0 / RATE_Hz)
+    x, late_V = np.zeros(2), 0.0
+    k = np.arange(6000)
+    tone = 1e-8 * np.sin(2.0 * np.pi * tone_Hz * k / RATE_Hz)
+    position = np.empty(len(k))
+    for now in k:
+        position[now] = float(C[0] @ x) * GAIN_m_per_V + tone[now]
+        voltage_V = controller.step(0.0, position[now])
+        x, late_V = A @ x + B[:, 0] * late_V, voltage_V
+    return _amplitude(position[-4000:], tone_Hz) / _amplitude(tone[-4000:], tone_Hz)
+
+
+def _amplitude(signal: Array, tone_Hz: float) -> float:
+    turn = np.exp(-2j * np.pi * tone_Hz * np.arange(len(signal)) / RATE_Hz)
+    return float(np.abs(signal @ turn))
+
+
+@pytest.mark.parametrize("factor", [0.9, 0.962, 1.0, 1.1])
+def test_what_ships_attenuates_by_three_decibels_at_its_bandwidth_for_any_mode(loop, factor):
+    left = left_of_a_tone(loop, factor * MODE_Hz, ASKED_Hz)
+    assert left < 10.0 ** (-3.0 / 20.0) + 1e-3
+    assert left > 0.3  # the tone was heard
+
+
+def test_the_margins_hold_between_the_members_too(loop):
+    """P of eighty modes over the interval, which the design has not seen, on a fine grid."""
+    z = np.exp(1j * np.linspace(1e-4, np.pi, 20_001))
+    r, s = np.polyval(loop.R[::-1], 1.0 / z), np.polyval(loop.S[::-1], 1.0 / z)
+    for factor in np.linspace(0.9, 1.1, 81).tolist():
+        w = 2.0 * np.pi * factor * MODE_Hz
+        continuous = ([w**2 * GAIN_m_per_V], [1.0, 2.0 * DAMPING * w, w**2])
+        b, a, _ = cont2discrete(continuous, 1.0 / RATE_Hz)
+        plant = np.polyval(b[0], z) / np.polyval(a, z) / z  # one sample of delay
+        assert np.abs(1.0 + plant * r / s).min() > 0.499
+
+
+def test_a_loop_says_from_what_to_what_it_damps_the_mode(loop):
+    damping = damped_mode(loop)
+    assert damping is not None
+    assert damping > 5.0 * DAMPING
+    assert "700 Hz is damped by state feedback, from 0.0125 to 0.1" in told_of_mode(loop)
+    assert any("damped by state feedback" in c.name for c in loop.candidates if c.is_chosen)
+
+
+def test_a_default_is_raised_as_far_as_what_guarantees_it_lasts():
+    of = family(0.02, ends=3)
+    asked = default(of)
+    base = designed(of, asked)
+    found = raised(base, of, asked, lambda s: designed(of, s), form="inverse").recommended
+    assert base.recommended.bandwidth_Hz < 0.16 * MODE_Hz
+    assert found.bandwidth_Hz > 2.0 * base.recommended.bandwidth_Hz
+    assert found.worst_modulus_margin >= 0.5
+    assert isinstance(found.certificate, Certificate)
+    assert found.certificate.is_guaranteed
+    unproven = replace(base.recommended, certificate=None)
+    bare = replace(base, loops=(unproven,))
+    assert raised(bare, of, asked, lambda s: designed(of, s), form="inverse") is bare
+
+
+def test_a_mode_that_the_delay_turns_too_far_is_refused_with_the_angle():
+    of = family(mode_Hz=4000.0, ends=2)
+    mode = ringing_mode(of.nominal)
+    assert mode is not None
+    assert mode.frequency_Hz == pytest.approx(4000.0)
+    with pytest.raises(TemplateError, match=r"75 us, turn it by 108 degrees.*bandwidth_Hz = "):
+        designed(of, replace(default(of), bandwidth_Hz=900.0))
