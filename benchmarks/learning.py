@@ -42,6 +42,7 @@ from piezoid_datasets.virtual_lab.write import campaign_files
 FREQUENCIES_Hz = (1.0, 10.0, 100.0, 500.0)
 SHAPES = ("triangle", "spiral")
 PERIODS = 5
+PLANS = ("sweep", "check", "rates", "chirp")  # of what is played for the fit
 SHARE = 0.3  # of the range, from its middle
 SETTLED_s, LED_s = 0.1, 0.4
 _RISES = 0.1  # of the noise
@@ -212,7 +213,7 @@ def outsider_cases(name: str, seed: int, folder: Path, draws: int) -> Iterator[C
 
 def law_cases(law: str, seed: int, folder: Path, draws: int) -> Iterator[Case]:
     """Calibrate a stage of the virtual laboratory, then learn its drive without any feedback."""
-    campaign = draw_campaign(seed, truth=law)
+    campaign = draw_campaign(seed, truth=law, plans=PLANS)
     for name, content in campaign_files(campaign).items():
         (folder / Path(name).name).write_bytes(content)
     found = calibrate(sorted(folder.glob("*.csv")), folder / "lab.toml", lambda _: None)

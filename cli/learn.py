@@ -50,12 +50,11 @@ def learn(
 
     [bold]Examples[/bold]
 
-    piezoid learn stage42/ --reference triangle.csv --out first/
+    piezoid learn stage42/ --reference scan.csv --out a/
 
-    piezoid learn stage42/ --reference triangle.csv --table first/learning.json
-    --period recorded.csv --out second/
+    piezoid learn stage42/ --reference scan.csv --table a/learning.json --period seen.csv --out b/
 
-    piezoid learn stage42/ --reference triangle.csv --open-loop --axis x --out wave/
+    piezoid learn stage42/ --reference scan.csv --open-loop --axis x --out wave/
     """
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown

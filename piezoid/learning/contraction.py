@@ -33,6 +33,7 @@ _LIMITS = np.arange(0.95, 0.0, -0.05)  # of a harmonic's own contraction: widest
 # Where the plant answers with less than this of its gain, the table would grow to no avail; the
 # waveform target found 0.1 on a plant with a mode at 630 Hz.
 _ANSWERS = 0.1
+_OF_MODEL = 0.8  # of the nominal inverse: less than 1, a slope may be above the middle one
 _AT_REST = 1e-12  # of z - 1: an integrator has no response at rest
 
 
@@ -42,6 +43,7 @@ class LearningFilter:
 
     harmonic_Hz  (harmonics,)
     L_V_per_m    (harmonics,)  complex, 0 where nothing is learnt
+    model_V_per_m  (harmonics,)  likewise for the nominal plant alone, wherever it answers
     sensed       (harmonics,)  complex, reading over position of the nominal plant
     learns       (harmonics,)  Q, which is 0 or 1
     contraction  at most this share of the error is left by a period, at full gain
@@ -51,11 +53,17 @@ class LearningFilter:
 
     harmonic_Hz: Array
     L_V_per_m: Response
+    model_V_per_m: Response
     sensed: Response
     learns: NDArray[np.bool_]
     contraction: float
     sector: float
     worst: str
+
+    def share_learnt(self, wanted_m: Array) -> float:
+        """Return how much of a motion's power, its mean aside, lies in learnt harmonics."""
+        power = np.abs(np.fft.rfft(wanted_m - wanted_m.mean())) ** 2
+        return float(power[self.learns].sum() / max(power.sum(), np.finfo(float).tiny))
 
     @property
     def learns_to_Hz(self) -> float:
@@ -77,7 +85,7 @@ def learning_filter(
     points  of a period
     gain    times the L that is best for the worst member
 
-    The mean of a closed loop is its integrator's: it is not learnt there.
+    The mean is not learnt: a loop's integrator holds it, and without a loop it drifts.
 
     Raises ``DesignError`` where the first harmonic does not contract, with what a period leaves.
     """
@@ -92,9 +100,11 @@ def learning_filter(
     nominal = members[0]
     sensed = polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q)
     known_Hz = unseen(model).from_Hz
-    usable = (np.abs(responses[0]) >= _ANSWERS * abs(nominal.gain)) & (harmonic_Hz <= known_Hz)
-    usable &= harmonic_Hz < 0.5 * sampling_rate_Hz
-    usable[0] &= values is None
+    answers = np.abs(responses[0]) >= _ANSWERS * abs(nominal.gain)
+    answers &= (harmonic_Hz > 0.0) & (harmonic_Hz < 0.5 * sampling_rate_Hz)
+    usable = answers & (harmonic_Hz <= known_Hz)
+    of_model = np.zeros(len(q), dtype=complex)
+    of_model[answers] = _OF_MODEL / responses[0][answers]
     relative = responses / np.where(responses[0] == 0.0, 1.0, responses[0])
     share, left = _best_shares(relative, sector)
     applied = gain * share * relative
@@ -110,6 +120,7 @@ def learning_filter(
             return LearningFilter(
                 harmonic_Hz=harmonic_Hz,
                 L_V_per_m=L,
+                model_V_per_m=of_model,
                 sensed=sensed,
                 learns=learns,
                 contraction=max(each),

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.errors import ParameterFileError, RecordingError
+from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.identification.model import AxisModel
-from piezoid.learning.contraction import learning_filter
+from piezoid.learning.contraction import LearningFilter, learning_filter
 from piezoid.learning.period import learning_shares, mean_period
 from piezoid.learning.playing import LIMITED, play
 from piezoid.numerics.arrays import Array, freeze
@@ -24,6 +24,7 @@ from piezoid.verification.plant import AxisPlant
 SCHEMA = "piezoid.learning/1"
 _FEWEST = 16  # points of a period
 _ROUNDS = 8  # on the model; more changed nothing, see the waveform target
+_LEARNABLE = 0.9  # of the power of a motion
 _SAME_m = 1e-12  # two references are one where no point differs by more
 
 
@@ -118,6 +119,7 @@ def first_table(
         sampling_rate_Hz=plant.sampling_rate_Hz,
         gain=gain,
     )
+    _refuse_untouched(model.axis, found, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
     rng = np.random.default_rng(0)
     table_V = inverted_V(quiet, wanted_m) if values is None else np.zeros(len(wanted_m))
@@ -129,7 +131,7 @@ def first_table(
         rms_m = float(np.sqrt(np.mean(error_m**2)))
         if rms_m < least_m:
             best_V, least_m = table_V, rms_m
-        change = np.fft.rfft(error_m) * found.L_V_per_m
+        change = np.fft.rfft(error_m) * found.model_V_per_m
         table_V = table_V + np.fft.irfft(change, len(wanted_m))
     return Learned(
         axis=model.axis,
@@ -261,6 +263,19 @@ def _checked(
             remedy="Move slower or less far, and let the period end where it begins.",
         )
     return wanted_m
+
+
+def _refuse_untouched(axis: str, found: LearningFilter, wanted_m: Array) -> None:
+    """Refuse a motion most of which lies where nothing can be learnt."""
+    share = found.share_learnt(wanted_m)
+    if share < _LEARNABLE:
+        raise DesignError(
+            f"axis {axis}: learning contracts up to {told(found.learns_to_Hz, 'Hz')} only, where "
+            f"{100 * share:.3g} % of the motion's power lies",
+            needed=f"at least {100 * _LEARNABLE:g} %",
+            remedy="Record a chirp or multisine so that more of the response is known and fit "
+            "again, or scan slower.",
+        )
 
 
 def _reach_m(model: AxisModel) -> tuple[float, float]:
