@@ -29,7 +29,8 @@ from piezoid.runtime.schema import METHODS
 from piezoid.runtime.values import Values
 
 _SHARES = np.linspace(0.05, 1.0, 20)  # of the nominal inverse, among which L is chosen
-_LIMITS = np.arange(0.95, 0.0, -0.05)  # of a harmonic's own contraction: widest band first
+_MOST_LEFT = 0.95  # of the error by a period: less is no progress worth a recording
+_LIMITS = np.arange(_MOST_LEFT, 0.0, -0.05)  # of a harmonic's own contraction
 # Where the plant answers with less than this of its gain, the table would grow to no avail; the
 # waveform target found 0.1 on a plant with a mode at 630 Hz.
 _ANSWERS = 0.1
@@ -109,24 +110,24 @@ def learning_filter(
     share, left = _best_shares(relative, sector)
     applied = gain * share * relative
     left = (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0) if gain != 1.0 else left
-    for limit in _LIMITS:
-        learns = usable & (left <= limit)
-        if not learns[1]:
-            break
+    learns = max(
+        (_widest(applied, sector, usable & (left <= limit)) for limit in _LIMITS),
+        key=np.count_nonzero,
+    )
+    if learns[1]:
         each = _contractions(applied[:, learns], sector)
-        if max(each) < 1.0:
-            L = np.zeros(len(q), dtype=complex)
-            L[learns] = gain * share[learns] / responses[0][learns]
-            return LearningFilter(
-                harmonic_Hz=harmonic_Hz,
-                L_V_per_m=L,
-                model_V_per_m=of_model,
-                sensed=sensed,
-                learns=learns,
-                contraction=max(each),
-                sector=sector,
-                worst=members[int(np.argmax(each))].label,
-            )
+        L = np.zeros(len(q), dtype=complex)
+        L[learns] = gain * share[learns] / responses[0][learns]
+        return LearningFilter(
+            harmonic_Hz=harmonic_Hz,
+            L_V_per_m=L,
+            model_V_per_m=of_model,
+            sensed=sensed,
+            learns=learns,
+            contraction=float(each.max()),
+            sector=sector,
+            worst=members[int(np.argmax(each))].label,
+        )
     raise _no_contraction(model.axis, applied, sector, harmonic_Hz, known_Hz, members, gain)
 
 
@@ -177,8 +178,21 @@ def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
     return _SHARES[best], np.asarray(tried.min(axis=0))
 
 
-def _contractions(applied: Response, sector: float) -> list[float]:
-    return [float(np.abs(1.0 - one).max() + sector * np.abs(one).max()) for one in applied]
+def _contractions(applied: Response, sector: float) -> Array:
+    """Return what a period leaves on each member, over these harmonics together."""
+    left, driven = np.abs(1.0 - applied).max(axis=1), np.abs(applied).max(axis=1)
+    return np.asarray(left + sector * driven)
+
+
+def _widest(applied: Response, sector: float, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the lowest of the wanted harmonics, as many as contract together."""
+    place = np.flatnonzero(wanted)
+    left = np.maximum.accumulate(np.abs(1.0 - applied[:, place]), axis=1)
+    driven = np.maximum.accumulate(np.abs(applied[:, place]), axis=1)
+    together = (left + sector * driven).max(axis=0)
+    learns = np.zeros_like(wanted)
+    learns[place[together <= _MOST_LEFT]] = True
+    return learns
 
 
 def _no_contraction(
@@ -205,7 +219,7 @@ def _no_contraction(
         f"learning gain of {gain:g}, a period may leave {each[worst]:.3g} of the error on the "
         f"plant '{members[worst].label}', {sector * abs(applied[worst, 1]):.3g} of it by the "
         "slope sector of the hysteresis",
-        needed="less than 1 on every plant that the recordings allow",
+        needed=f"at most {_MOST_LEFT:g} on every plant that the recordings allow",
         remedy="Lower the learning gain, record more so that the family is narrower, or scan "
         "slower.",
     )
