@@ -22,6 +22,7 @@ from piezoid_cli.export import export
 from piezoid_cli.fit import fit
 from piezoid_cli.init import init
 from piezoid_cli.inspect import inspect
+from piezoid_cli.learn import learn
 from piezoid_cli.plan import plan
 from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.report import report
@@ -37,7 +38,10 @@ INTERRUPTED = 130  # what shells say of a program that Ctrl-C ended
 # What is wrong with the words behind a verb; the package names only one kind of it.
 _UsageError = cast(type[typer.BadParameter], typer.BadParameter.__base__)
 
-VERBS = (inspect, init, fit, diagnose, plan, design, export, verify, report, simulate, batch, demo)
+VERBS = (
+    *(inspect, init, fit, diagnose, plan, design, export, verify, learn, report, simulate),
+    *(batch, demo),
+)
 
 
 class Verbs(TyperGroup):

@@ -25,8 +25,8 @@ __version__ = "0.2.0"
 _PUBLIC = {
     **dict.fromkeys(
         (
-            *("calibrate", "design", "diagnose", "export", "fit", "plan", "read"),
-            *("read_lab", "report", "verify"),
+            *("calibrate", "design", "diagnose", "export", "fit", "learn", "plan"),
+            *("read", "read_lab", "report", "verify"),
         ),
         "piezoid.verbs",
     ),
@@ -43,6 +43,7 @@ _PUBLIC = {
     "Finding": "piezoid.diagnosis.diagnosis",
     "HysteresisPlacement": "piezoid.identification.restoring_force.placing",
     "Lab": "piezoid.records.lab",
+    "Learned": "piezoid.learning.learn",
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
     "ParameterFile": "piezoid.export.parameter_file",
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
         HysteresisPlacement,
         place_hysteresis,
     )
+    from piezoid.learning.learn import Learned
     from piezoid.records.collection import Collection
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Channel, Quantity, Recording
@@ -94,6 +96,7 @@ if TYPE_CHECKING:
         diagnose,
         export,
         fit,
+        learn,
         plan,
         read,
         read_lab,
@@ -119,6 +122,7 @@ __all__ = (
     "Finding",
     "HysteresisPlacement",
     "Lab",
+    "Learned",
     "LoopDesign",
     "LoopRecord",
     "ParameterFile",
@@ -139,6 +143,7 @@ __all__ = (
     "fit",
     "fit_coupled",
     "identify_restoring_force",
+    "learn",
     "load",
     "place_hysteresis",
     "plan",

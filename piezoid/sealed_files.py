@@ -15,10 +15,19 @@ from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.store import read_model, write_model
+from piezoid.learning.learn import Learned, learned_from_json
 from piezoid.verification.verification import Verification, verification_from_json
 
 Place = str | Path
-Sealed = ActuatorModel | Diagnosis | tuple[Diagnosis, ...] | Design | ParameterFile | Verification
+Sealed = (
+    ActuatorModel
+    | Diagnosis
+    | tuple[Diagnosis, ...]
+    | Design
+    | ParameterFile
+    | Verification
+    | Learned
+)
 
 
 def load(path: Place) -> Sealed:
@@ -26,7 +35,7 @@ def load(path: Place) -> Sealed:
 
     returned  of model.json an ActuatorModel, of diagnosis.json a tuple with the diagnosis of each
               axis, of design.json a Design, of params.json a ParameterFile, of verification.json
-              a Verification
+              a Verification, of learning.json a Learned
 
     Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
     ``OSError`` where it cannot be read.
@@ -48,8 +57,8 @@ def load(path: Place) -> Sealed:
         raise ParameterFileError(
             f"{place.name} is of {f'schema {schema!r}' if schema else 'no schema'}",
             needed=f"one of {', '.join(_READERS)}",
-            remedy="Pass model.json, diagnosis.json, design.json, params.json or "
-            "verification.json of a stage's folder.",
+            remedy="Pass model.json, diagnosis.json, design.json, params.json, "
+            "verification.json or learning.json of a stage's folder.",
         )
     return _READERS[kind](content, str(place))
 
@@ -60,13 +69,15 @@ _READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {
     "piezoid.design": design_from_json,
     "piezoid.params": parameter_file.from_json,
     "piezoid.verification": verification_from_json,
+    "piezoid.learning": learned_from_json,
 }
 
 
 def save(record: Sealed | Sequence[Diagnosis], path: Place) -> None:
     """Write a record into its sealed file; ``load`` reads it back, number for number.
 
-    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification
+    record  an ActuatorModel, a Diagnosis or several, a Design, a ParameterFile, a Verification,
+            a Learned
 
     >>> piezoid.save(design, "design.json")
     >>> type(piezoid.load("design.json")).__name__
@@ -81,7 +92,7 @@ def sealed(record: object) -> bytes:
         return write_model(record)
     if isinstance(record, Diagnosis):
         return write_diagnosis(record)
-    if isinstance(record, Design | Verification):
+    if isinstance(record, Design | Verification | Learned):
         return record.to_json()
     if isinstance(record, ParameterFile):
         return parameter_file.to_json(record)
@@ -90,7 +101,8 @@ def sealed(record: object) -> bytes:
         return write_diagnosis(several[0], others=several[1:])
     raise ParameterFileError(
         f"{type(record).__name__} has no sealed file",
-        needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile or a Verification",
+        needed="an ActuatorModel, a Diagnosis, a Design, a ParameterFile, a Verification or a "
+        "Learned",
         remedy="Save what a Shipping holds: its parameters and its verification.",
     )
 

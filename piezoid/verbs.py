@@ -16,7 +16,7 @@ from piezoid.calibration import calibrate as whole_way
 from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.controllers import shipped
 from piezoid.design.design import Design
-from piezoid.design.stage import Asked, design_stage
+from piezoid.design.stage import Asked, controller_rate_Hz, design_stage
 from piezoid.diagnosis import diagnose as engine
 from piezoid.diagnosis import experiment
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -29,6 +29,7 @@ from piezoid.identification import fit as identification
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
+from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.one_thread import on_one_thread
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect
@@ -38,10 +39,11 @@ from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, digest_of, path_of
 from piezoid.verification.closed_loop import LoopRecord
-from piezoid.verification.follow import Controller, follow, parameters_of
+from piezoid.verification.follow import Controller, follow, own_parameters, parameters_of
 from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.plant import lateral_plant
 from piezoid.verification.shipping import Shipping
-from piezoid.verification.stage import verify_stage
+from piezoid.verification.stage import plant_of, verify_stage
 from piezoid.verification.verification import Verification
 
 Recordings = Recording | Collection | Iterable[Recording]
@@ -294,6 +296,73 @@ def simulate_loop(
 ) -> LoopRecord:
     """Run one axis under its compiled controller, as ``ActuatorModel.simulate_loop``."""
     return follow(model, controller, reference_m, axis=axis, lab=_lab(lab), seed=seed)
+
+
+@on_one_thread
+def learn(
+    model: ActuatorModel,
+    reference_m: ArrayLike,
+    *,
+    controller: Controller | None = None,
+    axis: str | None = None,
+    lab: Lab | Place | None = None,
+    before: Learned | None = None,
+    period: Recording | None = None,
+    sampling_rate_Hz: float | None = None,
+    gain: float = 1.0,
+) -> Learned:
+    """Learn the drive of a periodic motion: from the model first, then from each recorded period.
+
+        f <- f + Q L E,   max |1 - Q L G| + rho max |Q L G| < 1 on every plant of the family
+
+    E is the error of the recorded period, G what a volt of the table moves, rho half the width of
+    the hysteresis' slope sector over its middle [Norrlof & Gunnarsson 2002].
+
+    reference_m       (points,)  one period, m, at the controller's rate
+    controller        the table goes on top of it; None: the table is all of the voltage
+    before, period    the table that was played, and what was recorded then, point 0 first
+    sampling_rate_Hz  without a controller; default: what lab.toml said at the fit
+    gain              of learning, over the best for the worst plant
+
+    Raises ``DesignError`` for a learning filter that does not contract, ``ParameterFileError``
+    for a reference beyond range or slew, ``RecordingError`` for a recording that is not the
+    period, of another rate, or with a changed reference.
+
+    >>> turns = 2 * np.pi * np.arange(2000) / 2000
+    >>> table = piezoid.learn(model, model["x"].zero_m + 2e-6 * np.sin(turns), controller=design)
+    >>> table.closed_loop, table.contraction < 1.0
+    (True, True)
+    """
+    declared = _lab(lab)
+    own = None if controller is None else own_parameters(controller, model, declared, axis)
+    known = model[axis or (next(iter(model.axes)) if own is None else own.axis)]
+    sources = {"model": digest_of(model)}
+    if own is None:
+        asked_Hz = controller_rate_Hz(model, sampling_rate_Hz)
+        plant = lateral_plant(known, sampling_rate_Hz=asked_Hz)
+    else:
+        plant = plant_of(own, model, declared or Lab())
+    if (before is None) != (period is None):
+        raise RecordingError(
+            f"{'no table' if before is None else 'no recording'} is given",
+            needed="a recorded period and the table that was played then",
+            remedy="Pass both, or neither for the first table.",
+        )
+    if before is None or period is None:
+        return first_table(known, plant, reference_m, parameters=own, gain=gain, sources=sources)
+    refuse_changed(before, reference_m)
+    if before.sources != sources or before.closed_loop != (own is not None):
+        raise ParameterFileError(
+            f"axis {known.axis}: the table was learnt "
+            + (
+                "of another model"
+                if before.sources != sources
+                else f"{'with' if before.closed_loop else 'without'} a controller"
+            ),
+            needed="model and loop of the table that was played",
+            remedy="Pass those, or begin anew without a recorded period.",
+        )
+    return next_table(before, known, plant, period, parameters=own)
 
 
 def report(

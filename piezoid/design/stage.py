@@ -200,7 +200,7 @@ def _lateral_task(
             needed="an axis whose hysteresis is known",
             remedy="Read in the report why it does not apply, and record again.",
         )
-    task = lateral_task(axis, _rate_Hz(model, rate_Hz), forms=forms)
+    task = lateral_task(axis, controller_rate_Hz(model, rate_Hz), forms=forms)
     specification = _between_converters(name, task.specification, lab)
     return _Task(
         design=partial(_lateral, name, task),
@@ -258,7 +258,8 @@ def _nothing(model: ActuatorModel) -> DesignError:
     )
 
 
-def _rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
+def controller_rate_Hz(model: ActuatorModel, asked_Hz: float | None) -> float:
+    """Return the rate that is asked for, else what lab.toml said at the fit, or refuse."""
     rate_Hz = model.controller_rate_Hz if asked_Hz is None else asked_Hz
     if rate_Hz is None:
         raise DesignError(

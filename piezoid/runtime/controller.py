@@ -114,9 +114,17 @@ class Controller:
         """Let what latched go on with the next step: an operator has looked."""
         self.library.code.pz_reset(ctypes.addressof(self._state))
 
-    def step(self, reference: float, measured: float) -> float:
-        """Return the voltage for one sample; reference and measured in m (Z: A)."""
-        return float(self.library.code.pz_step(*self._addresses, reference, measured))
+    def step(self, reference: float, measured: float, feedforward_V: float | None = None) -> float:
+        """Return the voltage for one sample; reference and measured in m (Z: A).
+
+        feedforward_V  of a table, on top; None steps without one
+        """
+        code = self.library.code
+        if feedforward_V is None:
+            return float(code.pz_step(*self._addresses, reference, measured))
+        return float(
+            code.pz_step_feedforward(*self._addresses, reference, measured, feedforward_V)
+        )
 
     def run(self, reference: Array, measured: Array) -> Run:
         """Step through arrays whose measurement does not depend on the output.

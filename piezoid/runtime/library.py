@@ -128,6 +128,7 @@ def _declare(code: ctypes.CDLL, real: Any) -> None:
         "pz_schedule": (None, (pointer, pointer, real)),
         "pz_reset": (None, (pointer,)),
         "pz_step": (real, (pointer, pointer, real, real)),
+        "pz_step_feedforward": (real, (pointer, pointer, real, real, real)),
         "pz_log": (real, (real,)),
         "pz_run_many": (None, (pointer, pointer, size, *[pointer] * 4)),
     }

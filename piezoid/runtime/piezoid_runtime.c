@@ -888,8 +888,17 @@ static int leaves_hold(pz_state *s, const pz_parameters *p, pz_real measured) {
     return 1;
 }
 
-static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
-                         pz_real measured) {
+/* The voltage with a table's value on top. No table: the bits of `volts`, a negative zero too. */
+static pz_real with_feedforward(pz_state *s, pz_real volts, pz_real feedforward_V) {
+    if (!is_finite(feedforward_V)) {
+        s->status |= PZ_STATUS_BAD_REFERENCE;
+        return volts;
+    }
+    return magnitude(feedforward_V) > ZERO ? volts + feedforward_V : volts;
+}
+
+static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference, pz_real measured,
+                         pz_real feedforward_V) {
     if (s->mode == LATCHED && !leaves_hold(s, p, measured)) {
         return;
     }
@@ -908,7 +917,8 @@ static void step_lateral(pz_state *s, const pz_parameters *p, pz_real reference,
     }
     command = filter(p->command_section, p->command_section_count, s->command_filter, command);
     const pz_real crept = creep(p, s);
-    const pz_real volts = static_voltage(p, s, command - crept);
+    const pz_real volts =
+        with_feedforward(s, static_voltage(p, s, command - crept), feedforward_V);
     if (!is_finite(volts) || !is_finite(command)) {
         restart_lateral(s, p);
         return;
@@ -1146,8 +1156,8 @@ static pz_real idle_voltage(const pz_parameters *p) {
     return usable ? clamp(ZERO, p->voltage_minimum_V, p->voltage_maximum_V) : ZERO;
 }
 
-pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
-                pz_real measured) {
+pz_real pz_step_feedforward(pz_state *state, const pz_parameters *parameters, pz_real reference,
+                            pz_real measured, pz_real feedforward_V) {
     if (state->ready != READY) {
         state->status = PZ_STATUS_NOT_STARTED;
         return idle_voltage(parameters);
@@ -1156,8 +1166,13 @@ pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real refere
     if (parameters->method == PZ_METHOD_RST) {
         step_rst(state, parameters, reference, measured);
     } else {
-        step_lateral(state, parameters, reference, measured);
+        step_lateral(state, parameters, reference, measured, feedforward_V);
     }
     state->status_ever |= state->status;
     return state->voltage_V;
+}
+
+pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
+                pz_real measured) {
+    return pz_step_feedforward(state, parameters, reference, measured, ZERO);
 }

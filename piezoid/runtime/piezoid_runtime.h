@@ -6,6 +6,7 @@
  *     nu = y - C x,   x = x + L nu,   d = d + L_d nu                 correct      (observer)
  *     v  = N r - K x - d                                             feedback     [V, linearised]
  *     u  = Gamma^-1[a v - creep]      or  (a v - creep) / a          inverse      [V]
+ *     u  = u + f                                                     feedforward, where given
  *     u_a = lsb round(clip(u) / lsb)                                 converter    [V]
  *     v_a = (Gamma[u_a] + creep) / a  or  u_a + creep / a            really applied, linearised
  *     x = A x + B (v_a + d)                                          predict      (observer)
@@ -362,6 +363,13 @@ void pz_reset(pz_state *state);
  * except early exits. */
 pz_real pz_step(pz_state *state, const pz_parameters *parameters, pz_real reference,
                 pz_real measured);
+
+/* The same with a table's value on top, for periodic motion: added to the voltage behind the
+ * inverse and before the limits, so that memory and observer know what is really applied.
+ *   feedforward_V  V  of this point of the period; 0 is pz_step, bit for bit. Not finite: counts
+ *                     as 0, and the status says BAD_REFERENCE. Z: not used */
+pz_real pz_step_feedforward(pz_state *state, const pz_parameters *parameters, pz_real reference,
+                            pz_real measured, pz_real feedforward_V);
 
 /* Natural logarithm of a positive number in [2^-120, 2^120], without the mathematical library.
  * Error below 1 unit in the last place of max(|ln x|, 1/2). */

@@ -19,9 +19,10 @@ _STEP = ctypes.CFUNCTYPE(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxRecord:
-    """What happened, (samples,) each: m in front of the sensor, and V."""
+    """What happened, (samples,) each: m in front of the sensor and as read, and V."""
 
     position_m: Array
+    measured_m: Array
     voltage_V: Array
 
 
@@ -60,4 +61,8 @@ def run_box(
     for name, array in arrays.items():
         setattr(run, name, kept.address(array))
     loop_library().pl_loop(ctypes.addressof(begun), ctypes.addressof(run))
-    return BoxRecord(position_m=arrays["position"], voltage_V=arrays["voltage_V"])
+    return BoxRecord(
+        position_m=arrays["position"],
+        measured_m=arrays["measured"],
+        voltage_V=arrays["voltage_V"],
+    )

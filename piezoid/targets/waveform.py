@@ -112,7 +112,7 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
     ]
     made = [waveform_of(exported, axis) for axis in exported.lateral]
     for axis, one in zip(exported.lateral, made, strict=True):
-        files[f"{one.axis}.csv"] = _csv(one).encode()
+        files[f"{one.axis}.csv"] = waveform_csv(one).encode()
         if one.code is None:
             notes.append(f"waveform/{one.axis}_int16.bin is not written: {_NO_RANGE}")
         else:
@@ -164,7 +164,7 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
     q = unit_circle(harmonic_Hz, plant.sampling_rate_Hz)
     response = polynomial_response(nominal.B_position, q) / polynomial_response(nominal.A, q)
     response[np.abs(response) < _BAND * abs(response[0])] = np.inf
-    voltage_V = _inverted(plant, wanted_m)
+    voltage_V = inverted_V(plant, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
         position_m = _last_period(quiet, voltage_V, hold)
@@ -178,11 +178,17 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
     if range_V is None:
         _refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
         return table
-    step_V = (range_V[1] - range_V[0]) / 2.0**box.bits
-    allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - step_V, own_V[1]))
+    rounded = coded(table, range_V, box.bits)
+    allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - rounded.step_V, own_V[1]))
     _refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
+    return rounded
+
+
+def coded(table: Waveform, range_V: tuple[float, float], bits: int) -> Waveform:
+    """Return the table as a converter with these ends puts it out, with its codes."""
+    step_V = (range_V[1] - range_V[0]) / 2.0**bits
     middle_V = 0.5 * (range_V[0] + range_V[1])
-    code = np.asarray(np.round((voltage_V - middle_V) / step_V))
+    code = np.asarray(np.round((table.voltage_V - middle_V) / step_V))
     rounded_V = middle_V + step_V * code
     return replace(table, voltage_V=rounded_V, code=code, middle_V=middle_V, step_V=step_V)
 
@@ -272,7 +278,7 @@ def _refuse_beyond(
     )
 
 
-def _inverted(plant: AxisPlant, wanted_m: Array) -> Array:
+def inverted_V(plant: AxisPlant, wanted_m: Array) -> Array:
     """Return the voltage that makes the hysteresis alone move so, its loop closed."""
     response = plant.response
     assert isinstance(response, Hysteresis)
@@ -296,7 +302,8 @@ def _last_period(plant: AxisPlant, voltage_V: Array, hold: int) -> Array:
     return np.asarray(moved.position_m[::hold][-len(voltage_V) :])
 
 
-def _csv(one: Waveform) -> str:
+def waveform_csv(one: Waveform) -> str:
+    """Return the text of `AXIS.csv`."""
     lines = ["point,time_s,voltage_V,wanted_m" + ("" if one.code is None else ",code")]
     codes = [""] * len(one.wanted_m) if one.code is None else [f",{int(c)}" for c in one.code]
     rows = zip(one.voltage_V.tolist(), one.wanted_m.tolist(), codes, strict=True)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.design.design import Design
 from piezoid.errors import ParameterFileError
-from piezoid.export.parameter_file import ParameterFile
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.export.stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
@@ -45,6 +45,23 @@ def parameters_of(controller: Controller, model: ActuatorModel, lab: Lab | None)
     return export_stage(model, controller, design_digest=digest, lab=lab)
 
 
+def own_parameters(
+    controller: Controller, model: ActuatorModel, lab: Lab | None, axis: str | None
+) -> AxisParameters:
+    """Return what the runtime consumes for one axis; None: the only one there is.
+
+    Raises ``ParameterFileError`` for an axis without a controller.
+    """
+    file = parameters_of(controller, model, lab)
+    if axis is None and len(file.axes) > 1:
+        raise ParameterFileError(
+            f"no axis named, there are controllers of {', '.join(a.axis for a in file.axes)}",
+            needed="one axis",
+            remedy="Name it, as in axis='x'.",
+        )
+    return file.axes[0] if axis is None else file.axis(axis)
+
+
 def follow(
     model: ActuatorModel,
     controller: Controller,
@@ -66,14 +83,7 @@ def follow(
     Raises ``ParameterFileError`` for an axis without a controller. What goes wrong: a reference
     outside the range the controller keeps is limited there, which ``status`` says.
     """
-    file = parameters_of(controller, model, lab)
-    if axis is None and len(file.axes) > 1:
-        raise ParameterFileError(
-            f"no axis named, there are controllers of {', '.join(a.axis for a in file.axes)}",
-            needed="one axis",
-            remedy="Name it, as in axis='x'.",
-        )
-    own = file.axes[0] if axis is None else file.axis(axis)
+    own = own_parameters(controller, model, lab, axis)
     reference = np.asarray(reference_m, dtype=np.float64)
     if reference.ndim != 1 or not len(reference) or not np.isfinite(reference).all():
         raise ParameterFileError(

@@ -11,14 +11,14 @@ import piezoid
 VERBS = {
     *("calibrate", "design", "diagnose", "export", "fit", "fit_coupled", "load", "plan", "read"),
     *("identify_restoring_force", "place_hysteresis", "read_lab", "report", "save", "simulate"),
-    "verify",
+    *("learn", "verify"),
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),
     *("Comparison", "CoupledStage", "Design", "Diagnosis", "Finding", "HysteresisPlacement"),
     *("Lab", "LoopDesign", "LoopRecord", "ParameterFile", "PeriodicData", "PiezoidError", "Plan"),
     *("Quantity", "Recording", "RestoringForceModel", "Shipping", "Verification"),
-    "VirtualStage",
+    *("Learned", "VirtualStage"),
 }
 
 

@@ -1,0 +1,1 @@
+"""Feedforward for periodic motion: computed from the model, refined from recorded periods."""

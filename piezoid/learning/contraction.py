@@ -1,0 +1,225 @@
+"""The learning filter of periodic motion, and by how much a period must shrink the error.
+
+    f <- f + Q L E,   E <- (1 - Q L G (1 + D)) E,   |D| <= rho
+
+G is what a volt of the table moves, harmonic by harmonic, on each plant of the identified family;
+rho the half width of the hysteresis' slope sector over its middle. Contraction is the condition of
+[Norrlof & Gunnarsson 2002], (14), on every member, with the sector beside it:
+
+    max_h |1 - Q L G| + rho max_h |Q L G| < 1        over learnt harmonics h, for every member
+
+Harmonics of a hysteresis mix, hence one maximum for each term. What stands beside that: a play
+that rests repeats what it met before, so a sector bounds it branch by branch, not in all norms.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from piezoid.design.from_model import lateral_task, unseen
+from piezoid.design.plant import Plant
+from piezoid.errors import DesignError
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
+from piezoid.readable import told
+from piezoid.runtime.schema import METHODS
+from piezoid.runtime.values import Values
+
+_SHARES = np.linspace(0.05, 1.0, 20)  # of the nominal inverse, among which L is chosen
+_MOST_LEFT = 0.95  # of the error by a period: less is no progress worth a recording
+_LIMITS = np.arange(_MOST_LEFT, 0.0, -0.05)  # of a harmonic's own contraction
+# Where the plant answers with less than this of its gain, the table would grow to no avail; the
+# waveform target found 0.1 on a plant with a mode at 630 Hz.
+_ANSWERS = 0.1
+_OF_MODEL = 0.8  # of the nominal inverse: less than 1, a slope may be above the middle one
+_AT_REST = 1e-12  # of z - 1: an integrator has no response at rest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LearningFilter:
+    """What turns a period's error into the next table's change.
+
+    harmonic_Hz  (harmonics,)
+    L_V_per_m    (harmonics,)  complex, 0 where nothing is learnt
+    model_V_per_m  (harmonics,)  likewise for the nominal plant alone, wherever it answers
+    sensed       (harmonics,)  complex, reading over position of the nominal plant
+    learns       (harmonics,)  Q, which is 0 or 1
+    contraction  at most this share of the error is left by a period, at full gain
+    sector       rho
+    worst        the member of the family that shrinks it least
+    """
+
+    harmonic_Hz: Array
+    L_V_per_m: Response
+    model_V_per_m: Response
+    sensed: Response
+    learns: NDArray[np.bool_]
+    contraction: float
+    sector: float
+    worst: str
+
+    def share_learnt(self, wanted_m: Array) -> float:
+        """Return how much of a motion's power, its mean aside, lies in learnt harmonics."""
+        power = np.abs(np.fft.rfft(wanted_m - wanted_m.mean())) ** 2
+        return float(power[self.learns].sum() / max(power.sum(), np.finfo(float).tiny))
+
+    @property
+    def learns_to_Hz(self) -> float:
+        """The highest harmonic that is learnt."""
+        return float(self.harmonic_Hz[self.learns].max())
+
+
+def learning_filter(
+    model: AxisModel,
+    values: Values | None,
+    *,
+    points: int,
+    sampling_rate_Hz: float,
+    gain: float = 1.0,
+) -> LearningFilter:
+    """Return the filter that contracts on every plant of the family, with the widest band.
+
+    values  of the controller that closes the loop; None: the table drives the plant alone
+    points  of a period
+    gain    times the L that is best for the worst member
+
+    The mean is not learnt: a loop's integrator holds it, and without a loop it drifts.
+
+    Raises ``DesignError`` where the first harmonic does not contract, with what a period leaves.
+    """
+    task = lateral_task(model, sampling_rate_Hz)
+    form = (
+        "affine" if values is not None and METHODS[int(values["method"])] == "dob" else "inverse"
+    )
+    members, sector = task.families[form].members, task.bounds["affine"].increment_gain
+    harmonic_Hz = sampling_rate_Hz / points * np.arange(points // 2 + 1, dtype=np.float64)
+    q = unit_circle(harmonic_Hz, sampling_rate_Hz)
+    responses = np.stack([table_response(one, values, q) for one in members])
+    nominal = members[0]
+    sensed = polynomial_response(nominal.B, q) / polynomial_response(nominal.B_position, q)
+    known_Hz = unseen(model).from_Hz
+    answers = np.abs(responses[0]) >= _ANSWERS * abs(nominal.gain)
+    answers &= (harmonic_Hz > 0.0) & (harmonic_Hz < 0.5 * sampling_rate_Hz)
+    usable = answers & (harmonic_Hz <= known_Hz)
+    of_model = np.zeros(len(q), dtype=complex)
+    of_model[answers] = _OF_MODEL / responses[0][answers]
+    relative = responses / np.where(responses[0] == 0.0, 1.0, responses[0])
+    share, left = _best_shares(relative, sector)
+    applied = gain * share * relative
+    left = (np.abs(1.0 - applied) + sector * np.abs(applied)).max(axis=0) if gain != 1.0 else left
+    learns = max(
+        (_widest(applied, sector, usable & (left <= limit)) for limit in _LIMITS),
+        key=np.count_nonzero,
+    )
+    if learns[1]:
+        each = _contractions(applied[:, learns], sector)
+        L = np.zeros(len(q), dtype=complex)
+        L[learns] = gain * share[learns] / responses[0][learns]
+        return LearningFilter(
+            harmonic_Hz=harmonic_Hz,
+            L_V_per_m=L,
+            model_V_per_m=of_model,
+            sensed=sensed,
+            learns=learns,
+            contraction=float(each.max()),
+            sector=sector,
+            worst=members[int(np.argmax(each))].label,
+        )
+    raise _no_contraction(model.axis, applied, sector, harmonic_Hz, known_Hz, members, gain)
+
+
+def table_response(member: Plant, values: Values | None, q: Response) -> Response:
+    """Return what a volt of the table moves at each harmonic, m: the whole loop as it ships.
+
+    The runtime's own equations in phasors; its observer knows what the table applied, so that
+    only the difference between plant and observer is fed back.
+
+        (z - 1) d = L_d nu,   z x = A (x + L nu) + B (u + d + L_d nu),   nu = P u - C x
+        u = 1 - F (K (x + L nu) + d + L_d nu)
+
+    F: the sections on the command, L_d in the code: slow. Without an observer u = 1.
+    """
+    A = polynomial_response(member.A, q)
+    position = polynomial_response(member.B_position, q) / A
+    if values is None or METHODS[int(values["method"])] not in ("dob", "mpi_dob"):
+        return np.asarray(position)
+    polarity, n = float(values["polarity"]), int(values["observer_order"])
+    P, z = polarity * polynomial_response(member.B, q) / A, 1.0 / q
+    moves, driven = values["observer_A"][:n, :n], values["observer_B"][:n]
+    C, L = values["observer_C"][:n], values["observer_L"][:n]
+    K, slow = values["feedback_K_V"][:n], float(values["observer_disturbance_L_V_per_m"])
+    command = np.ones(len(q), dtype=complex)
+    for b0, b1, b2, a1, a2 in values["command_section"][: int(values["command_section_count"])]:
+        command *= (b0 + b1 * q + b2 * q**2) / (1.0 + a1 * q + a2 * q**2)
+    correct = np.eye(n) - np.outer(L, C)  # of x by its own part of nu
+    rows = np.zeros((len(q), n + 2, n + 2), dtype=complex)  # of x, d, u
+    rows[:, :n, :n] = z[:, None, None] * np.eye(n) - moves @ correct + slow * np.outer(driven, C)
+    rows[:, :n, n] = -driven
+    rows[:, :n, n + 1] = -driven - P[:, None] * (moves @ L + slow * driven)
+    rows[:, n, :n], rows[:, n, n], rows[:, n, n + 1] = slow * C, z - 1.0, -slow * P
+    rows[np.abs(z - 1.0) < _AT_REST, n, n] = _AT_REST
+    rows[:, n + 1, :n] = command[:, None] * (K @ correct - slow * C)
+    rows[:, n + 1, n] = command
+    rows[:, n + 1, n + 1] = 1.0 + command * P * (float(K @ L) + slow)
+    one = np.zeros((len(q), n + 2, 1), dtype=complex)
+    one[:, n + 1] = 1.0
+    return np.asarray(position * np.linalg.solve(rows, one)[:, n + 1, 0])
+
+
+def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
+    """Return the share of the nominal inverse that leaves least, and what it leaves."""
+    tried = np.stack(
+        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _SHARES]
+    )
+    best = np.argmin(tried, axis=0)
+    return _SHARES[best], np.asarray(tried.min(axis=0))
+
+
+def _contractions(applied: Response, sector: float) -> Array:
+    """Return what a period leaves on each member, over these harmonics together."""
+    left, driven = np.abs(1.0 - applied).max(axis=1), np.abs(applied).max(axis=1)
+    return np.asarray(left + sector * driven)
+
+
+def _widest(applied: Response, sector: float, wanted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the lowest of the wanted harmonics, as many as contract together."""
+    place = np.flatnonzero(wanted)
+    left = np.maximum.accumulate(np.abs(1.0 - applied[:, place]), axis=1)
+    driven = np.maximum.accumulate(np.abs(applied[:, place]), axis=1)
+    together = (left + sector * driven).max(axis=0)
+    learns = np.zeros_like(wanted)
+    learns[place[together <= _MOST_LEFT]] = True
+    return learns
+
+
+def _no_contraction(
+    axis: str,
+    applied: Response,
+    sector: float,
+    harmonic_Hz: Array,
+    known_Hz: float,
+    members: Sequence[Plant],
+    gain: float,
+) -> DesignError:
+    first_Hz = float(harmonic_Hz[1])
+    if first_Hz > known_Hz:
+        return DesignError(
+            f"axis {axis}: a period of {told(first_Hz, 'Hz')}, and the recordings show the "
+            f"response up to {told(known_Hz, 'Hz')} only",
+            needed="a response that is known where something is to be learnt from it",
+            remedy="Record a chirp or multisine beyond it and fit again, or move slower.",
+        )
+    each = np.abs(1.0 - applied[:, 1]) + sector * np.abs(applied[:, 1])
+    worst = int(np.argmax(each))
+    return DesignError(
+        f"axis {axis}: a learning filter that does not contract: at {told(first_Hz, 'Hz')} and a "
+        f"learning gain of {gain:g}, a period may leave {each[worst]:.3g} of the error on the "
+        f"plant '{members[worst].label}', {sector * abs(applied[worst, 1]):.3g} of it by the "
+        "slope sector of the hysteresis",
+        needed=f"at most {_MOST_LEFT:g} on every plant that the recordings allow",
+        remedy="Lower the learning gain, record more so that the family is narrower, or scan "
+        "slower.",
+    )

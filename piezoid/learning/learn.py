@@ -1,0 +1,311 @@
+"""learn: the table of a periodic motion, from the model first, then from each recorded period."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from piezoid.errors import DesignError, ParameterFileError, RecordingError
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.identification.model import AxisModel
+from piezoid.learning.contraction import LearningFilter, learning_filter
+from piezoid.learning.period import learning_shares, mean_period
+from piezoid.learning.playing import LIMITED, play
+from piezoid.numerics.arrays import Array, freeze
+from piezoid.provenance import seal
+from piezoid.readable import told
+from piezoid.record_json import read_sealed, to_json
+from piezoid.records.recording import Recording
+from piezoid.runtime.controller import Status
+from piezoid.targets.waveform import inverted_V
+from piezoid.verification.plant import AxisPlant
+
+SCHEMA = "piezoid.learning/1"
+_FEWEST = 16  # points of a period
+_ROUNDS = 8  # on the model; more changed nothing, see the waveform target
+_LEARNABLE = 0.9  # of the power of a motion
+_SAME_m = 1e-12  # two references are one where no point differs by more
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Learned:
+    """The table of one axis, and what is known of it.
+
+    axis              its name
+    closed_loop       whether it goes on top of the controller, or is all of the voltage
+    sampling_rate_Hz  at which points follow each other
+    wanted_m          (points,)  the period, m
+    table_V           (points,)  V
+    contraction       a period leaves at most this share of the error, at full gain, on every
+                      plant that the recordings allow
+    worst_plant       the one that leaves so much
+    sector            of the hysteresis, half its width over its middle; part of contraction
+    learns_to_Hz      highest harmonic that is learnt
+    model_error_m     rms on the identified plant, what the first table leaves there
+    errors_m          rms of the recorded periods, oldest first, each with the table of then
+    noise_m           rms of the sensor's noise in the mean of the last recording's periods
+    gain              of learning, over the best for the worst plant
+    sources           digests of model and parameters
+    """
+
+    axis: str
+    closed_loop: bool
+    sampling_rate_Hz: float
+    wanted_m: Array
+    table_V: Array
+    contraction: float
+    worst_plant: str
+    sector: float
+    learns_to_Hz: float
+    model_error_m: float
+    errors_m: tuple[float, ...] = ()
+    noise_m: float | None = None
+    gain: float = 1.0
+    sources: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        freeze(self, "wanted_m", "table_V")
+        if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _FEWEST:
+            raise ValueError(
+                f"{len(self.wanted_m)} points wanted, {len(self.table_V)} in the table; expected "
+                f"as many of each, at least {_FEWEST}"
+            )
+        if not self.sampling_rate_Hz > 0.0 or not self.contraction < 1.0:
+            raise ValueError(
+                f"rate {self.sampling_rate_Hz} Hz, contraction {self.contraction}; expected > 0 "
+                "and < 1"
+            )
+
+    @property
+    def frequency_Hz(self) -> float:
+        """Periods a second."""
+        return self.sampling_rate_Hz / len(self.wanted_m)
+
+    def to_json(self) -> bytes:
+        """Return ``learning.json``, sealed."""
+        return seal(SCHEMA, to_json(self))
+
+
+def learned_from_json(content: bytes, place: str) -> Learned:
+    """Read ``learning.json`` back, or refuse it."""
+    return read_sealed(
+        Learned, content, SCHEMA, place, remedy="Learn again from the reference and the periods."
+    )
+
+
+def first_table(
+    model: AxisModel,
+    plant: AxisPlant,
+    reference_m: ArrayLike,
+    *,
+    parameters: AxisParameters | None,
+    gain: float = 1.0,
+    sources: Mapping[str, str] | None = None,
+) -> Learned:
+    """Compute the periodic drive that has converged on the identified plant.
+
+    parameters  of the controller it goes on top of; None: it is all of the voltage
+
+    Raises ``ParameterFileError`` for a reference that the axis cannot follow, ``DesignError``
+    where learning would not contract.
+    """
+    values = None if parameters is None else parameters.values
+    wanted_m = _checked(reference_m, plant, parameters, model)
+    found = learning_filter(
+        model,
+        values,
+        points=len(wanted_m),
+        sampling_rate_Hz=plant.sampling_rate_Hz,
+        gain=gain,
+    )
+    _refuse_untouched(model.axis, found, wanted_m)
+    quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
+    rng = np.random.default_rng(0)
+    table_V = inverted_V(quiet, wanted_m) if values is None else np.zeros(len(wanted_m))
+    best_V, least_m = table_V, np.inf
+    for _ in range(_ROUNDS):
+        moved = play(quiet, wanted_m, table_V, values=values, rng=rng)
+        _refuse_limited(model, moved.voltage_V, moved.status)
+        error_m = _without_mean(wanted_m - moved.position_m[0], closed=values is not None)
+        rms_m = float(np.sqrt(np.mean(error_m**2)))
+        if rms_m < least_m:
+            best_V, least_m = table_V, rms_m
+        change = np.fft.rfft(error_m) * found.model_V_per_m
+        table_V = table_V + np.fft.irfft(change, len(wanted_m))
+    return Learned(
+        axis=model.axis,
+        closed_loop=values is not None,
+        sampling_rate_Hz=plant.sampling_rate_Hz,
+        wanted_m=wanted_m,
+        table_V=best_V,
+        contraction=found.contraction,
+        worst_plant=found.worst,
+        sector=found.sector,
+        learns_to_Hz=found.learns_to_Hz,
+        model_error_m=least_m,
+        gain=gain,
+        sources=dict(sources or {}),
+    )
+
+
+def next_table(
+    before: Learned,
+    model: AxisModel,
+    plant: AxisPlant,
+    period: Recording,
+    *,
+    parameters: AxisParameters | None,
+) -> Learned:
+    """Refine a table by what was recorded while it was played.
+
+    period  one period or more of the settled motion, the first row at point 0
+
+    Raises ``RecordingError`` for what is no period of this motion, ``ParameterFileError`` where
+    the next table would leave the axis' limits.
+    """
+    found = learning_filter(
+        model,
+        None if parameters is None else parameters.values,
+        points=len(before.wanted_m),
+        sampling_rate_Hz=before.sampling_rate_Hz,
+        gain=before.gain,
+    )
+    wanted = np.fft.rfft(before.wanted_m)
+    sensed = np.where(found.learns | (wanted == 0.0), found.sensed, 1.0)
+    read = mean_period(
+        period,
+        before.axis,
+        np.fft.irfft(wanted * sensed, len(before.wanted_m)),
+        sampling_rate_Hz=before.sampling_rate_Hz,
+        noise_rms_m=plant.noise_rms,
+    )
+    error = wanted - np.fft.rfft(read.measured_m) / sensed
+    error_m = _without_mean(np.fft.irfft(error, len(before.wanted_m)), closed=before.closed_loop)
+    share = learning_shares(error, len(before.wanted_m), read.noise_rms_m)
+    table_V = before.table_V + np.fft.irfft(share * found.L_V_per_m * error, len(before.wanted_m))
+    after = replace(
+        before,
+        table_V=table_V,
+        errors_m=(*before.errors_m, float(np.sqrt(np.mean(error_m**2)))),
+        noise_m=read.noise_rms_m,
+    )
+    quiet = replace(plant, noise_rms=0.0, hums=(), reading_step=0.0)
+    values = None if parameters is None else parameters.values
+    moved = play(quiet, after.wanted_m, table_V, values=values, rng=np.random.default_rng(0))
+    _refuse_limited(model, moved.voltage_V, moved.status)
+    return after
+
+
+def refuse_changed(before: Learned, reference_m: ArrayLike) -> None:
+    """Refuse another reference than that of the table, with where it differs most."""
+    wanted_m = np.asarray(reference_m, dtype=np.float64)
+    if wanted_m.shape != before.wanted_m.shape:
+        raise RecordingError(
+            f"axis {before.axis}: a reference of {wanted_m.size} points, and the table is of "
+            f"{len(before.wanted_m)}",
+            needed="the reference that the table was learnt for",
+            remedy="Begin anew without --table, or pass the reference of before.",
+        )
+    apart_m = np.abs(wanted_m - before.wanted_m)
+    if apart_m.max() > _SAME_m:
+        raise RecordingError(
+            f"axis {before.axis}: the reference differs from the table's by up to "
+            f"{told(float(apart_m.max()), 'm')}, at point {int(np.argmax(apart_m))}",
+            needed="the reference that the table was learnt for",
+            remedy="Begin anew without --table, or pass the reference of before.",
+        )
+
+
+def _checked(
+    reference_m: ArrayLike, plant: AxisPlant, parameters: AxisParameters | None, model: AxisModel
+) -> Array:
+    """Return the period, or refuse what the axis cannot follow."""
+    wanted_m = np.asarray(reference_m, dtype=np.float64)
+    axis = model.axis
+    if wanted_m.ndim != 1 or len(wanted_m) < _FEWEST or not np.isfinite(wanted_m).all():
+        raise ParameterFileError(
+            f"axis {axis}: a reference of shape {wanted_m.shape}, "
+            f"{int(np.sum(~np.isfinite(wanted_m)))} of its numbers not finite",
+            needed=f"one period, {_FEWEST} finite numbers or more, one for each sample",
+            remedy="Pass the period in metres, at the controller's rate.",
+        )
+    low_m, high_m = (
+        _reach_m(model)
+        if parameters is None
+        else tuple(
+            float(parameters.values[f"reference_{end}_m"]) for end in ("minimum", "maximum")
+        )
+    )
+    least_m, most_m = float(wanted_m.min()), float(wanted_m.max())
+    if least_m < low_m or most_m > high_m:
+        raise ParameterFileError(
+            f"axis {axis}: the reference goes from {told(least_m, 'm')} to {told(most_m, 'm')}",
+            needed=f"all of it within {told(low_m, 'm')} to {told(high_m, 'm')}, the range of "
+            "the axis",
+            remedy="Scale or move the reference.",
+        )
+    fastest = float(np.abs(np.diff(wanted_m, append=wanted_m[0])).max())
+    fastest_m_per_s = fastest * plant.sampling_rate_Hz
+    allowed_m_per_s = (
+        np.inf
+        if plant.slew_V_per_s is None
+        else (plant.slew_V_per_s * model.hysteresis.slope_sector_m_per_V[1])
+    )
+    if parameters is not None and float(parameters.values["reference_step_m"]) > 0.0:
+        step_m = float(parameters.values["reference_step_m"])
+        allowed_m_per_s = min(allowed_m_per_s, step_m * plant.sampling_rate_Hz)
+    if fastest_m_per_s > allowed_m_per_s:
+        raise ParameterFileError(
+            f"axis {axis}: the reference moves by up to {told(fastest_m_per_s, 'm/s')}, from its "
+            "last point to its first included",
+            needed=f"at most {told(float(allowed_m_per_s), 'm/s')}, as drive and controller allow",
+            remedy="Move slower or less far, and let the period end where it begins.",
+        )
+    return wanted_m
+
+
+def _refuse_untouched(axis: str, found: LearningFilter, wanted_m: Array) -> None:
+    """Refuse a motion most of which lies where nothing can be learnt."""
+    share = found.share_learnt(wanted_m)
+    if share < _LEARNABLE:
+        raise DesignError(
+            f"axis {axis}: learning contracts up to {told(found.learns_to_Hz, 'Hz')} only, where "
+            f"{100 * share:.3g} % of the motion's power lies",
+            needed=f"at least {100 * _LEARNABLE:g} %",
+            remedy="Record a chirp or multisine so that more of the response is known and fit "
+            "again, or scan slower.",
+        )
+
+
+def _reach_m(model: AxisModel) -> tuple[float, float]:
+    """Return how far the hysteresis goes between the ends of the recorded drive."""
+    operator = model.hysteresis
+    low_V, high_V = model.voltage_V
+    moved_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())
+    ends_m = model.polarity * (moved_m[1:] - operator.displacement_offset_m)
+    ends_m = ends_m + operator.displacement_offset_m
+    return float(ends_m.min()), float(ends_m.max())
+
+
+def _refuse_limited(model: AxisModel, voltage_V: Array, status: Status) -> None:
+    """Refuse a table that leaves what drive and recordings allow."""
+    low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
+    own_V = model.voltage_V
+    limited = status & LIMITED
+    slack_V = 1e-9 * (own_V[1] - own_V[0])
+    if not limited and low_V >= own_V[0] - slack_V and high_V <= own_V[1] + slack_V:
+        return
+    met = ", ".join(one.name or "" for one in LIMITED if one in limited).lower().replace("_", " ")
+    raise ParameterFileError(
+        f"axis {model.axis}: the period takes {low_V:.4g} V to {high_V:.4g} V"
+        + (f", and the controller met its limits ({met})" if met else ""),
+        needed=f"all of it within {own_V[0]:.4g} V to {own_V[1]:.4g} V, as recorded, and within "
+        "the slew of the drive",
+        remedy="Scale the reference down, or scan slower.",
+    )
+
+
+def _without_mean(error_m: Array, *, closed: bool) -> Array:
+    """Return the error that counts: the middle of an open loop drifts, and nobody holds it."""
+    return error_m if closed else np.asarray(error_m - error_m.mean())

@@ -1,0 +1,112 @@
+"""What a recorded period says of the table that was played: its error, and the noise of that."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import RecordingError
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import Response
+from piezoid.readable import told
+from piezoid.records.recording import Recording
+
+_CLOCK = 1e-3  # by how much two clocks of one rate may differ
+# A period may miss what was wanted by this share of its size: on a stranger's stage whose third
+# harmonic met a mode a true one missed by 0.58, and readings of nothing, or in a unit a thousand
+# times too small, miss by 1. What fits twice as well elsewhere is refused from a fifth on: begun a
+# twentieth of its length late, a sine misses by 0.3.
+_MISSED, _ELSEWHERE, _BETTER = 0.9, 0.2, 0.5
+_CAREFUL = 4.0  # times the noise's power that a harmonic must show
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Period:
+    """The mean of the recorded periods.
+
+    periods      so many
+    measured_m   (points,)
+    noise_rms_m  of one reading of the mean
+    """
+
+    periods: int
+    measured_m: Array
+    noise_rms_m: float
+
+
+def mean_period(
+    recording: Recording,
+    axis: str,
+    expected_m: Array,
+    *,
+    sampling_rate_Hz: float,
+    noise_rms_m: float,
+) -> Period:
+    """Return the mean of the whole periods in a recording, its first row being point 0.
+
+    expected_m   (points,)  what the sensor shows where the stage moves as wanted
+    noise_rms_m  of one reading, where there is one period only; several show it themselves
+
+    Raises ``RecordingError`` for another rate, for less than a period, and for what is no period
+    of this motion: with how far it misses, and from which row on it would fit better.
+    """
+    points, rate_Hz = len(expected_m), recording.sampling_rate_Hz
+    if abs(rate_Hz / sampling_rate_Hz - 1.0) > _CLOCK:
+        raise RecordingError(
+            f"{recording.name}: it was recorded at {told(rate_Hz, 'Hz', 6)}, and the table is "
+            f"played at {told(sampling_rate_Hz, 'Hz', 6)}",
+            needed="one reading for each point of the table",
+            remedy="Record at the rate of the controller.",
+        )
+    read_m = recording.displacement_m(axis)
+    periods = len(read_m) // points
+    if periods == 0:
+        raise RecordingError(
+            f"{recording.name}: {len(read_m)} samples, and a period has {points}",
+            needed="one whole period or more, from point 0 of the table on",
+            remedy="Record longer.",
+        )
+    each_m = read_m[: periods * points].reshape(periods, points)
+    measured_m = each_m.mean(axis=0)
+    _refuse_another(recording.name, measured_m, expected_m)
+    if periods > 1:
+        noise_rms_m = float(np.sqrt(np.mean(np.var(each_m, axis=0, ddof=1))))
+    return Period(
+        periods=periods,
+        measured_m=np.asarray(measured_m),
+        noise_rms_m=noise_rms_m / float(np.sqrt(periods)),
+    )
+
+
+def _refuse_another(name: str, measured_m: Array, expected_m: Array) -> None:
+    moved_m, asked_m = measured_m - measured_m.mean(), expected_m - expected_m.mean()
+    size_m = float(np.std(expected_m))
+    missed_m = float(np.std(measured_m - expected_m))
+    together = np.fft.irfft(np.fft.rfft(moved_m) * np.conj(np.fft.rfft(asked_m)), len(moved_m))
+    shift = int(np.argmax(together))
+    fits_m = float(np.std(np.roll(measured_m, -shift) - expected_m))
+    elsewhere = missed_m > _ELSEWHERE * size_m and fits_m < _BETTER * missed_m
+    if missed_m <= _MISSED * size_m and not elsewhere:
+        return
+    raise RecordingError(
+        f"{name}: it misses the period by {told(missed_m, 'm')} rms, and the motion itself has "
+        f"{told(size_m, 'm')}; begun at its row {shift} it would miss by {told(fits_m, 'm')}",
+        needed=f"the period of this table, missed by less than {told(_MISSED * size_m, 'm')}, its "
+        "first row at point 0",
+        remedy="Start the recording with point 0, or check reference, unit and axis.",
+    )
+
+
+def learning_shares(error: Response, points: int, noise_rms_m: float) -> Array:
+    """Return the share of each harmonic of the error that is to be learnt, 0 to 1.
+
+        gamma_h = max(0, 1 - 4 r / |E_h|^2),   r = N s^2 = E|noise_h|^2
+
+    points       N, of a period
+    noise_rms_m  s, of the mean period. The share is a Wiener filter's with the error
+    estimated from the period itself, four times as careful: a harmonic that shows less than twice
+    its noise is left as it is, so what noise alone moves is 1.8 % of the harmonics. A constant
+    gain c would let c / (2 - c) of the noise's power into every later period
+    [Bristow, Tharayil & Alleyne 2006; Norrlof & Gunnarsson 2002].
+    """
+    power = np.maximum(np.abs(error) ** 2, np.finfo(float).tiny)
+    return np.asarray(np.maximum(1.0 - _CAREFUL * points * noise_rms_m**2 / power, 0.0))
