@@ -80,7 +80,7 @@ class FitQuality:
     held_out_kind        ``OTHER_RECORDINGS``, ``WIDEST_HALVED``, ``SECOND_HALF``, ``BLOCKS``, or
                          ``IN_SAMPLE``: then it is the residual on the data of the fit
     range_m              displacement range of the rows that counted
-    noise_rms_m          white noise of the sensor, from repeated periods or from third differences
+    noise_rms_m          of the sensor, from repeated periods or from third differences
     rows                 rows of the final search
     kkt_gap              of the convex start
     gradient             largest scaled derivative no bound holds, at the end of the search

@@ -8,14 +8,18 @@ _THIRD = float(np.sqrt(20.0))  # third differences of white noise of rms 1
 _MEDIAN = 0.6744897501960817  # median of |x| for a standard normal x
 
 
-def white_noise_rms(signal: Array) -> float:
+def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     """Return the rms of the white part of a slowly varying signal's noise.
 
     Third differences remove what is smooth; the median of their magnitude is deaf to jumps and
     to the few samples at reversals.
 
-    signal  (samples,)  any unit; fewer than 8 samples give 0
+    signal   (samples,)  any unit; fewer than 8 samples for each of spacing give 0
+    spacing  samples from one to the next of a difference
     """
-    if len(signal) < 8:
+    if len(signal) < 8 * spacing:
         return 0.0
-    return float(np.median(np.abs(np.diff(signal, 3)))) / (_MEDIAN * _THIRD)
+    third = signal
+    for _ in range(3):
+        third = third[spacing:] - third[:-spacing]
+    return float(np.median(np.abs(third))) / (_MEDIAN * _THIRD)

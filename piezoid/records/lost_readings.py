@@ -1,13 +1,15 @@
 """Lost readings: numbers that a sensor wrote where it measured nothing, found without any model.
 
-Four kinds, from the samples alone:
+Five kinds, from the samples alone:
 
 * *written*: one exact value again and again, far off both neighbours (0, -1, 9999, full scale);
 * *held*: the value before once more while the stage moves on;
+* *stuck*: one exact value for long while the drive moves on, of a sensor whose readings scatter by
+  more than its step: a cable came off, a logger hung;
 * *spike*: one or two samples far off both neighbours, further than a twentieth of the range;
 * *clipped*: the largest or smallest value again and again while the drive moves on, of a sensor
-  whose readings scatter by more than its step: at the end of its range it cannot scatter. A stage
-  that stands, at the end of its own range or its amplifier's, goes on scattering.
+  whose readings scatter: at the end of its range it cannot. A stage that stands, at the end of its
+  own range or its amplifier's, goes on scattering.
 
 What the drive did at the same instant is motion, and no fault. Smaller spikes are left to the fit
 and the diagnosis, which know the response they stand out of.
@@ -42,6 +44,7 @@ BEFORE = 4  # samples: so late may a stage follow its drive and be seen to follo
 PLACES = 5  # that are told
 MOST_CLIPPED = 0.5  # of the samples: beyond, what is left is no recording of the motion
 SCATTERS = 1e-5  # of the range: less are the digits of a number, not the noise of a sensor
+GROWS = 4.0  # from neighbours to every other sample: noise stays, of a motion it is 8
 MOVES = 0.002  # of its range: the drive of a rest scatters by less
 PASSES = 4  # neighbours that are lost themselves hide a lost one until they are out
 
@@ -50,7 +53,7 @@ PASSES = 4  # neighbours that are lost themselves hide a lost one until they are
 class Lost:
     """Readings of one channel that are none.
 
-    kind     ``written``, ``held``, ``spike`` or ``clipped``
+    kind     ``written``, ``held``, ``stuck``, ``spike`` or ``clipped``
     value    what was written, of the kind ``written``
     samples  (count,)  increasing
     """
@@ -74,7 +77,9 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
     noise = max(white_noise_rms(values), 0.5 * step_size(values))
     moved = _moved(values, drive)
     clipped = _clipped(values, drive, noise)
-    gone: Mask = clipped.copy()
+    stuck = _stuck(values, drive, noise) & ~clipped
+    standing = clipped | stuck
+    gone: Mask = standing.copy()
     found: dict[float, Mask] = {}
     for _ in range(PASSES):
         fresh = _written(values, gone, noise, moved)
@@ -91,10 +96,10 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
         spikes |= fresh_spikes
         gone |= fresh_spikes
     held = _held(values, gone, noise)
-    if (gone | held)[~clipped].mean() > MOST:
+    if (gone | held)[~standing].mean() > MOST:
         return ()
     said = [_lost("written", here, value) for value, here in sorted(found.items())]
-    kinds = {"held": held & ~clipped, "spike": spikes, "clipped": clipped}
+    kinds = {"held": held & ~standing, "stuck": stuck, "spike": spikes, "clipped": clipped}
     said += [_lost(kind, here) for kind, here in kinds.items()]
     return tuple(one for one in said if len(one.samples))
 
@@ -102,19 +107,40 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
 def _clipped(values: Array, drive: Array | None, noise: float) -> Mask:
     """Return where the sensor stands at the end of its range, and the drive does not rest."""
     none: Mask = np.zeros(len(values), dtype=bool)
-    # Where the noise is below the step, or there is none, a stage that stands reads the same.
-    if drive is None or noise <= max(step_size(values), SCATTERS * np.ptp(values)):
+    if drive is None or not _scatters(values, noise):
         return none
-    here = clipped_readings(values)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]])))
+    moves = MOVES * np.ptp(drive)
     levels = {
         float(values[begin])
-        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-        if np.ptp(drive[begin:end]) > MOVES * np.ptp(drive)
+        for begin, end in _stretches(clipped_readings(values))
+        if np.ptp(drive[begin:end]) > moves
     }
     # Around such a rest single readings stand on the same level, cut off where they scatter.
     standing = np.isin(values, list(levels))
     return standing if standing.mean() < MOST_CLIPPED else none
+
+
+def _stuck(values: Array, drive: Array | None, noise: float) -> Mask:
+    """Return where a sensor that scatters reads one value for long and the drive does not rest."""
+    stuck: Mask = np.zeros(len(values), dtype=bool)
+    if drive is None or not _scatters(values, noise):
+        return stuck
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
+    ends = (values.min(), values.max())
+    for run in np.flatnonzero(np.diff(edges) > LONGEST).tolist():
+        begin, end = int(edges[run]), int(edges[run + 1])
+        # At the end of its range without a jump it is clipped, or the stage stands there.
+        jump = abs(values[begin] - values[max(begin - 1, 0)])
+        if values[begin] not in ends or jump > SPIKE * np.ptp(values):
+            stuck[begin:end] = np.ptp(drive[begin:end]) > MOVES * np.ptp(drive)
+    return stuck if stuck.mean() < MOST_CLIPPED else np.zeros_like(stuck)
+
+
+def _scatters(values: Array, noise: float) -> bool:
+    """Tell whether readings scatter by more than a step: else one that stands reads the same."""
+    if noise <= max(step_size(values), SCATTERS * float(np.ptp(values))):
+        return False
+    return white_noise_rms(values, spacing=2) < GROWS * noise
 
 
 def bridged(values: Array, gone: Mask) -> Array:
@@ -195,11 +221,16 @@ def _written(values: Array, gone: Mask, noise: float, moved: Array) -> dict[floa
 
 def _long(here: Mask) -> Mask:
     """Return the samples of runs that may be a rest."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]])))
     long = np.zeros(len(here), dtype=bool)
-    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for begin, end in _stretches(here):
         long[begin:end] = end - begin > LONGEST
     return long
+
+
+def _stretches(here: Mask) -> list[tuple[int, int]]:
+    """Return where the stretches of a mask begin and end."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], here.astype(int), [0]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _spikes(values: Array, gone: Mask, noise: float, moved: Array) -> Mask:
@@ -331,6 +362,12 @@ def _inner(here: Mask) -> tuple[Places, Places]:
     return begins[inside], ends[inside]
 
 
+def _mask(samples: Places, count: int) -> Mask:
+    here: Mask = np.zeros(count, dtype=bool)
+    here[samples] = True
+    return here
+
+
 def _levels(column: Sensed, one: Lost) -> str:
     return " and ".join(f"{level:.6g}" for level in np.unique(column.values[one.samples]).tolist())
 
@@ -342,11 +379,17 @@ def _told(column: Sensed, one: Lost, gone: Mask, place_of: Callable[[int], str])
         if one.value is not None
         else "",
         "held": "repeats the reading before while the stage moves on",
+        "stuck": f"stands at {_levels(column, one)} {column.unit} while the drive moves on",
         "spike": "stands far off both neighbours",
         "clipped": f"is clipped at {_levels(column, one)} {column.unit} while the drive moves on",
     }[one.kind]
-    places = ", ".join(place_of(int(k)) for k in one.samples[:PLACES])
-    more = f" and {count - PLACES} more" if count > PLACES else ""
+    if one.kind == "stuck":
+        stretches = [(begin, end - 1) for begin, end in _stretches(_mask(one.samples, total))]
+        found = [f"{place_of(first)} to {place_of(last)}" for first, last in stretches]
+    else:
+        found = [place_of(int(k)) for k in one.samples]
+    places = ", ".join(found[:PLACES])
+    more = f" and {len(found) - PLACES} more" if len(found) > PLACES else ""
     away = np.abs(column.values - bridged(column.values, gone))[one.samples]
     return Problem(
         kind="saturated" if one.kind == "clipped" else "lost_readings",

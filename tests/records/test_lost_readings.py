@@ -50,6 +50,23 @@ def test_lost_readings_are_found_and_no_others(law: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("level", ["last value", "mid-range"])
+def test_a_sensor_that_hangs_in_mid_motion_is_found_whole(law: str, level: str) -> None:
+    """A cable came off for a fifth of the record, then for a shorter time: both, and no more."""
+    field, clean_um = swept_um(law)
+    reading_um, count = np.array(clean_um), len(field)
+    hung = np.zeros(count, dtype=bool)
+    for begin, share in ((0.3, 0.2), (0.7, 0.05)):
+        here = slice(int(begin * count), int((begin + share) * count))
+        reading_um[here] = reading_um[here.start] if level == "last value" else 2.0
+        hung[here] = True
+    (lost,) = lost_readings(reading_um, field)
+    assert lost.kind == "stuck"
+    assert np.count_nonzero(np.isin(np.flatnonzero(hung), lost.samples, invert=True)) == 0
+    assert len(lost.samples) == np.count_nonzero(hung)
+
+
+@pytest.mark.parametrize("law", LAWS)
 def test_healthy_readings_are_kept(law: str) -> None:
     field, reading_um = swept_um(law)
     assert lost_readings(reading_um, field) == ()

@@ -7,6 +7,7 @@ import pytest
 
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.sensor_noise import sensor_noise
+from piezoid_datasets.virtual_lab.signals import coloured_noise
 from tests.laws import LAWS, recorded, triangles
 
 NOISE_um = 0.02
@@ -47,3 +48,19 @@ def test_without_periods_what_the_model_leaves_tells_it(tmp_path: Path) -> None:
     residual = -noise_um * 1e-6 / scales.displacement_m
     found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
     assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)
+
+
+@pytest.mark.parametrize("rate_Hz", [500.0, 20e3])
+@pytest.mark.parametrize("left_um", [0.0, 0.3])
+def test_noise_that_is_not_white_is_told_whole(tmp_path: Path, rate_Hz: float, left_um) -> None:
+    """A tenth: a 1/f part slower than what the model leaves cannot be told from it."""
+    field = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3)  # never the same period twice
+    noise_um = NOISE_um * coloured_noise(12000, rate_Hz, 4e3, 0.4, np.random.default_rng(4))
+    motion_um = 10.0 * LAWS["duhem"](field)
+    recording = recorded(tmp_path, field, motion_um + noise_um)
+    scales = scales_of((recording,), "x")
+    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    left = left_um * np.sin(np.arange(12000) / 500.0)
+    residual = (left - noise_um) * 1e-6 / scales.displacement_m
+    found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
+    assert 1e6 * found_m == pytest.approx(np.std(noise_um), rel=0.1)
