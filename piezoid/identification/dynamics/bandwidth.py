@@ -17,7 +17,10 @@ Kind = Literal["first_order", "resonance", "undecided"]
 FALLEN = 1.0 / np.sqrt(2.0)
 IN_A_ROW = 3  # lines below that: one alone may be noise
 BETWEEN_DEG = -67.5  # half way from -45 (first order) to -90 (resonance)
-TURNED_DEG = -22.5  # a gain that falls without so much phase is neither
+TURNED_DEG = -22.5  # at rest a stage has turned by less
+# Where a slew limit leaves 0.707 of a sine its triangle lags by acos(0.707 pi^2 / 8) = 29 degrees,
+# a pole by 45: a gain that falls with less than half way between them is neither's.
+PHASELESS_DEG = -37.0
 CLEAR_PEAK = 1.2  # a first-order pole never rises; noise and distortion do a little
 SURE = 4.0  # standard deviations: the peak is the largest of many lines
 REST = 2.0  # the gain at rest is the median up to so many times the lowest line
@@ -205,7 +208,7 @@ def _at_the_fall(
 
 def _kind(interval_deg: tuple[float, float], is_peak: bool) -> Kind:
     low_deg, high_deg = interval_deg
-    if low_deg > TURNED_DEG:
+    if low_deg > PHASELESS_DEG:
         return "undecided"
     if is_peak or high_deg < BETWEEN_DEG:
         return "resonance"

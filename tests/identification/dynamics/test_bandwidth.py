@@ -106,3 +106,28 @@ def test_a_stated_bandwidth_no_recording_reaches_is_said_to_be_open() -> None:
     assert found.bandwidth is not None
     assert found.bandwidth.kind == "undecided"
     assert "not decidable on this data" in found.remarks[0]
+
+
+def slewed(frequency_Hz: np.ndarray, limited_from_Hz: float) -> np.ndarray:
+    """Fundamental that a slew limit leaves of sines of one amplitude, one for each frequency."""
+    steps = 400  # of a period
+    most = 2.0 * np.pi / steps * limited_from_Hz / frequency_Hz
+    output, left = np.zeros_like(frequency_Hz), np.zeros(len(frequency_Hz), dtype=complex)
+    for k in range(4 * steps):
+        turn = 2.0 * np.pi * k / steps
+        output = output + np.clip(np.sin(turn) - output, -most, most)
+        if k >= 3 * steps:  # settled
+            left += 2j / steps * output * np.exp(-1j * turn)
+    return left
+
+
+def test_a_slew_limit_is_no_pole(rng: np.random.Generator) -> None:
+    """It turns 29 degrees where a pole turns 45: by 3 dB the gain falls behind both."""
+    for delay_s in ((0.0, 0.0), (0.0, np.inf)):
+        measured = seen(rng, first_order(1e6))
+        f = measured.frequency_Hz
+        limited = replace(measured, response=measured.response * slewed(f, 300.0)[:, None, None])
+        verdict = decide_bandwidth(limited, DECLARATION, delay_s=delay_s)
+        assert verdict.kind == "undecided"
+        assert verdict.phase_interval_deg is not None
+        assert verdict.phase_interval_deg[0] == pytest.approx(-29.0, abs=3.0)
