@@ -87,7 +87,7 @@ class Learned:
 
         >>> turns = 2 * np.pi * np.arange(2000) / 2000
         >>> wanted_m = model["x"].zero_m + 1e-6 * np.sin(turns)
-        >>> table = piezoid.learn(model, wanted_m, controller=design)
+        >>> table = piezoid.learn(model, wanted_m, controller=shipping)
         >>> table.to_json()[:1]
         b'{'
         """
