@@ -329,7 +329,8 @@ def learn(
     period, of another rate, or with a changed reference.
 
     >>> turns = 2 * np.pi * np.arange(2000) / 2000
-    >>> table = piezoid.learn(model, model["x"].zero_m + 2e-6 * np.sin(turns), controller=design)
+    >>> wanted_m = model["x"].zero_m + 2e-6 * np.sin(turns)
+    >>> table = piezoid.learn(model, wanted_m, controller=shipping)
     >>> table.closed_loop, table.contraction < 1.0
     (True, True)
     """

@@ -83,7 +83,14 @@ class Learned:
         return self.sampling_rate_Hz / len(self.wanted_m)
 
     def to_json(self) -> bytes:
-        """Return ``learning.json``, sealed."""
+        """Return ``learning.json``, sealed.
+
+        >>> turns = 2 * np.pi * np.arange(2000) / 2000
+        >>> wanted_m = model["x"].zero_m + 1e-6 * np.sin(turns)
+        >>> table = piezoid.learn(model, wanted_m, controller=shipping)
+        >>> table.to_json()[:1]
+        b'{'
+        """
         return seal(SCHEMA, to_json(self))
 
 
