@@ -4,7 +4,7 @@
 
 G is what a volt of the table moves, harmonic by harmonic, on each plant of the identified family;
 rho the half width of the hysteresis' slope sector over its middle. Contraction is the condition of
-[Norrlof & Gunnarsson 2002], (14), on every member, with the sector beside it:
+[Norrlof & Gunnarsson 2002] on every member, with the sector beside it:
 
     max_h |1 - Q L G| + rho max_h |Q L G| < 1        over learnt harmonics h, for every member
 
