@@ -57,7 +57,7 @@ LATERAL: tuple[Slip, ...] = (
     ("step_lateral", "convert(s, p, volts)", "s->voltage_V = volts"),
     ("step_lateral", "!is_finite(volts) || !is_finite(command)", "s->voltage_V > volts"),
     ("idle_voltage", "clamp(ZERO, p->voltage_minimum_V, p->voltage_maximum_V)", "ZERO"),
-    ("pz_step", "return idle_voltage(parameters)", "return state->voltage_V"),
+    ("pz_step_feedforward", "return idle_voltage(parameters)", "return state->voltage_V"),
 )  # fmt: skip
 TIP: tuple[Slip, ...] = (
     ("clamp", "x > low ? x : low", "x < low ? x : low"),
@@ -107,7 +107,8 @@ TIP: tuple[Slip, ...] = (
     ("shift_in", "history[i - 1]", "history[i - 2]"),
     ("control_current", "p->rst_S_count, s->command_V - before_V",
      "p->rst_S_count, asked - before_V"),
-    ("pz_step", "return state->voltage_V", "return state->voltage_V + state->command_V"),
+    ("pz_step_feedforward", "return state->voltage_V",
+     "return state->voltage_V + state->command_V"),
 )  # fmt: skip
 
 

@@ -44,7 +44,7 @@ def test_the_tip_is_proved_and_a_limit_left_out_is_refused_with_its_place():
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("pz_real pz_step(", "pz_real pz_stop(", "no body of pz_step"),
+        ("pz_real pz_step_feedforward(", "pz_real pz_stop(", "no body of pz_step_feedforward"),
         ("    state->ready = READY;", "    while (1) {\n    }", "never reached"),
         ("#include <float.h>", "#error broken", "ended with"),
     ],
