@@ -176,17 +176,12 @@ def _guarantee(page: Page, loop: LoopDesign | None, range_m: float) -> str:
         return "none: small gain not proven"
     if page.verification is None or not page.verification.passed:
         return "none: not verified"
-    guaranteed_m = loop.certificate.guaranteed_error_m
-    if range_m < guaranteed_m < np.inf:
-        return "none of use: wider than the stroke"
-    if not np.isfinite(guaranteed_m):
+    proven = loop.certificate
+    speed_m_per_s = spiral_speed_m_per_s(TRACKED_Hz, page.verification.radius_m)
+    most_m, slow_m = proven.guaranteed_error_m, proven.guaranteed_at(speed_m_per_s)
+    if not np.isfinite(most_m):
         return "none: not bounded"
-    slow_m = loop.certificate.guaranteed_at(
-        spiral_speed_m_per_s(TRACKED_Hz, page.verification.radius_m)
-    )
-    fastest = f"{told(guaranteed_m, 'm')} at the fastest"
-    return (
-        f"{told(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {fastest}"
-        if slow_m < guaranteed_m
-        else fastest
-    )
+    if min(slow_m, most_m) > range_m:
+        return "none of use: wider than the stroke"
+    at_most = f"{told(most_m, 'm')} at most" if most_m <= range_m else "none of use at the fastest"
+    return f"{told(slow_m, 'm')} at {TRACKED_Hz:g} Hz, {at_most}" if slow_m < most_m else at_most

@@ -1,6 +1,7 @@
 """Outsiders' simulators, compiled once, and their plants under a controller."""
 
 import ctypes
+import os
 import subprocess
 from dataclasses import dataclass
 from functools import cache
@@ -16,7 +17,7 @@ from piezoid.runtime.controller import Controller
 HERE = Path(__file__).parent
 NAMES = ("birch", "alder")
 RATE_Hz = 20e3
-BUILD = Path("build/outsiders")
+BUILD = Path(f"build/outsiders/{os.getpid()}")  # processes compile beside each other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
