@@ -14,7 +14,8 @@ def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     Third differences remove what is smooth; the median of their magnitude is deaf to jumps and
     to the few samples at reversals.
 
-    signal   (samples,)  any unit; fewer than 8 samples for each of spacing give 0
+    signal   (samples,)  any unit; NaN where nothing was measured, which no difference touches;
+             fewer than 8 samples for each of spacing give 0
     spacing  samples from one to the next of a difference
     """
     if len(signal) < 8 * spacing:
@@ -22,4 +23,5 @@ def white_noise_rms(signal: Array, spacing: int = 1) -> float:
     third = signal
     for _ in range(3):
         third = third[spacing:] - third[:-spacing]
-    return float(np.median(np.abs(third))) / (_MEDIAN * _THIRD)
+    known = third[~np.isnan(third)]
+    return float(np.median(np.abs(known))) / (_MEDIAN * _THIRD) if len(known) else 0.0

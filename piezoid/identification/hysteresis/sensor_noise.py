@@ -39,16 +39,16 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
     """
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
-    measured = np.isin(np.arange(piece.first, piece.last), piece.lost, invert=True)
     step = step_size(np.round(response, DIGITS))
+    lost = np.isin(np.arange(piece.first, piece.last), piece.lost)
+    response = np.where(lost, np.nan, response)
     later = _one_period_later(drive)
     if later is not None:
         between = response[later:] - response[:-later]
-        same = np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)
-        between = between[same & measured[later:] & measured[:-later]]
+        between = between[np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)]
         found = _rms((between,)) / sqrt(2.0)
     else:
-        found = _rms((response[measured], residual[rows][measured]))
+        found = _rms((response, np.where(lost, np.nan, residual[rows])))
     return max(found, step / sqrt(12.0))
 
 

@@ -64,3 +64,15 @@ def test_noise_that_is_not_white_is_told_whole(tmp_path: Path, rate_Hz: float, l
     residual = (left - noise_um) * 1e-6 / scales.displacement_m
     found_m = abs(scales.displacement_m) * sensor_noise(piece, residual)
     assert 1e6 * found_m == pytest.approx(np.std(noise_um), rel=0.1)
+
+
+def test_readings_that_were_lost_say_nothing_of_it(tmp_path: Path) -> None:
+    field, rng = np.sin(np.linspace(0.0, 20.0, 12000) ** 1.3), np.random.default_rng(5)
+    reading_um = 10.0 * LAWS["duhem"](field) + NOISE_um * rng.standard_normal(12000)
+    reading_um[rng.random(12000) < 0.1] = -1000.0
+    recording = recorded(tmp_path, field, reading_um)
+    scales = scales_of((recording,), "x")
+    (piece,) = pieces_of((recording,), "x", scales, Rig())
+    assert len(piece.lost) > 1000
+    found_m = abs(scales.displacement_m) * sensor_noise(piece, -piece.response)
+    assert 1e6 * found_m == pytest.approx(NOISE_um, rel=0.1)
