@@ -37,18 +37,28 @@ def cut_off_percent(numbers: Numbers, rig: Rig) -> float:
     return 100.0 * max(above_V, below_V) / (high_V - low_V)
 
 
+def delay_us(numbers: Numbers, campaign: Campaign) -> float:
+    """Return a delay by a time, or by rows in the recording that was read fastest."""
+    if "delay_s" in numbers:
+        return 1e6 * float(numbers["delay_s"])
+    fastest_Hz = max(1.0 / (rows.time_s[1] - rows.time_s[0]) for rows in campaign.recordings)
+    return 1e6 * float(numbers["rows"]) / float(fastest_Hz)
+
+
 # what the laboratory calls the size that a finding gives, in the finding's unit
-TRUE_SIZE: dict[str, Callable[[Numbers, Rig], float]] = {
+TRUE_SIZE: dict[str, Callable[[Numbers, Campaign], float]] = {
     "creep": lambda n, _: 100.0 * float(n["creep_per_decade"]),
-    "delay": lambda n, rig: 1e6 * float(n.get("delay_s", float(n.get("rows", 0)) / rig.clock_Hz)),
+    "delay": delay_us,
     "lag": lambda n, _: 1e6 * float(n["time_constant_s"]),
     "resonance": lambda n, _: float(n["frequency_Hz"]),
-    "slew_limit": lambda n, rig: float(n["slew_V_per_s"]) / rig.amplifier_gain_V_per_V,
+    "slew_limit": lambda n, c: float(n["slew_V_per_s"]) / c.rig.amplifier_gain_V_per_V,
     "gain_change": lambda n, _: 100.0 * float(n["relative_change"]),
-    "amplifier_saturation": cut_off_percent,
+    "amplifier_saturation": lambda n, c: cut_off_percent(n, c.rig),
+    "sensor_periodic_error": lambda n, _: 1e9 * float(n["amplitude_m"]),
+    "quantisation": lambda n, _: 1e9 * float(n["step_m"]),
 }
 # rms about its mean in the recording that it moves most, of the stroke
-ADDED = ("thermal_drift", "cross_coupling", "mains_interference")
+ADDED = ("thermal_drift", "cross_coupling", "mains_interference", "rate_dependence")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,7 +219,7 @@ def _said(finding: Finding, campaign: Campaign, hidden: tuple[str, ...]) -> Said
     if finding.effect in hidden:
         put_in = next(e for e in campaign.answer.effects if e.name == finding.effect)
         if finding.effect in TRUE_SIZE:
-            truth = TRUE_SIZE[finding.effect](put_in.numbers, campaign.rig)
+            truth = TRUE_SIZE[finding.effect](put_in.numbers, campaign)
         elif finding.effect in ADDED:
             truth = put_in.moving_percent
     return Said(

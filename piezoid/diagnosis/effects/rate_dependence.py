@@ -18,7 +18,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
 from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.signals import relaxed, with_displacement
+from piezoid.diagnosis.signals import added_percent, relaxed, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
@@ -113,12 +113,13 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
 EFFECT = Effect(
     name="rate_dependence",
     explanation=__doc__ or "",
-    unit="percent of the stroke, rms",
+    unit="percent of the stroke, rms where most",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
     confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
+    size=added_percent(_columns),
     inject=inject,
     extend=extend,
 )
