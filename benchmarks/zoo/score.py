@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
+from math import sqrt
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,12 @@ def delay_us(numbers: Numbers, campaign: Campaign) -> float:
     return 1e6 * float(numbers["rows"]) / float(fastest_Hz)
 
 
+def hum_percent(numbers: Numbers, rig: Rig) -> float:
+    """Return the rms of the grid's lines: a recording too slow for them may show any part of it."""
+    amplitude_m = [float(a) for key, a in numbers.items() if key.startswith("amplitude_")]
+    return 100.0 * sqrt(sum(a * a for a in amplitude_m) / 2.0) / rig.stroke_m
+
+
 # what the laboratory calls the size that a finding gives, in the finding's unit
 TRUE_SIZE: dict[str, Callable[[Numbers, Campaign], float]] = {
     "creep": lambda n, _: 100.0 * float(n["creep_per_decade"]),
@@ -54,11 +61,12 @@ TRUE_SIZE: dict[str, Callable[[Numbers, Campaign], float]] = {
     "slew_limit": lambda n, c: float(n["slew_V_per_s"]) / c.rig.amplifier_gain_V_per_V,
     "gain_change": lambda n, _: 100.0 * float(n["relative_change"]),
     "amplifier_saturation": lambda n, c: cut_off_percent(n, c.rig),
+    "mains_interference": lambda n, c: hum_percent(n, c.rig),
     "sensor_periodic_error": lambda n, _: 1e9 * float(n["amplitude_m"]),
     "quantisation": lambda n, _: 1e9 * float(n["step_m"]),
 }
 # rms about its mean in the recording that it moves most, of the stroke
-ADDED = ("thermal_drift", "cross_coupling", "mains_interference", "rate_dependence")
+ADDED = ("thermal_drift", "cross_coupling", "rate_dependence")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -84,6 +84,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
+    model_error=0.06,  # the other drive has a hysteresis of its own, of which plays follow most
     inject=inject,
     extend=extend,
 )

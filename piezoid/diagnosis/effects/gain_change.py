@@ -168,6 +168,7 @@ WITHIN = Effect(
     columns=_columns,
     covariates=_beside,
     size=_size,
+    model_error=0.03,  # the hysteresis beside it takes a part of a step of the gain
     inject=inject,
     extend=extend,
     detectable_share=8e-3,

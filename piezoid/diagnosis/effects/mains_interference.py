@@ -172,6 +172,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
+    model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
     inject=inject,
     extend=extend,
 )

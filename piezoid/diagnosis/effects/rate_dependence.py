@@ -120,6 +120,7 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
+    model_error=0.05,  # how walls wait is not the same in every law
     inject=inject,
     extend=extend,
 )

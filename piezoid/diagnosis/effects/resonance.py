@@ -132,7 +132,7 @@ EFFECT = Effect(
     name="resonance",
     explanation=__doc__ or "",
     unit="Hz",
-    model_error=0.001,
+    model_error=0.002,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
     confounded=("delay", "lag"),

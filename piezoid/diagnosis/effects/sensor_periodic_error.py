@@ -34,28 +34,55 @@ CELLS = 16_384  # of the range, which waves are told apart by
 RANGE = 4.0  # in half strokes: more than any track has
 SHARP = 0.6  # periods around the peak that belong to it
 PASSED = 3.0  # periods that a track must pass to show one
+ROUNDS, CALM = 5, 0.8  # of fitting the error where it is and placing it, and how far each goes
 MEAN = 9  # readings of which the mean is where the sensor stood
 
 
-def _where(view: View, k: int) -> Array:
-    """Return where the sensor of a track stood at its rows, as read and freed of most noise."""
-    track = view.tracks[k]
-    apart = track.response - view.static[k]
+def _read(view: View, k: int, error: Array) -> Array:
+    """Return where a track stood, (samples,): as read less an error, and freed of most noise."""
+    static = view.static[k]
+    apart = view.tracks[k].response - static - error
     padded = np.cumsum(np.pad(apart, (MEAN // 2 + 1, MEAN // 2), mode="edge"))
     mean = (padded[MEAN:] - padded[:-MEAN]) / MEAN
-    return np.asarray((view.static[k] + mean[: len(apart)])[track.place])
+    return np.asarray(static + mean[: len(apart)])
+
+
+def _where(view: View, k: int) -> Array:
+    """Return where the sensor of a track says that it stood, at its rows."""
+    track = view.tracks[k]
+    return _read(view, k, np.zeros(len(track.response)))[track.place]
+
+
+def _of(place: Array, periods: float) -> Array:
+    """Return the waves of first and second order, (samples, 4)."""
+    turn = np.pi * periods * place
+    return np.column_stack([np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)])
+
+
+def _of_track(view: View, k: int, periods: float) -> Array:
+    """Return the waves of a track over where it stood, which is where it was read less the error.
+
+    Over the reading itself a sine is none: of an amplitude of a tenth of the period a third goes
+    into higher orders [Kepler's equation].
+    """
+    track, error = view.tracks[k], np.zeros(len(view.static[k]))
+    for _ in range(ROUNDS):
+        place = _read(view, k, error)
+        apart = track.response - view.static[k]
+        waves = _of(place, periods)
+        rows = np.column_stack([waves[track.place], np.ones(len(track.place))])
+        found = np.linalg.lstsq(rows, apart[track.place], rcond=None)[0]
+        error += CALM * (waves @ found[:-1] - error)
+    return _of(_read(view, k, error), periods)[track.place]
 
 
 def _waves(view: View, periods: float) -> Array:
     """Return first and second order, each with a phase of every track that shows them."""
     columns = []
     for k in range(len(view.tracks)):
-        place = _where(view, k)
-        if np.ptp(place) * periods / 2.0 < PASSED:
+        if np.ptp(_where(view, k)) * periods / 2.0 < PASSED:
             continue
-        turn = np.pi * periods * place
-        waves = (np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn))
-        columns += [view.of_track(k, wave) for wave in waves]
+        columns += [view.of_track(k, wave) for wave in _of_track(view, k, periods).T]
     return np.column_stack(columns) if columns else np.zeros((len(view.response), 0))
 
 
@@ -105,7 +132,12 @@ def _trials(view: View) -> list[Trial]:
 
 
 def _trial(view: View, periods: float, *, real: bool) -> Trial:
-    return Trial(columns=_waves(view, periods), parameters={"periods": periods}, physical=real)
+    return Trial(
+        columns=_waves(view, periods),
+        parameters={"periods": periods},
+        physical=real,
+        free={"periods": STEP},
+    )
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
