@@ -122,6 +122,7 @@ def _walked(
         sides.append(there[1].rms)
     bend = sides[0] + sides[1] - 2.0 * best[1].rms
     vertex = 0.5 * part * (sides[1] - sides[0]) / bend if bend > 0.0 else 0.0
+    vertex = min(max(vertex, -part), part)  # of sides that are as good as equal it is anywhere
     there = tried(vertex) if abs(vertex) > LEAST_STEP * part else best
     return min(best, there, key=lambda one: one[1].rms)
 

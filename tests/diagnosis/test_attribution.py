@@ -115,8 +115,8 @@ def test_only_a_fault_that_was_repaired_is_worth_something() -> None:
 
 def test_a_share_of_the_stroke_is_known_the_better_the_surer_its_effect_is() -> None:
     slow = {"time_s": 0.01, "strain": 0.03}
-    answer = SelectedEffect(effect=rate_dependence.EFFECT, parameters=slow)
-    (cause,) = outcome_of(recordings_of(), answer).causes
+    shared = replace(rate_dependence.EFFECT, size=None)
+    (cause,) = outcome_of(recordings_of(), SelectedEffect(effect=shared, parameters=slow)).causes
     reach = []
     for z in (0.5, 4.0, 8.0):
         size = size_of(replace(cause, cv=replace(cause.cv, z=z)))

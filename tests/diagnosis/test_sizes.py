@@ -12,6 +12,7 @@ from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import amplifier_saturation, cross_coupling, mains_interference
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.sizes import size_of
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
@@ -118,3 +119,18 @@ def test_the_size_of_what_adds_to_readings_is_what_was_added_and_no_rest_of_it(
     (size,) = [one.size for one in found.findings if one.effect == effect.name]
     assert size.value == pytest.approx(100.0 * share, rel=0.05)
     assert size.ci95[0] < 100.0 * share < size.ci95[1]
+
+
+def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothing() -> None:
+    """Over the reading a sine of an eighth of its period is none: a third is in higher orders."""
+    period_nm, amplitude_nm = 1500.0, 180.0
+    stage = []
+    for kind in ("sweep", "waves"):
+        one = recording(kind)
+        moved_m = one.displacement_m()
+        error_m = 1e-9 * amplitude_nm * np.sin(2e9 * np.pi * moved_m / period_nm + 1.0)
+        stage.append(with_displacement(one, moved_m + error_m))
+    (found,) = piezoid.diagnose(stage, axis="x").findings
+    assert found.effect == "sensor_periodic_error"
+    assert found.size.value == pytest.approx(amplitude_nm, rel=0.02)
+    assert found.size.ci95[0] < amplitude_nm < found.size.ci95[1]
