@@ -1,6 +1,6 @@
 """design_stage: a model in, the controllers of its axes out."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,15 +31,17 @@ class Asked:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What comes of designing one axis: exactly one of the three.
+    """What comes of designing one axis: a controller, a refusal or an obstacle.
 
     design    the controller
+    slower    the same axis before its bandwidth was raised beyond a mode; None: it was not
     refusal   no controller meets its limits
     obstacle  too little is known to begin
     """
 
     axis: str
     design: AxisDesign | None = None
+    slower: AxisDesign | None = None
     refusal: TemplateError | None = None
     obstacle: PiezoidError | None = None
 
@@ -153,20 +155,31 @@ def _edited(lab: Lab | None) -> str:
     )
 
 
+def without_damping(outcomes: Sequence[Outcome], axes: Collection[str]) -> tuple[Outcome, ...]:
+    """Return the outcomes with the loops of some axes below their modes, as far as they damp any.
+
+    A loop that damps a mode rests on its frequency; one below it does not.
+    """
+    return tuple(
+        replace(one, design=one.slower, slower=None)
+        if one.axis in axes and one.slower is not None
+        else one
+        for one in outcomes
+    )
+
+
 def _outcome(name: str, task: _Task, wanted: Specification) -> Outcome:
-    try:
-        return Outcome(axis=name, design=_designed(task, wanted))
-    except TemplateError as refusal:
-        return Outcome(axis=name, refusal=refusal)
-
-
-def _designed(task: _Task, wanted: Specification) -> AxisDesign:
     """Design exactly what somebody asks for; a default may give way in its bandwidth,
     and goes beyond it where damping a mode allows that.
     """
-    if wanted is not task.specification:
-        return task.design(wanted)
-    return task.raised(at_feasible_bandwidth(task.design, wanted), wanted)
+    try:
+        if wanted is not task.specification:
+            return Outcome(axis=name, design=task.design(wanted))
+        base = at_feasible_bandwidth(task.design, wanted)
+        found = task.raised(base, wanted)
+    except TemplateError as refusal:
+        return Outcome(axis=name, refusal=refusal)
+    return Outcome(axis=name, design=found, slower=None if found is base else base)
 
 
 def _tasks(

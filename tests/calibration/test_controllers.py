@@ -13,7 +13,7 @@ from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, Templ
 
 PARAMETERS = SimpleNamespace(unshipped={})
 STEPS = {
-    "piezoid.design.stage.design_stage": SimpleNamespace(
+    "piezoid.design.stage.design_of": SimpleNamespace(
         to_json=lambda: b'{"digest": "d"}', refused={}
     ),
     "piezoid.export.stage.export_stage": PARAMETERS,
@@ -42,7 +42,8 @@ def controller(patch: pytest.MonkeyPatch, broken: str = "", error: Exception | N
         module, _, function = name.rpartition(".")
         patch.setattr(import_module(module), function, step(name))
     model: Any = None
-    return controllers_of(model, json.dumps({"digest": "m"}).encode(), None, lambda _: None)
+    content = json.dumps({"digest": "m"}).encode()
+    return controllers_of(model, content, None, lambda _: None, designed=())
 
 
 def test_a_controller_that_was_verified_ships(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,7 +70,7 @@ def test_what_nobody_declared_is_no_failure_but_a_limit_nothing_meets_is(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     said = {"needed": "more", "remedy": "Ask for less."}
-    step = "piezoid.design.stage.design_stage"
+    step = "piezoid.design.stage.design_of"
     assert controller(monkeypatch, step, DesignError("no pole is declared", **said)).passed
     assert not controller(monkeypatch, step, TemplateError("missed by 3 dB", **said)).passed
 
