@@ -25,6 +25,7 @@ from piezoid.records.recording import Recording
 
 BENDS = 3
 LOOSE = 0.85  # of the error: what shares of its own for every rung of creep must leave
+LEFT_OF_LAG = 0.1  # of it, beside the mode that it had stood for
 STATIC = Structure(lag=False)
 
 
@@ -190,14 +191,17 @@ def _shipped(
     structure: Structure,
     places: Sequence[Samples] | None,
 ) -> AxisModel:
-    """Return the final model with its one lag where the runtime looks for it."""
+    """Return the final model with its one lag where the runtime looks for it.
+
+    A lag that was fitted before anything was found stands for all of it, a mode as well: beside
+    the mode itself it begins as what may be left of it too.
+    """
     late = [e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)]
     if not late:
-        own = replace(final.model, lag=model.lag)
+        lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
+        starts = [replace(final.model, lag=lag) for lag in lags]
         kept = replace(structure, lag=True)
-        return fit_extended(
-            own, recordings, final.model.extensions, structure=kept, places=places
-        ).model
+        return _best(starts, recordings, final.model.extensions, kept, places).model
     one = late[0]
     if isinstance(one, Delay) and one.delay_samples > 0.0:
         return final.model
@@ -207,4 +211,5 @@ def _shipped(
         else Lag(kind="first_order", time_s=one.lag_s)
     )
     rest = tuple(e for e in final.model.extensions if e is not one)
-    return replace(final.model, lag=lag, extensions=rest)
+    known = final.model.uncertainty.known_anew("lag_s", lag.time_s, one.std[0] if one.std else 0.0)
+    return replace(final.model, lag=lag, extensions=rest, uncertainty=known)

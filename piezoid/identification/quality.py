@@ -1,7 +1,7 @@
 """How far a fitted axis may be believed: verdict, error, spread of its parameters, bound."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from piezoid.numerics.arrays import Array, freeze
 
@@ -161,6 +161,20 @@ class Uncertainty:
                 f"{count} names, values of shape {self.values.shape}, covariance of shape "
                 f"{self.covariance.shape}"
             )
+
+    def known_anew(self, name: str, value: float, standard: float) -> "Uncertainty":
+        """Return the same with one number as another fit knows it, correlated with no other.
+
+        standard  error of the number; 0: the other fit cannot tell, and nothing changes
+        """
+        if standard == 0.0:
+            return self
+        place = self.names.index(name)
+        values, covariance = self.values.copy(), self.covariance.copy()
+        values[place] = value
+        covariance[place, :] = covariance[:, place] = 0.0
+        covariance[place, place] = standard**2
+        return replace(self, values=values, covariance=covariance)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from piezoid.identification.joint.parts import FOLDS, Part, parts_of
 from piezoid.identification.joint.tangents import tangents_of
 from piezoid.identification.joint.vector import State, Structure, state_of
 from piezoid.identification.model import AxisModel, Lag, PieceStart
-from piezoid.identification.quality import BLOCKS, IN_SAMPLE
+from piezoid.identification.quality import BLOCKS, IN_SAMPLE, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
 from piezoid.numerics.once import Once
@@ -117,11 +117,28 @@ def fit_extended(
     )
 
 
-def _spread(reached: _Reached) -> tuple[Array, ...]:
+def _errors(reached: _Reached) -> Array:
     """Return standard errors from leaving out folds, (F - 1) / sqrt(F) times their scatter."""
     count = len(reached.folds)
-    errors = np.std(reached.folds, axis=0, ddof=1) * (count - 1) / np.sqrt(count)
+    return np.asarray(np.std(reached.folds, axis=0, ddof=1) * (count - 1) / np.sqrt(count))
+
+
+def _spread(reached: _Reached) -> tuple[Array, ...]:
+    """Return the standard errors of the numbers of each extension."""
+    errors = _errors(reached)
     return tuple(errors[place] for place in reached.state.slices)
+
+
+def _uncertainty(model: AxisModel, reached: _Reached) -> Uncertainty:
+    """Return the model's, with the lag as this fit knows it.
+
+    The fit before may have known the lag beside a mode that was still missing, or not at all.
+    """
+    place = reached.state.coordinates.slices["lag"]
+    if place.start == place.stop:
+        return model.uncertainty
+    (standard,) = _errors(reached)[place]
+    return model.uncertainty.known_anew("lag_s", reached.state.operator.lag_s, float(standard))
 
 
 def _model(model: AxisModel, parts: Sequence[Part], reached: _Reached, held_m: Array) -> AxisModel:
@@ -139,6 +156,7 @@ def _model(model: AxisModel, parts: Sequence[Part], reached: _Reached, held_m: A
             for extension, std in zip(state.extensions, _spread(reached), strict=True)
         ),
         starts=starts,
+        uncertainty=_uncertainty(model, reached),
         quality=replace(
             model.quality,
             rms_m=reached.rms * stroke_m,
