@@ -25,6 +25,7 @@ TURNS = 5.0
 RADIUS = 0.7
 LED_s = 0.4
 DIVERGED = 0.25  # of the diameter: what a loop that shipped may be off at most
+SWINGS = 0.01  # of the diameter, rms, at rest: a loop that swings within its limits
 BOUND_RUNS = 60
 SPEEDS = (1.0, 0.3, 0.1)  # of the certificate's fastest reference, in turn
 BOUND_s = 0.5
@@ -147,7 +148,7 @@ def _driven(made: Simulator, seed: int, shipped: AxisParameters, own: list) -> d
             if (method, f) in rows and rows[method, f] > 0.0:
                 ratios.append((method, f, found.rms_m / rows[method, f]))
     return {
-        "stable": bool(worst < DIVERGED),
+        "stable": bool(worst < DIVERGED and _swing(made, seed, shipped) < SWINGS),
         "worst_percent": 100.0 * worst,
         "error_10_m": truth[shipped.method, 10.0].rms_m,
         "none_10_m": truth["none", 10.0].rms_m,
@@ -178,6 +179,19 @@ def _spiral(
         sampling_rate_Hz=RATE_Hz,
     )
     return found, radius_m
+
+
+def _swing(made: Simulator, seed: int, shipped: AxisParameters) -> float:
+    """Return how much the position moves where it is to stand still, rms, of the diameter."""
+    middle_m, reach_m = _middle(shipped)
+
+    def wanted(rest_m: float) -> Array:
+        still = np.full(round(BOUND_s * RATE_Hz), middle_m)
+        return np.concatenate([_led_to(middle_m, rest_m), still])
+
+    run = track(made, seed, 7, shipped.values, None, wanted)
+    last = run.position[-round(0.5 * BOUND_s * RATE_Hz) :]
+    return float(np.std(last)) / (2.0 * RADIUS * reach_m)
 
 
 def _bound(

@@ -47,7 +47,7 @@ def delay_us(numbers: Numbers, campaign: Campaign) -> float:
 
 
 def hum_percent(numbers: Numbers, rig: Rig) -> float:
-    """Return the rms of the grid's lines: a recording too slow for them may show any part of it."""
+    """Return the rms of the grid's lines: a recording too slow for them shows any part."""
     amplitude_m = [float(a) for key, a in numbers.items() if key.startswith("amplitude_")]
     return 100.0 * sqrt(sum(a * a for a in amplitude_m) / 2.0) / rig.stroke_m
 

@@ -38,8 +38,8 @@ from piezoid.operators.analogue import cascade, first_order
 FORMS = ("inverse", "affine")
 FEWEST_REPLICATES = 20
 _SLOWER_THAN_RATE = 5.0  # a pole beyond so many sampling rates is instantaneous
-# Among 950 stages of two strangers further modes added at most 1.95 times the gain at rest (99 % of
-# them 1.5), and first modes had a quality of 5 to 60. With a limit of 1, two loops of 32 that damp
+# Among 950 stages of two strangers further modes added at most 1.95 times the gain at rest (1.5 in
+# 99 %), and first modes had a quality of 5 to 60. With a limit of 1, two loops of 32 that damp
 # their first mode swung at the second one, 3 um rms; without any, three of twelve were unstable.
 FURTHER_MODE, FIRST_MODE = 2.0, 60.0
 UNTOLD_Hz = 200.0

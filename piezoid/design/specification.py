@@ -104,7 +104,7 @@ def default_specification(
     """Return what can sensibly be asked of a plant and its family.
 
     bandwidth          0.15 of the slowest pole or mode, or 0.03 / delay, whichever is less; the
-                       delay is the plant's phase delay at rest
+                       delay is the plant's phase delay at rest, where it is late there at all
     margins            modulus 0.5, delay one sample
     control            |Sup| <= 20 dB relative to 1/gain of the least sensitive member: the loop
                        may not spend more than ten times the static drive on any disturbance. An
@@ -112,7 +112,10 @@ def default_specification(
     scan               a tenth of the bandwidth
     """
     plant = family.nominal
-    bandwidth_Hz = min(MODE_SHARE * slowest_Hz(plant), _DELAY_SHARE / rest_delay_s(plant))
+    late_s = rest_delay_s(plant)
+    bandwidth_Hz = MODE_SHARE * slowest_Hz(plant)
+    if late_s > 0.0:  # a zero slower than every pole leads at rest
+        bandwidth_Hz = min(bandwidth_Hz, _DELAY_SHARE / late_s)
     least_gain = min(abs(member.gain) for member in family.members)
     ceiling_dB = _CONTROL_LIMIT_dB - float(decibel(least_gain))
     nyquist_Hz = 0.5 * plant.sampling_rate_Hz

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from piezoid.numerics.arrays import Array, freeze
 
 
@@ -165,11 +167,12 @@ class Uncertainty:
     def known_anew(self, name: str, value: float, standard: float) -> "Uncertainty":
         """Return the same with one number as another fit knows it, correlated with no other.
 
-        standard  error of the number; 0: the other fit cannot tell, and nothing changes
+        standard  error of the number; 0: the other fit cannot tell. Nothing changes then, nor
+                  where the blocks of this one know it better
         """
-        if standard == 0.0:
-            return self
         place = self.names.index(name)
+        if not 0.0 < standard < np.sqrt(self.covariance[place, place]):
+            return self
         values, covariance = self.values.copy(), self.covariance.copy()
         values[place] = value
         covariance[place, :] = covariance[:, place] = 0.0

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib import import_module
 from types import SimpleNamespace
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import pytest
 
 from piezoid.calibration.controllers import controllers_of
+from piezoid.calibration.stage_jobs import Designed
+from piezoid.design.stage import Outcome
 from piezoid.errors import DesignError, PiezoidError, RuntimeLibraryError, TemplateError
 
 PARAMETERS = SimpleNamespace(unshipped={})
@@ -25,6 +28,74 @@ STEPS = {
         reasons={},
     ),
 }
+
+
+@dataclass(frozen=True)
+class Loop:
+    """An axis whose loop has a bandwidth."""
+
+    bandwidth_Hz: float
+    axis: str = "x"
+
+    @property
+    def recommended(self) -> "Loop":
+        return self
+
+
+def test_a_loop_that_damps_a_mode_and_fails_is_tried_once_more_below_the_mode(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The fast loop fails its verification, the slow one ships and says why."""
+    fast, slow = Loop(155.0), Loop(26.0)
+
+    @dataclass(frozen=True)
+    class Found:
+        axes: tuple[Loop, ...]
+        remarks: tuple[str, ...] = ()
+
+        def axis(self, _: str) -> Loop:
+            return self.axes[0]
+
+        def to_json(self) -> bytes:
+            return b'{"digest": "d"}'
+
+    def design_of(outcomes: Any, **_: Any) -> Any:
+        return Found(axes=tuple(one.design for one in outcomes))
+
+    def export_stage(_: Any, design: Any, **__: Any) -> Any:
+        return SimpleNamespace(axes=design.axes, unshipped={})
+
+    def shipping_of(parameters: Any, *_: Any, **__: Any) -> Any:
+        passes = parameters.axes == (slow,)
+        return SimpleNamespace(
+            parameters=parameters if passes else None,
+            verification=SimpleNamespace(passed=passes),
+            refused=None,
+            refused_verification=None,
+            reasons={} if passes else {"x": "135 % overshoot"},
+        )
+
+    for name, step in {
+        "piezoid.design.stage.design_of": design_of,
+        "piezoid.export.stage.export_stage": export_stage,
+        "piezoid.verification.shipping.shipping_of": shipping_of,
+    }.items():
+        module, _, function = name.rpartition(".")
+        monkeypatch.setattr(import_module(module), function, step)
+    raised = Outcome(axis="x", design=fast, slower=slow)  # type: ignore[arg-type]
+    found = controllers_of(
+        None,  # type: ignore[arg-type]
+        b'{"digest": "m"}',
+        None,
+        lambda _: None,
+        designed=(Designed(outcomes=(raised,)),),
+    )
+    assert found.shipped == {"x"}
+    assert found.design.axes == (slow,)  # type: ignore[union-attr]
+    (remark,) = found.design.remarks  # type: ignore[union-attr]
+    assert "155 Hz" in remark
+    assert "135 % overshoot" in remark
+    assert "26 Hz" in remark
 
 
 def controller(patch: pytest.MonkeyPatch, broken: str = "", error: Exception | None = None) -> Any:

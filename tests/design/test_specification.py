@@ -73,6 +73,21 @@ def test_a_fast_plant_is_limited_by_its_delay():
     assert asked.bandwidth_Hz == pytest.approx(0.03 / rest_delay_s(plant))
 
 
+def test_a_plant_that_leads_at_rest_is_limited_by_its_slowest_pole():
+    plant = plant_from_chain(lateral_chain(LATERAL_m_per_V))
+    leads = np.array([1.0, -np.exp(-2.0 * np.pi * 50.0 / RATE_Hz)])  # a zero at 50 Hz
+    plant = replace(plant, B=np.convolve(plant.B, leads))
+    assert rest_delay_s(plant) < 0.0
+    asked = default_specification(
+        PlantFamily(members=(plant,)),
+        voltage_min_V=-1.0,
+        voltage_max_V=1.0,
+        sensor_noise_rms=1e-9,
+        disturbance_rms=1e-7,
+    )
+    assert asked.bandwidth_Hz == pytest.approx(0.15 * slowest_Hz(plant))
+
+
 def test_a_table_changes_what_it_names_and_adds_templates():
     text = """
     [x]

@@ -51,7 +51,8 @@ class FirstOrderLag(Extension):
     def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
         """Return the lag at an end of its interval, a tenth of it at least."""
         half_s = NORMAL_95 * (self.std[0] if self.std else 0.0)
-        return replace(self, lag_s=max(self.lag_s + slower * half_s, 0.1 * self.lag_s))
+        moved_s = max(self.lag_s + slower * half_s, 0.1 * self.lag_s)
+        return replace(self, lag_s=min(moved_s, LONGEST_s))
 
     def free(self) -> Free:
         """Return the lag."""

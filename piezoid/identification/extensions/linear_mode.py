@@ -70,7 +70,7 @@ class LinearMode(Extension):
         return replace(
             self,
             frequency_Hz=self.frequency_Hz * (1.0 - slower * half),
-            quality=max(self.quality * factor**sharper, LEAST_QUALITY),
+            quality=min(max(self.quality * factor**sharper, LEAST_QUALITY), MOST_QUALITY),
         )
 
     def free(self) -> Free:

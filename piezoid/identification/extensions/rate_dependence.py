@@ -54,7 +54,8 @@ class RateDependence(Extension):
     def at_corner(self, slower: float, sharper: float) -> Self:  # noqa: ARG002
         """Return the time constant at an end of its interval, a tenth of it at least."""
         half_s = NORMAL_95 * (self.std[0] if self.std else 0.0)
-        return replace(self, time_s=max(self.time_s + slower * half_s, 0.1 * self.time_s))
+        moved_s = max(self.time_s + slower * half_s, 0.1 * self.time_s)
+        return replace(self, time_s=min(max(moved_s, SHORTEST_s), LONGEST_s))
 
     def free(self) -> Free:
         """Return the time, and the strain where there is one."""

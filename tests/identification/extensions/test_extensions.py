@@ -1,6 +1,7 @@
 """Promises of the family: registered, silent where nothing is there, back from JSON, checked."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,3 +87,15 @@ def test_columns_are_answered_one_by_one(extension: Extension) -> None:
     for j in range(3):
         alone = extension.response(columns[:, j].copy(), where(400))
         np.testing.assert_allclose(together[:, j], alone, atol=1e-12)
+
+
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+@pytest.mark.parametrize("extension", one_of_each(), ids=lambda one: one.kind)
+def test_the_end_of_however_wide_an_interval_is_an_extension(
+    extension: Extension, way: float
+) -> None:
+    free = extension.free()
+    for value in (free.lower, free.value, free.upper):
+        there = extension.moved_to(np.clip(value, free.lower, free.upper))
+        wide = replace(there, std=tuple(10.0 * np.abs(free.value) + 1.0))
+        assert wide.at_corner(way, way).kind == extension.kind
