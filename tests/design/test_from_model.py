@@ -258,6 +258,22 @@ def test_what_no_recording_shows_and_no_data_sheet_states_limits_the_loop() -> N
         assert (loop * peak)[beyond].max() < 1.0
 
 
+def test_a_loop_that_damps_its_mode_is_safe_from_a_further_one_beyond_the_recordings() -> None:
+    """A second mode of 1.9 times the gain at rest anywhere beyond the band, by small gain."""
+    dynamics = one_mode(frequency_Hz=630.0, damping=0.037, delay_s=50e-6)
+    task = lateral_task(rigged(dynamics=dynamics), RATE_Hz, forms=("inverse",))
+    found = design_stage(
+        stage(axes={"x": rigged(dynamics=dynamics)}), model_digest=DIGEST, forms=("inverse",)
+    )
+    loop = found.axes[0].recommended
+    assert loop.bandwidth_Hz > 0.16 * 630.0  # it does damp the mode
+    z = np.exp(2j * np.pi * np.linspace(1000.0, 0.49 * RATE_Hz, 4000) / RATE_Hz)
+    for plant in task.families["inverse"].members:
+        b, a, r, s = (np.polyval(p[::-1], 1.0 / z) for p in (plant.B, plant.A, loop.R, loop.S))
+        effort_per_m = np.abs(a * r / (a * s + b * r))
+        assert (1.9 * abs(plant.gain) * effort_per_m).max() < 1.0
+
+
 def test_a_data_sheets_resonance_lets_the_loop_be_faster() -> None:
     known = rigged(bandwidth=unseen(12e3, "nothing was recorded"))
     slow, fast = (lateral_task(axis, RATE_Hz).specification for axis in (rigged(), known))
