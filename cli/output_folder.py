@@ -5,10 +5,10 @@ import errno
 import os
 import shutil
 import signal
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 from typing import BinaryIO
 
 import typer
@@ -74,10 +74,9 @@ def write_file(place: Path, content: bytes) -> None:
     """Write one file whole or not at all."""
     with _named(place):
         place.parent.mkdir(parents=True, exist_ok=True)
-        number, name = tempfile.mkstemp(prefix=f".{place.name}.", dir=place.parent)
-        fresh = Path(name)
+        fresh = _fresh(place)
         try:
-            with open(number, "wb") as stream:
+            with fresh.open("xb") as stream:
                 stream.write(content)
                 stream.flush()
                 os.fsync(stream.fileno())
@@ -105,10 +104,9 @@ def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = T
 
 def _write(target: Path, contents: Mapping[str, bytes | Path]) -> None:
     _clear_away(target)
-    fresh = Path(
-        tempfile.mkdtemp(prefix=f".{target.name}.", suffix=_UNFINISHED, dir=target.parent)
-    )
+    fresh = _fresh(target)
     try:
+        fresh.mkdir(mode=0o700)
         for name, content in contents.items():
             place = fresh / name
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -122,6 +120,11 @@ def _write(target: Path, contents: Mapping[str, bytes | Path]) -> None:
             shutil.rmtree(fresh, ignore_errors=True)
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
+
+
+def _fresh(target: Path) -> Path:
+    """Return a name beside a target that is free. Nothing is there yet: Ctrl-C may come first."""
+    return target.with_name(f".{target.name}.{token_hex(4)}{_UNFINISHED}")
 
 
 def _clear_away(target: Path) -> None:

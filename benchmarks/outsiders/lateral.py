@@ -121,13 +121,13 @@ def _failed(found) -> str:
     return "; ".join(f"{v.name}, {v.scenario}" for v in made.verification.verdicts if not v.passed)
 
 
-def _middle(shipped: AxisParameters) -> tuple[float, float]:
+def middle_of(shipped: AxisParameters) -> tuple[float, float]:
     """Return the middle of the references and how far they go from it."""
     low, high = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
     return 0.5 * (low + high), 0.5 * (high - low)
 
 
-def _led_to(middle_m: float, rest_m: float) -> Array:
+def led_to(middle_m: float, rest_m: float) -> Array:
     """Return the way from rest to the middle, slowly, and a while there."""
     ticks = round(LED_s * RATE_Hz)
     way = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, ticks))
@@ -160,13 +160,13 @@ def _spiral(
     made: Simulator, seed: int, axis: AxisParameters, path, f: float
 ) -> tuple[Tracking, float]:
     ahead = int(axis.values["preview_samples"])
-    middle_m, reach_m = _middle(axis)
+    middle_m, reach_m = middle_of(axis)
     radius_m = RADIUS * reach_m
     led = round(1.5 * LED_s * RATE_Hz)
 
     def wanted(rest_m: float) -> Array:
         later = np.minimum(np.arange(len(path.x)) + ahead, len(path.x) - 1)
-        return np.concatenate([_led_to(middle_m, rest_m), middle_m + radius_m * path.x[later]])
+        return np.concatenate([led_to(middle_m, rest_m), middle_m + radius_m * path.x[later]])
 
     run = track(made, seed, 7, axis.values, None, wanted)
     position = run.position[led - 1 : led - 1 + len(path.x)] - middle_m
@@ -183,11 +183,11 @@ def _spiral(
 
 def _swing(made: Simulator, seed: int, shipped: AxisParameters) -> float:
     """Return how much the position moves where it is to stand still, rms, of the diameter."""
-    middle_m, reach_m = _middle(shipped)
+    middle_m, reach_m = middle_of(shipped)
 
     def wanted(rest_m: float) -> Array:
         still = np.full(round(BOUND_s * RATE_Hz), middle_m)
-        return np.concatenate([_led_to(middle_m, rest_m), still])
+        return np.concatenate([led_to(middle_m, rest_m), still])
 
     run = track(made, seed, 7, shipped.values, None, wanted)
     last = run.position[-round(0.5 * BOUND_s * RATE_Hz) :]
@@ -215,9 +215,9 @@ def _bound(
         slew = 0.999 * fastest  # rounding is not faster
 
         def wanted(rest_m: float, kept=kept, slew=slew) -> Array:
-            middle_m, reach_m = _middle(shipped)
+            middle_m, reach_m = middle_of(shipped)
             asked = middle_m + _within(rng, slew, 0.95 * reach_m)
-            led = _led_to(middle_m, rest_m)
+            led = led_to(middle_m, rest_m)
             kept["wanted"] = _slewed(np.concatenate([led, asked]), slew, rest_m)
             return kept["wanted"]
 
