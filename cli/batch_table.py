@@ -7,13 +7,14 @@ from typing import Any
 from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import Fleet, FleetAxis, FleetStage
 
+TOGETHER = 5000  # stages that are rows in memory at one time
+
 
 def parquet_of(fleet: Fleet) -> bytes:
     """Return the bytes of the table; a stage that was refused is a row without an axis."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    rows = [row for stage in fleet.stages for row in _rows(stage)]
     lists = [name for name in _parameter_names(fleet, of=list)]
     numbers = [name for name in _parameter_names(fleet, of=float)]
     columns = [
@@ -25,9 +26,12 @@ def parquet_of(fleet: Fleet) -> bytes:
         *(pa.field(name, pa.list_(pa.float64())) for name in lists),
         pa.field("model_digest", pa.string()),
     ]
-    table = pa.Table.from_pylist(rows, schema=pa.schema(columns))
-    stream = BytesIO()
-    pq.write_table(table, stream, compression="zstd")
+    schema, stream = pa.schema(columns), BytesIO()
+    with pq.ParquetWriter(stream, schema, compression="zstd") as table:
+        for first in range(0, len(fleet.stages), TOGETHER):
+            part = fleet.stages[first : first + TOGETHER]
+            rows = [row for stage in part for row in _rows(stage)]
+            table.write_table(pa.Table.from_pylist(rows, schema=schema))
     return stream.getvalue()
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.median_slope import median_slope
 
 # A normal distribution's standard deviation over its median absolute deviation.
 _MAD_TO_SIGMA = 1.4826022185056018
@@ -115,16 +116,16 @@ def trend_of(x: Array, y: Array) -> Trend | None:
 
     x, y  (samples,)  pairs with a NaN are left out
     """
-    from scipy.stats import kendalltau, theilslopes
+    from scipy.stats import kendalltau
 
     both = np.isfinite(x) & np.isfinite(y)
     x, y = x[both], y[both]
     if len(x) < 8 or np.ptp(x) == 0.0 or np.ptp(y) == 0.0:
         return None
-    found = theilslopes(y, x, alpha=0.95)
+    slope, low, high = median_slope(x, y)
     return Trend(
-        slope=float(found.slope),
-        ci95=(float(found.low_slope), float(found.high_slope)),
+        slope=slope,
+        ci95=(low, high),
         middle=float(np.median(y)),
         about=float(np.median(x)),
         p_value=float(kendalltau(x, y).pvalue),

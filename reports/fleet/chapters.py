@@ -17,6 +17,7 @@ from piezoid_reports.quantities import significant, told, told_between
 
 HALF_95 = 1.96  # standard errors
 PLACE = "stages"  # folder of the stages beside the page
+WORST = 200  # rows of a table, so that the page of any batch opens at once
 
 
 def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
@@ -73,10 +74,10 @@ def failures(fleet: Fleet) -> Section:
     if rows:
         parts = (
             Table(
-                caption="Stages that did not pass.",
+                caption="Stages that did not pass." + _beyond(len(rows)),
                 columns=("stage", "what happened", "reason"),
-                rows=tuple((s.name, s.state, s.reason) for s in rows),
-                links=tuple(_link(s) for s in rows),
+                rows=tuple((s.name, s.state, s.reason) for s in rows[:WORST]),
+                links=tuple(_link(s) for s in rows[:WORST]),
             ),
         )
     lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
@@ -112,10 +113,11 @@ def outliers(found: tuple[Distribution, ...]) -> Section:
         lead=lead,
         parts=(
             Table(
-                caption="Measured against the middle of all stages, or against the drift.",
+                caption="Measured against the middle of all stages, or against the drift."
+                + _beyond(len(rows)),
                 columns=("stage", "axis", "quantity", "value", "middle", "away", "may be"),
-                rows=tuple(_odd_row(one, k) for one, k in rows),
-                links=tuple(_place(one.stages[k]) for one, k in rows),
+                rows=tuple(_odd_row(one, k) for one, k in rows[:WORST]),
+                links=tuple(_place(one.stages[k]) for one, k in rows[:WORST]),
             ),
         ),
     )
@@ -141,22 +143,40 @@ def _value(one: Distribution, k: int) -> str:
 
 
 def stages(fleet: Fleet) -> Section:
-    """Return all stages with what they were made from and became."""
+    """Return all stages with what they were made from and became, or the worst of very many."""
+    shown, title = fleet.stages, "All stages, and where their numbers come from"
+    if len(shown) > WORST:
+        shown = tuple(sorted(shown, key=_badness)[:WORST])
+        title = f"The worst {WORST} stages, and where their numbers come from"
     return Section(
         anchor="stages",
-        title="All stages, and where their numbers come from",
+        title=title,
         lead="The same inputs and the same version give the same files, byte for byte. A stage "
         "whose inputs have changed is not the one this page speaks of.",
         parts=(
             Table(
-                caption="Digests of the model and of the parameter file of every stage.",
+                caption="Digests of the model and of the parameter file of every stage."
+                + _beyond(len(fleet.stages)),
                 columns=("stage", "state", "held-out error", "model.json", "params.json"),
-                rows=tuple(_row(stage) for stage in fleet.stages),
+                rows=tuple(_row(stage) for stage in shown),
                 digests=(3, 4),
-                links=tuple(_link(stage) for stage in fleet.stages),
+                links=tuple(_link(stage) for stage in shown),
             ),
         ),
     )
+
+
+def _beyond(rows: int) -> str:
+    """Say where the rows are that a table does not show."""
+    if rows <= WORST:
+        return ""
+    return f" Of {rows} rows {WORST} are shown; all stages stand in parameters.parquet."
+
+
+def _badness(stage: FleetStage) -> tuple[bool, float, str]:
+    """Order stages: those that did not pass, then by the largest error on rows left out."""
+    errors = [axis.values.get("held_out_rms_percent", 0.0) for axis in stage.axes]
+    return stage.state == PASSED, -max(errors, default=0.0), stage.name
 
 
 def _row(stage: FleetStage) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import dataclasses
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from msgspec import ValidationError, convert
 
@@ -96,11 +97,17 @@ class Fleet:
 
     def to_json(self) -> bytes:
         """Return the sealed bytes of batch.json; all parameters stand in the Parquet file."""
-        stages = [dataclasses.asdict(stage) for stage in self.stages]
-        for stage in stages:
-            for axis in stage["axes"]:
-                del axis["parameters"]
+        stages = [_without_parameters(stage) for stage in self.stages]
         return seal(FLEET_SCHEMA, {"name": self.name, "passed": self.passed, "stages": stages})
+
+
+def _without_parameters(stage: FleetStage) -> dict[str, Any]:
+    """Return a stage as a mapping, of which the parameters are never copied."""
+    bare = tuple(dataclasses.replace(axis, parameters={}) for axis in stage.axes)
+    record = dataclasses.asdict(dataclasses.replace(stage, axes=bare))
+    for axis in record["axes"]:
+        del axis["parameters"]
+    return record
 
 
 def stage_from_json(content: bytes, place: str) -> FleetStage:

@@ -3,12 +3,14 @@
 import numpy as np
 
 from piezoid.readable import Scale
-from piezoid_reports.chart import Axis, Canvas, axis_over
+from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
 from piezoid_reports.fleet.findings import TREND_P, Distribution
 from piezoid_reports.page import Figure, Heading, Part, Section, Table
 from piezoid_reports.quantities import significant, told
 
 NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
+DOTS = 1000  # stages that are drawn one by one
+STRETCHES = 60  # of serial numbers, of each of which 5 % to 95 % are drawn
 LOOK_SPREAD = (
     "Good: one hump, no stage outside the dashed lines. Bad: two humps (two batches of ceramics, "
     "two operators), a long tail, single stages far away."
@@ -117,9 +119,11 @@ def _course(one: Distribution) -> Figure:
         x=x, y=axis_over(one.quantity.label, [one.values], one.quantity.unit), height=200
     )
     odd = np.zeros(len(one.values), dtype=bool)
-    odd[list(one.outliers)] = True
+    odd[list(one.outliers[:DOTS])] = True
     layers = [
-        canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
+        _many(canvas, one)
+        if len(one.values) > DOTS
+        else canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
         canvas.line("trend", "median trend", ends, line)[0],
     ]
     if (odd & np.isfinite(one.serials)).any():
@@ -134,3 +138,13 @@ def _course(one: Distribution) -> Figure:
         height=canvas.height,
         layers=tuple(layers),
     )
+
+
+def _many(canvas: Canvas, one: Distribution) -> Layer:
+    """Draw between what values most stages lie, for each stretch of serial numbers."""
+    numbered = np.flatnonzero(np.isfinite(one.serials))
+    order = numbered[np.argsort(one.serials[numbered], kind="stable")]
+    parts = np.array_split(order, STRETCHES)
+    middle = np.array([np.median(one.serials[part]) for part in parts])
+    low, high = np.array([np.quantile(one.values[part], (0.05, 0.95)) for part in parts]).T
+    return canvas.band("count", "9 of 10 stages", middle, low, high)

@@ -189,3 +189,13 @@ def test_names_of_quantities_end_with_their_unit() -> None:
     for quantity in QUANTITIES:
         unit = {"%": "_percent", "m/V": "_m_per_V", "": ""}.get(quantity.unit, f"_{quantity.unit}")
         assert quantity.name.endswith(unit)
+
+
+def test_a_page_of_very_many_stages_stays_small_and_shows_the_worst() -> None:
+    odd = {"noise_rms_m": 4e-8, "held_out_rms_percent": 9.0}
+    many = fleet(1201, **odd)
+    text = render_fleet(many)
+    assert len(text) < 1.3 * len(render_fleet(fleet(200, **odd)))
+    assert "unit 600" in text
+    assert max(table.count("<tr") for table in text.split("<table")) <= 202
+    assert "Of 1201 rows 200 are shown; all stages stand in parameters.parquet" in text
