@@ -113,14 +113,14 @@ def _worth_most(
     """Return what was discovered, or what names alone make of it where that is no worse.
 
     On data left out the simulation may be as good without the curve: the class of the search then
-    did not follow the hysteresis, and the simulation does. Or it may be as good with the names in
-    whose place the curve stands. Beyond the end of a sensor's range the rows are not the same, and
-    the second comparison is not made.
+    did not follow the hysteresis, and the simulation does, unless no healthy stage of any law
+    leaves as much. Or it may be as good with the names in whose place the curve stands. Beyond the
+    end of a sensor's range the rows are not the same, and the second comparison is not made.
     """
     numbers, otherwise, discovered = weighed(found), found.otherwise, found.discovered
     if otherwise is None or discovered is None:
         return found, numbers
-    if numbers.final >= numbers.without[SOMETHING_ELSE]:
+    if not discovered.is_unheard_of and numbers.final >= numbers.without[SOMETHING_ELSE]:
         return otherwise, weighed(otherwise)
     if discovered.end is None and _names_of(otherwise) - _names_of(found):
         named = weighed(otherwise)

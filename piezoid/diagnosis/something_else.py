@@ -44,6 +44,8 @@ LEAST = 0.12  # of the remainder's power
 IN_TIME = 0.2  # of it along time, which follows whatever is slow
 SHARE = 0.25  # of its power above the noise: the rest lives elsewhere
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
+UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
+UNHEARD_OF = 0.02  # the least that the table of healthy stages says: none of them left as much
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
 BETTER = 0.97  # of the error: what the second search must leave
 NO_WORSE = 1.03  # of it: what a search may leave that mends less
@@ -80,6 +82,7 @@ class Discovered:
     share   of the remainder's power above the noise
     left    (rows,)  the remainder
     view    of which it is the remainder
+    chance  that a healthy stage leaves as much in one coordinate
     end     of the sensor's range, where that is what was discovered
     """
 
@@ -88,12 +91,18 @@ class Discovered:
     share: float
     left: Array
     view: View
+    chance: float
     end: Ended | None = None
 
     @property
     def rms(self) -> float:
         """Return the rms of what it explains on blocks left out."""
         return float(np.sqrt(self.lives.gain * np.mean(self.left**2)))
+
+    @property
+    def is_unheard_of(self) -> bool:
+        """Whether hardly a healthy stage leaves as much along what does not repeat."""
+        return self.end is None and self.lives.basis.per_unit == 0.0 and self.chance <= UNHEARD_OF
 
     @property
     def p_value(self) -> float:
@@ -144,14 +153,16 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     mended = _without_faults(plain, executor)
     if mended.discovered is not None:
         return mended
+    best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
         executor.report("searching again without it")
         again = search(without(view, found), executor)
-        if again.final.rms < BETTER * first.final.rms:
-            return replace(
+        if again.final.rms < least:
+            least = again.final.rms
+            best = replace(
                 plain, outcome=_own(again, first, found), discovered=found, otherwise=plain
             )
-    return plain
+    return best
 
 
 def _sought(
@@ -267,10 +278,17 @@ def _named(
             continue
         if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
             continue  # a phase that wanders, or harmonics that die out, faster than allowed for
+        if one.basis.per_unit == 0.0 and _chance(remainder, one) > UNUSUAL:
+            continue  # laws that the class does not follow leave as much
         share = _share(remainder, one.gain)
         if share > SHARE:
             return _discovered(remainder, one, share)
     return None
+
+
+def _chance(remainder: Remainder, lives: CoordinateScore) -> float:
+    """Return the probability that a healthy stage leaves as much in one coordinate."""
+    return chance_of(score_of(lives.gain, remainder.null.rms, remainder.view.noise))
 
 
 def _is_sure(lives: CoordinateScore) -> bool:
@@ -303,6 +321,7 @@ def _discovered(remainder: Remainder, lives: CoordinateScore, share: float) -> D
         share=share,
         left=whole.left,
         view=whole.view,
+        chance=_chance(remainder, lives),
     )
 
 
@@ -338,6 +357,7 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
         share=share,
         left=left,
         view=view,
+        chance=chance_of(score_of(lives.gain, float(np.sqrt(np.mean(left**2))), view.noise)),
         end=found,
     )
 
