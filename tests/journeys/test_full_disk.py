@@ -4,7 +4,6 @@ import ast
 import errno
 import os
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -30,10 +29,19 @@ def fails(number: int) -> Callable[..., NoReturn]:
     return system
 
 
+def opens_nothing_new(number: int) -> Callable[..., Any]:
+    original = Path.open
+
+    def opened(path: Path, mode: str = "r", *rest: Any, **named: Any) -> Any:
+        return fails(number)() if "x" in mode else original(path, mode, *rest, **named)
+
+    return opened
+
+
 FAULTS = {
     "full while writing": (os, "fsync", errno.ENOSPC, "No space left"),
-    "full before": (tempfile, "mkdtemp", errno.ENOSPC, "No space left"),
-    "read only": (tempfile, "mkdtemp", errno.EROFS, "Read-only"),
+    "full before": (os, "mkdir", errno.ENOSPC, "No space left"),
+    "read only": (os, "mkdir", errno.EROFS, "Read-only"),
 }
 
 
@@ -79,8 +87,10 @@ def test_a_verb_that_cannot_write_says_so_once_and_leaves_what_was_there(
 ) -> None:
     before = held(place)
     module, name, number, reason = FAULTS[fault]
-    name = "mkstemp" if words.startswith("init") and name == "mkdtemp" else name
-    monkeypatch.setattr(module, name, fails(number))
+    if words.startswith("init") and name == "mkdir":  # one file: it is the file that fails
+        monkeypatch.setattr(Path, "open", opens_nothing_new(number))
+    else:
+        monkeypatch.setattr(module, name, fails(number))
     monkeypatch.setattr(sys, "argv", ["piezoid", *words.split(), "--quiet"])
     with pytest.raises(SystemExit) as ended:
         main()
