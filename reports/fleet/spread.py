@@ -9,7 +9,7 @@ from piezoid_reports.page import Figure, Heading, Part, Section, Table
 from piezoid_reports.quantities import significant, told
 
 NEGLIGIBLE = 1e-3  # of its interval: a slope below it is rounding
-DOTS = 1000  # stages that are drawn one by one
+DOTS = 1000  # stages with a serial number that are drawn one by one
 STRETCHES = 60  # of serial numbers, of each of which 5 % to 95 % are drawn
 LOOK_SPREAD = (
     "Good: one hump, no stage outside the dashed lines. Bad: two humps (two batches of ceramics, "
@@ -122,7 +122,7 @@ def _course(one: Distribution) -> Figure:
     odd[list(one.outliers[:DOTS])] = True
     layers = [
         _many(canvas, one)
-        if len(one.values) > DOTS
+        if np.isfinite(one.serials).sum() > DOTS
         else canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
         canvas.line("trend", "median trend", ends, line)[0],
     ]

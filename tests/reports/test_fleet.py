@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -199,3 +200,14 @@ def test_a_page_of_very_many_stages_stays_small_and_shows_the_worst() -> None:
     assert "unit 600" in text
     assert max(table.count("<tr") for table in text.split("<table")) <= 202
     assert "Of 1201 rows 200 are shown; all stages stand in parameters.parquet" in text
+
+
+def test_many_stages_of_which_few_carry_a_number_still_make_a_page() -> None:
+    many = fleet(1201)
+    named = [
+        replace(one, name=one.name if k < 20 else "unit " + "abcdefghij"[k % 10] * (k // 10))
+        for k, one in enumerate(many.stages)
+    ]
+    text = render_fleet(replace(many, stages=tuple(named)))
+    assert "over the serial numbers" in text
+    assert "9 of 10 stages" not in text
