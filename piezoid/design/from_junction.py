@@ -20,8 +20,7 @@ from piezoid.design.templates import Template
 from piezoid.errors import DesignError, LabFileError
 from piezoid.identification.loop_model import DECLARED_SPREAD
 from piezoid.identification.tunnelling.current_noise import CurrentChain
-from piezoid.identification.tunnelling.instrument_fit import DriveMode
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.frequency import decibel

@@ -9,8 +9,7 @@ from piezoid.design.chain import Section
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.loop_model import loop_model
 from piezoid.identification.model import AxisModel, Discrepancy
-from piezoid.identification.tunnelling.instrument_fit import DriveMode
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import cascade
 from piezoid.operators.linear import ContinuousSystem

@@ -10,7 +10,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.export.stage import export_stage
 from piezoid.identification.model import Lag
-from piezoid.identification.tunnelling.instrument_fit import DriveMode
+from piezoid.identification.tunnelling.junction_plant import DriveMode
 from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, junction_axis_plant, lateral_plant

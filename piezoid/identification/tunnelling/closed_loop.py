@@ -20,9 +20,9 @@ from piezoid.identification.tunnelling.confidence import Confidence, Reason
 from piezoid.identification.tunnelling.instrument_fit import (
     HIGHEST_POLE_SHARE,
     MISFIT,
-    DriveMode,
     InstrumentFit,
     LEAST_POLE_Hz,
+    ModeEstimate,
     bounds_of_logs,
     fit_with_instrument,
 )
@@ -92,7 +92,7 @@ class ClosedLoopFit:
     confidence: Confidence
     reasons: tuple[Reason, ...]
     declared_pole_Hz: float | None = None
-    mode: DriveMode | None = None
+    mode: ModeEstimate | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "logs")
@@ -112,7 +112,7 @@ def identify_closed_loop(
     drive_gain_relative_uncertainty: float = 0.0,
     sensor_pole_Hz: float | None = None,
     offset_A: Offset | None = None,
-    known_mode: DriveMode | None = None,
+    known_mode: ModeEstimate | None = None,
 ) -> ClosedLoopFit:
     """Identify gain, sensor pole and delay of a junction under its controller, and the barrier.
 
@@ -269,8 +269,8 @@ def _judge(
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     if fit.mode is not None:
         text = (
-            f"the drive shows a mode at {1e-3 * fit.mode.frequency_Hz:.3g} kHz that carries "
-            f"{100.0 * fit.mode.share:.2g} % of the extension; the loop stays well below it"
+            f"the drive shows a mode at {1e-3 * fit.mode.mode.frequency_Hz:.3g} kHz that carries "
+            f"{100.0 * fit.mode.mode.share:.2g} % of the extension; the loop stays well below it"
         )
         reasons.append(Reason(grade=Confidence.MEDIUM, text=text))
     pole_Hz = fit.plant.sensor_pole_Hz

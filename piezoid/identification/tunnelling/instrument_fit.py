@@ -13,6 +13,14 @@ sheet's tolerance, which no record averages away. A mode of the tip's drive,
     G_theta -> G_theta ( 1 - a + a / (1 - (f/f_m)^2 + j f / (f_m Q)) )
 
 is let in where the plant without one leaves more than noise: it would pass for gain and delay.
+Otherwise the tail of modes beyond the recorded lines is fitted,
+
+    G_theta -> G_theta ( 1 + r (f / sampling rate)^2 ),   r = (sampling rate / f_m)^2
+
+for one that carries the whole extension: it raises the gain as a faster pole does, and a delay
+found without it is not as sure as it looks. Errors of the declared poles give it either sign.
+What goes wrong: an undamped mode between half and one and a quarter of the sampling rate that is
+not seen as one rings in the hold's images, which no tail describes: the delay is less sure then.
 """
 
 import math
@@ -23,11 +31,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import resonance
-from piezoid.operators.linear import ContinuousSystem
 
 ComplexArray = NDArray[np.complex128]
 
@@ -36,39 +42,31 @@ HIGHEST_POLE_SHARE = 0.5  # of the sampling rate
 # Standard deviation of ln(true pole / data sheet's): a tolerance of 10 %, anything inside alike.
 POLE_SPREAD = 0.1 / math.sqrt(3.0)
 MISFIT = 2.0  # mean square of the weighted moments; 1 expected, 0.1 its scatter at 200 lines
-_SUSPECT = 1.2  # misfit from which a mode is sought: two of its standard deviations
 _ROUNDS = 4  # weights depend on the plant, weakly: they settle to a per mille after two
 _STEPS = 60  # of the solver; ten suffice where there is a plant to find
 _NEIGHBOURS = 9  # lines over which a variance is smoothed: few blocks make it rough
 _MODE_WORTH = 30.0  # fall of the cost for three numbers more; noise gives 3 +- 2.5
-_MODE_STARTS_SHARE = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)  # of the sampling rate
-_MODE_LOW = (math.log(0.05), math.log(1.0), -0.8)  # ln(f_m / rate), ln Q, a
-_MODE_HIGH = (math.log(0.6), math.log(100.0), 0.8)
+_MODE_STARTS_SHARE = (0.1, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.6, 0.8)  # of the sampling rate
+_MODE_LOW = (math.log(0.05), math.log(1.5), -1.0)  # ln(f_m / rate), ln Q, a
+_MODE_HIGH = (math.log(1.5), math.log(100.0), 1.0)
+_LARGEST_TAIL = 4.0  # r of a mode at half the sampling rate: nearer ones are modes
+_TAIL_SPREAD = 1.0  # standard deviation of r beforehand: a mode at the sampling rate
+_PLANT, _WITH_TAIL = 3, 4  # numbers of the plant; with the tail of modes beyond
+_LN_POLE, _DELAY, _TAIL = 1, 2, 3  # places among them
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveMode:
-    """A mode of the tip's drive beside the plant's poles.
+class ModeEstimate:
+    """A mode of the drive as one record shows it.
 
-    frequency_Hz, quality  of the mode
-    share                  a, of the extension that it carries
+    mode       found
+    numbers    ln(frequency / sampling rate), ln quality, share
+    deviation  their standard deviations
     """
 
-    frequency_Hz: float
-    quality: float
-    share: float
-
-    def response(self, frequency_Hz: Array) -> ComplexArray:
-        """Return 1 - a + a M(f), (frequencies,)."""
-        relative = frequency_Hz / self.frequency_Hz
-        stiffness = 1.0 - relative**2 + 1j * relative / self.quality
-        return np.asarray(1.0 - self.share + self.share / stiffness, dtype=np.complex128)
-
-    @property
-    def system(self) -> ContinuousSystem:
-        """The same in continuous time, gain 1 at rest."""
-        mode = resonance(self.frequency_Hz, 0.5 / self.quality)
-        return replace(mode, C=self.share * mode.C, D=np.array([[1.0 - self.share]]))
+    mode: DriveMode
+    numbers: tuple[float, float, float]
+    deviation: tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,7 +86,7 @@ class InstrumentFit:
     covariance: Array
     common: Array
     misfit: float
-    mode: DriveMode | None
+    mode: ModeEstimate | None
 
 
 def fit_with_instrument(
@@ -97,7 +95,7 @@ def fit_with_instrument(
     *,
     amplifier_pole_Hz: float,
     sensor_pole_Hz: float | None = None,
-    known_mode: DriveMode | None = None,
+    known_mode: ModeEstimate | None = None,
     sampling_rate_Hz: float,
 ) -> InstrumentFit:
     """Return the plant at which the moments with an instrument vanish as well as they can.
@@ -105,7 +103,8 @@ def fit_with_instrument(
     spectra         of the loop
     instrument      (blocks, lines)  the reference
     sensor_pole_Hz  as declared, 10 % either way; None: found from the record alone
-    known_mode      of the drive, as another record of the rig has shown it; None: to be seen
+    known_mode      of the drive, as another record of the rig has shown it and as well as that
+                    knows it; None: to be seen
 
     Moments are weighted by their variance over blocks; gain and pole are kept positive by their
     logarithms; the delay is sought from several starts, because a phase repeats.
@@ -121,28 +120,32 @@ def fit_with_instrument(
     response = problem.response()
     gain = float(np.median(np.abs(response[: max(len(response) // 4, 1)])))
     poles_Hz = (0.1 * sampling_rate_Hz, 0.4 * sampling_rate_Hz)
+    further = [0.0] if known_mode is None else list(known_mode.numbers)
     starts = [
-        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay])
+        np.array([math.log(max(gain, 1e-12)), math.log(pole_Hz), delay, *further])
         for pole_Hz in (poles_Hz if sensor_pole_Hz is None else (sensor_pole_Hz,))
         for delay in (0.2, 1.0, 2.0)
     ]
     logs, cost, deviation = problem.settle(starts, problem.deviation(response))
-    if cost > _SUSPECT * problem.freedom(3):
+    freedom = problem.freedom(_WITH_TAIL)
+    if known_mode is None and cost > freedom + 2.0 * math.sqrt(2.0 * freedom):
         beside = [
-            np.append(logs, [math.log(share), math.log(10.0), 0.1]) for share in _MODE_STARTS_SHARE
+            np.append(logs[:_PLANT], [math.log(share), math.log(10.0), part])
+            for share in _MODE_STARTS_SHARE
+            for part in (0.1, 0.9)
         ]
         with_mode = problem.settle(beside, deviation)
-        if with_mode[1] < cost - _MODE_WORTH * cost / problem.freedom(3):
+        if with_mode[1] < cost - _MODE_WORTH * cost / freedom:
             logs, cost, deviation = with_mode
     misfit = cost / problem.freedom(len(logs))
     covariance, common = problem.covariance(logs, deviation, max(misfit, 1.0))
     return InstrumentFit(
         plant=problem.plant(logs),
-        logs=logs[:3],
-        covariance=covariance,
-        common=common,
+        logs=logs[:_PLANT],
+        covariance=covariance[:_PLANT, :_PLANT],
+        common=common[:_PLANT, :_PLANT],
         misfit=misfit,
-        mode=problem.mode(logs),
+        mode=problem.estimated_mode(logs, covariance),
     )
 
 
@@ -164,7 +167,7 @@ class _Moments:
     instrument: ComplexArray
     amplifier_pole_Hz: float
     declared_pole_Hz: float | None
-    known_mode: DriveMode | None
+    known_mode: ModeEstimate | None
     sampling_rate_Hz: float
 
     def plant(self, logs: Array) -> JunctionPlant:
@@ -177,12 +180,24 @@ class _Moments:
         )
 
     def mode(self, logs: Array) -> DriveMode | None:
-        if len(logs) == 3:
-            return self.known_mode
+        if len(logs) == _WITH_TAIL:
+            return None
         return DriveMode(
             frequency_Hz=math.exp(logs[3]) * self.sampling_rate_Hz,
             quality=math.exp(logs[4]),
             share=float(logs[5]),
+        )
+
+    def estimated_mode(self, logs: Array, covariance: Array) -> ModeEstimate | None:
+        mode = self.mode(logs)
+        if mode is None:
+            return None
+        frequency, quality, share = (float(number) for number in logs[_PLANT:])
+        spread = np.sqrt(np.diag(covariance))[_PLANT:]
+        return ModeEstimate(
+            mode=mode,
+            numbers=(frequency, quality, share),
+            deviation=(float(spread[0]), float(spread[1]), float(spread[2])),
         )
 
     def freedom(self, numbers: int) -> int:
@@ -190,11 +205,12 @@ class _Moments:
 
     def modelled(self, logs: Array) -> ComplexArray:
         """The response over that of the plant the drive has passed already, (lines,)."""
-        frequency_Hz, mode = self.spectra.frequency_Hz, self.mode(logs)
-        response = self.plant(logs).frequency_response(frequency_Hz)
-        if mode is not None:
-            response = response * mode.response(frequency_Hz)
-        return response / self.passed
+        frequency_Hz = self.spectra.frequency_Hz
+        response = self.plant(logs).frequency_response(frequency_Hz, self.mode(logs))
+        if len(logs) == _WITH_TAIL:
+            response = response * (1.0 + logs[_TAIL] * (frequency_Hz / self.sampling_rate_Hz) ** 2)
+        passed: ComplexArray = response / self.passed
+        return passed
 
     @cached_property
     def passed(self) -> ComplexArray:
@@ -249,35 +265,48 @@ class _Moments:
             logs, cost = self.solve(logs, deviation)
         return logs, cost, deviation
 
+    def bounds(self, numbers: int) -> tuple[Array, Array]:
+        """Ends of what is sought, (numbers,) each."""
+        low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
+        if numbers == _WITH_TAIL:
+            return np.array([*low, -_LARGEST_TAIL]), np.array([*high, _LARGEST_TAIL])
+        return np.array([*low, *_MODE_LOW]), np.array([*high, *_MODE_HIGH])
+
     def solve(self, start: Array, deviation: Array) -> tuple[Array, float]:
         from scipy.optimize import least_squares
 
-        low, high = bounds_of_logs(self.sampling_rate_Hz, self.declared_pole_Hz)
-        if len(start) > 3:
-            low, high = [*low, *_MODE_LOW], [*high, *_MODE_HIGH]
+        low, high = self.bounds(len(start))
+        rows, centers = self.known(len(start))
         result = least_squares(
-            lambda logs: np.append(self.weighted(logs, deviation), self.of_declared(logs)),
-            np.clip(start, np.add(low, 1e-9), np.subtract(high, 1e-9)),
+            lambda logs: np.append(self.weighted(logs, deviation), rows @ logs - centers),
+            np.clip(start, low + 1e-9, high - 1e-9),
             bounds=(low, high),
             max_nfev=_STEPS,
         )
         return np.asarray(result.x, dtype=np.float64), 2.0 * float(result.cost)
 
-    def of_declared(self, logs: Array) -> list[float]:
-        """How far the sensor's pole lies from the declared one, in standard deviations."""
-        if self.declared_pole_Hz is None:
-            return []
-        return [(float(logs[1]) - math.log(self.declared_pole_Hz)) / POLE_SPREAD]
+    def known(self, numbers: int) -> tuple[Array, Array]:
+        """What is known beforehand, rows @ logs = centers to one, (known, numbers), (known,)."""
+        facts = [(_TAIL, 0.0, _TAIL_SPREAD)] if numbers == _WITH_TAIL else []
+        if self.declared_pole_Hz is not None:
+            facts.append((_LN_POLE, math.log(self.declared_pole_Hz), POLE_SPREAD))
+        if self.known_mode is not None:
+            of_mode = zip(self.known_mode.numbers, self.known_mode.deviation, strict=True)
+            facts += [(_PLANT + place, *fact) for place, fact in enumerate(of_mode)]
+        rows = np.zeros((len(facts), numbers))
+        for row, (place, _, spread) in zip(rows, facts, strict=True):
+            row[place] = 1.0 / spread
+        return rows, np.array([center / spread for _, center, spread in facts])
 
     def jacobian(self, logs: Array, deviation: Array) -> Array:
         """d weighted / d logs by central differences, (2 lines, numbers)."""
         columns = []
-        least = np.where(np.arange(len(logs)) == 2, 0.0, -np.inf)
+        low, high = self.bounds(len(logs))
         for place in range(len(logs)):
             step = np.zeros(len(logs))
             step[place] = 1e-5
-            forward = np.maximum(logs + step, least)
-            backward = np.maximum(logs - step, least)
+            forward = np.minimum(logs + step, high)
+            backward = np.maximum(logs - step, low)
             change = self.weighted(forward, deviation) - self.weighted(backward, deviation)
             columns.append(change / (forward - backward)[place])
         return np.column_stack(columns)
@@ -287,23 +316,23 @@ class _Moments:
 
         Each block's pull on the estimate, squared and summed. Few blocks make it uncertain, so
         that no variance is taken below the one expected of moments of unit variance, (J' J)^-1.
-        A pole that is declared pulls alike in every record; so does the amplifier's, which is
-        not fitted: by its tolerance times the shift of the estimate it would cause.
+        What is known beforehand pulls alike in every record; so does the amplifier's pole, which
+        is not fitted: by its tolerance times the shift of the estimate it would cause.
         """
         moments = self.block_moments(self.modelled(logs)) / deviation
         moments = moments - moments.mean(axis=0)
         parts = np.concatenate([moments.real, moments.imag], axis=1)
         jacobian = self.jacobian(logs, deviation)
-        prior = np.zeros(len(logs))
-        prior[1] = 0.0 if self.declared_pole_Hz is None else 1.0 / POLE_SPREAD
-        inverse = np.linalg.pinv(np.vstack([jacobian, prior]))
-        pulls = parts @ inverse[:, :-1].T / len(parts)
+        known, _ = self.known(len(logs))
+        inverse = np.linalg.pinv(np.vstack([jacobian, known]))
+        of_record, of_known = np.split(inverse, [len(jacobian)], axis=1)
+        pulls = parts @ of_record.T / len(parts)
         sandwich = pulls.T @ pulls * len(parts) / (len(parts) - 1)
-        expected = inverse[:, :-1] @ inverse[:, :-1].T
+        expected = of_record @ of_record.T
         stretch = np.sqrt(np.maximum(np.diag(expected) / np.diag(sandwich), 1.0))
         faster = replace(self, amplifier_pole_Hz=self.amplifier_pole_Hz * math.exp(1e-4))
         change = 1e4 * (faster.weighted(logs, deviation) - self.weighted(logs, deviation))
-        of_amplifier = POLE_SPREAD * (inverse[:, :-1] @ change)
-        common = np.outer(inverse[:, -1], inverse[:, -1]) + np.outer(of_amplifier, of_amplifier)
+        of_amplifier = POLE_SPREAD * (of_record @ change)
+        common = of_known @ of_known.T + np.outer(of_amplifier, of_amplifier)
         own: Array = misfit * sandwich * np.outer(stretch, stretch)
-        return (own + common)[:3, :3], common[:3, :3]
+        return own + common, common

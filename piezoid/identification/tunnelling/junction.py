@@ -14,7 +14,7 @@ from piezoid.identification.tunnelling.closed_loop import (
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.directions import DirectionShift, compare_directions
 from piezoid.identification.tunnelling.family import spread_family
-from piezoid.identification.tunnelling.instrument_fit import DriveMode
+from piezoid.identification.tunnelling.instrument_fit import ModeEstimate
 from piezoid.identification.tunnelling.joint_barrier import join_barriers
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, loops_of
@@ -102,7 +102,7 @@ def fit_loops(
     offset  of the current, where sweeps have shown it
     """
 
-    def identified(loop: LoopRecord, mode: DriveMode | None) -> ClosedLoopFit:
+    def identified(loop: LoopRecord, mode: ModeEstimate | None) -> ClosedLoopFit:
         return identify_closed_loop(
             loop,
             amplifier_pole_Hz=rig.amplifier_pole_Hz,

@@ -7,21 +7,58 @@ whole number of samples not below tau, and rho = n Ts - tau the rest, the held p
 
     G(q) = K q^-n [ 1 - (1 - q^-1) sum_p c_p e^(-p rho) / (1 - e^(-p Ts) q^-1) ]
 
-The Z piezo (120 kHz) counts as instant at 20 kHz. Amplifier and sensor enter alike, so only one
-of their poles can be found from data: the amplifier's is declared. Positive drive extends the
-tip: K > 0.
+A mode of the drive, 1 - a + a / (1 + s/(w Q) + s^2/w^2), adds a pair of poles to the sum; sampled
+like this it is right beyond half the sampling rate, where its images fall into the band. Amplifier
+and sensor enter alike, so only one of their poles can be found from data: the amplifier's is
+declared. Positive drive extends the tip: K > 0.
 """
 
+import cmath
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.operators.analogue import resonance
+from piezoid.operators.linear import ContinuousSystem
 from piezoid.operators.recursive_filter import recursive_filter
 
 ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class DriveMode:
+    """A mode of the tip's drive beside the plant's poles.
+
+    frequency_Hz, quality  of the mode
+    share                  a, of the extension that it carries
+    """
+
+    frequency_Hz: float
+    quality: float
+    share: float
+
+    def response(self, frequency_Hz: Array) -> ComplexArray:
+        """Return 1 - a + a M(f), (frequencies,)."""
+        relative = frequency_Hz / self.frequency_Hz
+        stiffness = 1.0 - relative**2 + 1j * relative / self.quality
+        return np.asarray(1.0 - self.share + self.share / stiffness, dtype=np.complex128)
+
+    @property
+    def system(self) -> ContinuousSystem:
+        """The same in continuous time, gain 1 at rest."""
+        mode = resonance(self.frequency_Hz, 0.5 / self.quality)
+        return replace(mode, C=self.share * mode.C, D=np.array([[1.0 - self.share]]))
+
+    @property
+    def poles(self) -> tuple[complex, complex]:
+        """The pair p of e^(-p t), rad/s."""
+        damping, frequency = 0.5 / self.quality, 2.0 * math.pi * self.frequency_Hz
+        swing = cmath.sqrt(damping**2 - 1.0)
+        return frequency * (damping + swing), frequency * (damping - swing)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,15 +82,25 @@ class JunctionPlant:
         if not self.delay_s >= 0.0:
             raise ValueError(f"delay_s is {self.delay_s}, expected at least 0")
 
-    def _modes(self) -> tuple[int, list[tuple[float, float]]]:
-        """Whole samples n, and for each pole its pulse pole and c_p e^(-p rho)."""
+    def _whole_samples(self) -> tuple[int, float]:
+        """Whole samples n not below the delay, and the rest rho in seconds."""
         period_s = 1.0 / self.sampling_rate_Hz
         samples = math.ceil(self.delay_s / period_s - 1e-9)
-        rest_s = max(samples * period_s - self.delay_s, 0.0)
+        return samples, max(samples * period_s - self.delay_s, 0.0)
+
+    def _poles(self) -> tuple[float, float]:
+        """Amplifier's and sensor's, rad/s."""
         amplifier = 2.0 * math.pi * self.amplifier_pole_Hz
         sensor = 2.0 * math.pi * self.sensor_pole_Hz
         if abs(sensor / amplifier - 1.0) < 1e-6:
             sensor = amplifier * (1.0 + 1e-6)  # a double pole, split by less than it matters
+        return amplifier, sensor
+
+    def _modes(self) -> tuple[int, Sequence[tuple[float, float]]]:
+        """Whole samples n, and for each pole its pulse pole and c_p e^(-p rho)."""
+        period_s = 1.0 / self.sampling_rate_Hz
+        samples, rest_s = self._whole_samples()
+        amplifier, sensor = self._poles()
         shares = (
             (amplifier, sensor / (sensor - amplifier)),
             (sensor, amplifier / (amplifier - sensor)),
@@ -64,9 +111,30 @@ class JunctionPlant:
         ]
         return samples, modes
 
-    def frequency_response(self, frequency_Hz: Array) -> ComplexArray:
-        """Return G at each frequency, (frequencies,) nepers per volt."""
-        samples, modes = self._modes()
+    def _modes_beside(self, mode: DriveMode) -> tuple[int, Sequence[tuple[complex, complex]]]:
+        """The same with a mode of the drive: c_p = -residue of the step response at -p."""
+        period_s = 1.0 / self.sampling_rate_Hz
+        samples, rest_s = self._whole_samples()
+        poles: list[complex] = [*self._poles(), *mode.poles]
+        stiff = (2.0 * math.pi * mode.frequency_Hz) ** 2
+        top = math.prod(poles[:2])
+        modes = []
+        for k, pole in enumerate(poles):
+            through = pole**2 - pole * math.sqrt(stiff) / mode.quality + stiff
+            zeros = top * ((1.0 - mode.share) * through + mode.share * stiff)
+            others = math.prod(other - pole for other in poles[:k] + poles[k + 1 :])
+            share = zeros / (pole * others)
+            modes.append((cmath.exp(-pole * period_s), share * cmath.exp(-pole * rest_s)))
+        return samples, modes
+
+    def frequency_response(
+        self, frequency_Hz: Array, mode: DriveMode | None = None
+    ) -> ComplexArray:
+        """Return G at each frequency, (frequencies,) nepers per volt.
+
+        mode  of the drive, sampled with the plant; None: none
+        """
+        samples, modes = self._modes() if mode is None else self._modes_beside(mode)
         back = np.exp(-2j * np.pi * frequency_Hz / self.sampling_rate_Hz)
         remainder = sum(share / (1.0 - pulse * back) for pulse, share in modes)
         response: ComplexArray = (

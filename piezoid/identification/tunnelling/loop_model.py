@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, pole_interval
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.family import PlantFamily, mean_of
-from piezoid.identification.tunnelling.instrument_fit import DriveMode
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRig
 from piezoid.identification.tunnelling.loop_noise import LoopNoise, MainsLine, NoiseSource
 from piezoid.numerics.arrays import Array
@@ -142,7 +141,7 @@ def describe_loop_plant(
         axis="" if rig is None else rig.axis,
         rig=rig,
         records=tuple(records),
-        modes=tuple(fit.mode for fit in fits if fit.mode is not None),
+        modes=tuple(fit.mode.mode for fit in fits if fit.mode is not None),
     )
 
 

@@ -1,18 +1,21 @@
 """Plant and barrier are found behind a controller, where the plain transfer function is wrong."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import tf2ss
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.closed_loop import Offset, identify_closed_loop
 from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.family import mean_of, spread_family
-from piezoid.identification.tunnelling.instrument_fit import DriveMode, fit_with_instrument
-from piezoid.identification.tunnelling.junction_plant import JunctionPlant
+from piezoid.identification.tunnelling.instrument_fit import fit_with_instrument
+from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
+from piezoid.operators.linear import ContinuousSystem, sample
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
 from tests.identification.tunnelling.loops import (
     LINES,
@@ -304,14 +307,64 @@ def test_a_mode_of_the_drive_passes_for_neither_gain_nor_delay() -> None:
     frequency_Hz = np.linspace(40.0, 8000.0, 200)
     parts = rng.standard_normal((4, 32, 200))
     drive = parts[0] + 1j * parts[1]
-    response = plant.frequency_response(frequency_Hz) * mode.response(frequency_Hz)
+    response = plant.frequency_response(frequency_Hz, mode)
     output = response * drive + 0.01 * (parts[2] + 1j * parts[3])
     spectra = LoopSpectra(frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output)
     fit = fit_with_instrument(
         spectra, drive, amplifier_pole_Hz=3000.0, sensor_pole_Hz=6300.0, sampling_rate_Hz=20e3
     )
     assert fit.mode is not None
-    assert fit.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
-    assert fit.mode.share == pytest.approx(0.2, rel=0.1)
+    assert fit.mode.mode.frequency_Hz == pytest.approx(5000.0, rel=0.01)
+    assert fit.mode.mode.share == pytest.approx(0.2, rel=0.1)
     assert fit.plant.gain_nepers_per_V == pytest.approx(0.3, rel=0.01)
     assert fit.plant.delay_s == pytest.approx(70e-6, abs=2e-6)
+
+
+def test_a_mode_is_sampled_with_the_plant_also_beyond_half_the_rate() -> None:
+    """The oracle is the matrix exponential of amplifier, sensor and mode in a row."""
+    plant = JunctionPlant(
+        gain_nepers_per_V=2.0,
+        sensor_pole_Hz=6000.0,
+        delay_s=72e-6,
+        amplifier_pole_Hz=3000.0,
+        sampling_rate_Hz=20e3,
+    )
+    amplifier, sensor, mode = 2.0 * np.pi * np.array([3000.0, 6000.0, 13000.0])
+    top = 2.0 * amplifier * sensor * np.array([0.3, 0.3 * mode / 6.0, mode**2])
+    bottom = np.polymul(np.polymul([1.0, amplifier], [1.0, sensor]), [1.0, mode / 6.0, mode**2])
+    A, B, C, D = tf2ss(top, bottom)
+    row = ContinuousSystem(A=A, B=B, C=C, D=D, delay_s=72e-6)
+    frequency_Hz = np.linspace(10.0, 9900.0, 23)
+    found = plant.frequency_response(
+        frequency_Hz, DriveMode(frequency_Hz=13000.0, quality=6.0, share=0.7)
+    )
+    assert found == pytest.approx(sample(row, 20e3).response(frequency_Hz)[:, 0, 0], rel=1e-10)
+
+
+def test_the_delay_is_as_sure_as_modes_beyond_the_recorded_lines_allow() -> None:
+    """A mode at 30 kHz stiffens the drive as a faster pole would: no line shows it as a mode."""
+    mode = DriveMode(frequency_Hz=30e3, quality=10.0, share=1.0)
+    held = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        plant = JunctionPlant(
+            gain_nepers_per_V=0.3,
+            sensor_pole_Hz=3000.0 * math.exp(rng.uniform(-0.05, 0.05)),
+            delay_s=rng.uniform(60e-6, 110e-6),
+            amplifier_pole_Hz=5000.0,
+            sampling_rate_Hz=20e3,
+        )
+        frequency_Hz = np.linspace(40.0, 8000.0, 200)
+        parts = rng.standard_normal((4, 32, 200))
+        drive = parts[0] + 1j * parts[1]
+        output = plant.frequency_response(frequency_Hz, mode) * drive
+        output = output + 0.09 * (parts[2] + 1j * parts[3])
+        spectra = LoopSpectra(
+            frequency_Hz=frequency_Hz, reference=drive, drive=drive, output=output
+        )
+        fit = fit_with_instrument(
+            spectra, drive, amplifier_pole_Hz=5000.0, sensor_pole_Hz=3000.0, sampling_rate_Hz=20e3
+        )
+        half_s = 1.96 * math.sqrt(fit.covariance[2, 2]) / 20e3
+        held += abs(fit.plant.delay_s - plant.delay_s) <= half_s
+    assert held >= 9  # seven of these twelve without the tail
