@@ -1,19 +1,25 @@
-"""How much healthy stages leave: the table by which the diagnosis tells what is more than that.
+"""How much healthy stages show: the table by which the diagnosis tells what is more than that.
 
     python -m benchmarks.zoo.healthy [--cases 6] [--seeds 940000] [--json build/healthy.jsonl]
-                                     [--minutes 60] [--write]
+                                     [--minutes 60] [--workers 2] [--write]
 
 Healthy stages of every law are diagnosed, each is one line of the file of results, and a run that
 was cut short goes on. ``--write`` makes ``piezoid/diagnosis/healthy_scores.json`` of them: the
-scores of what is left, by law, with the seeds they are of. Then, for each law, the probabilities
-by the table of all *other* laws are held against the uniform distribution.
+scores of what is left and the strengths of the strongest evidence, by law, with the seeds they
+are of. An initial state is no evidence against health: these stages have pasts. Then, for each
+law, the probabilities of what is left by the table of all *other* laws are held against the
+uniform distribution. Most healthy stages show no evidence at all: a cause's probability is then no
+larger than the part of those that do.
 """
 
 import argparse
 import json
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from scipy.stats import kstest
 
@@ -24,6 +30,7 @@ from piezoid.errors import PiezoidError
 
 TABLE = Path(__file__).parents[2] / "piezoid/diagnosis/healthy_scores.json"
 DIGITS = 4  # of a score
+PAST = "initial_state"
 
 
 def main() -> None:
@@ -34,32 +41,44 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=940_000, help="the first of them")
     parser.add_argument("--json", type=Path, default=Path("build/healthy.jsonl"))
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no stage after them")
+    parser.add_argument("--workers", type=int, default=1, help="stages diagnosed at once")
     parser.add_argument("--write", action="store_true", help="make the table")
     asked = parser.parse_args()
     ends_s = time.monotonic() + 60.0 * asked.minutes
     rows = [json.loads(line) for line in _lines(asked.json)]
     known = {row["seed"] for row in rows}
     asked.json.parent.mkdir(parents=True, exist_ok=True)
-    with asked.json.open("a") as file:
-        for number in range(asked.cases):
-            for law in NAMES:
-                one = stage(law, "healthy", number, asked.seeds)
-                if one.seed in known or time.monotonic() > ends_s:
-                    continue
-                rows.append(_scored(law, one.seed, number, asked.seeds))
-                file.write(json.dumps(rows[-1]) + "\n")
+    wanted = [
+        (law, number)
+        for number in range(asked.cases)
+        for law in NAMES
+        if stage(law, "healthy", number, asked.seeds).seed not in known
+    ]
+    with asked.json.open("a") as file, ProcessPoolExecutor(asked.workers) as pool:
+        for row in pool.map(partial(_scored, first=asked.seeds, ends_s=ends_s), wanted):
+            if row is not None:
+                rows.append(row)
+                file.write(json.dumps(row) + "\n")
                 file.flush()
-                print(rows[-1], flush=True)
-    scores: dict[str, list[float]] = {}
-    for row in sorted(rows, key=lambda row: row["seed"]):
-        if row["score"] is not None:
-            scores.setdefault(row["law"], []).append(row["score"])
+                print(row, flush=True)
+    scores, strengths = (_by_law(rows, kind) for kind in ("score", "strength"))
     if asked.write:
         seeds = [row["seed"] for row in rows]
         made = f"python -m benchmarks.zoo.healthy --cases {asked.cases} --seeds {asked.seeds}"
         table = {"made_by": made, "seeds": sorted(seeds), "scores": scores}
+        table["strengths"] = strengths
         TABLE.write_text(json.dumps(table, indent=1, sort_keys=True) + "\n")
     print(uniformity(scores))
+    told = ", ".join(f"{one:.2f}" for of_law in strengths.values() for one in of_law if one > 0.0)
+    print(f"strengths of the stages that show evidence at all: {told}")
+
+
+def _by_law(rows: Sequence[Mapping[str, Any]], kind: str) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = {}
+    for row in sorted(rows, key=lambda row: int(row["seed"])):
+        if row[kind] is not None:
+            found.setdefault(row["law"], []).append(row[kind])
+    return found
 
 
 def uniformity(scores: Mapping[str, Sequence[float]]) -> str:
@@ -83,18 +102,26 @@ def uniformity(scores: Mapping[str, Sequence[float]]) -> str:
     )
 
 
-def _scored(law: str, seed: int, number: int, first: int) -> dict[str, object]:
-    row: dict[str, object] = {"law": law, "seed": seed, "score": None, "said": []}
+def _scored(wanted: tuple[str, int], *, first: int, ends_s: float) -> dict[str, Any] | None:
+    """Diagnose one healthy stage; None where time is up."""
+    if time.monotonic() > ends_s:
+        return None
+    law, number = wanted
+    asked = stage(law, "healthy", number, first)
+    row: dict[str, Any] = {"law": law, "seed": asked.seed, "said": []}
+    row |= {"score": None, "strength": None}
     try:
-        found, time_s = diagnosed(drawn(stage(law, "healthy", number, first)))
+        found, time_s = diagnosed(drawn(asked))
     except PiezoidError as error:
         return {**row, "failed": str(error)[:200]}
     rest = found.unexplained
     assert rest is not None
+    strengths = [v for name, v in found.strengths.items() if name != PAST]
     left = found.envelope_rms_m / found.noise_floor_rms_m
     return {
         **row,
         "score": round(score_of(rest.gain, left, 1.0), DIGITS),
+        "strength": round(max(strengths, default=0.0), DIGITS),
         "said": [[one.effect, one.p_value] for one in found.findings],
         "times_noise": round(left, DIGITS),
         "gain": round(rest.gain, DIGITS),

@@ -68,6 +68,18 @@ class Candidate:
         )
 
     @property
+    def strength(self) -> float:
+        """Return how many times larger it is than the structure that is left beside it.
+
+            2 share / sqrt(max(rms^2 - noise^2, DOUBTFUL noise^2))
+
+        What a healthy stage of another law makes of this number is its null (``healthy``).
+        """
+        noise = self.view.noise
+        structure = sqrt(max(self.view.rms**2 - noise**2, DOUBTFUL * noise**2))
+        return 2.0 * self.share / max(structure, 1e-300)
+
+    @property
     def is_evidence(self) -> bool:
         """Tell whether this is sure, worth it, physical, and better than its placebos."""
         return (

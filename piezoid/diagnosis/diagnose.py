@@ -14,6 +14,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexp
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.forward_selection import SLIP
+from piezoid.diagnosis.healthy import chance_of, strengths_of_healthy
 from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
@@ -214,6 +215,10 @@ def _diagnosis(
             gain=rest.gain,
         ),
         model=numbers.model,
+        strengths={
+            one.effect.name: one.strength
+            for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)
+        },
     )
 
 
@@ -267,7 +272,7 @@ def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding
         held_out_gain=_gain(before, after),
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
-        p_value=min(1.0, max(cause.cv.p_value, 1e-12) * len(EFFECTS)),
+        p_value=chance_of(cause.strength, strengths_of_healthy()),
         rms_percent=100.0 * cause.share,
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),

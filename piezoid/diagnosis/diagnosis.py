@@ -69,7 +69,10 @@ class Finding:
     held_out_gain           1 - rms with it / rms without it, both refitted, on rows left out
     held_out_rms_before_m   without it
     held_out_rms_after_m    with it
-    p_value                 times the number of effects tried [Bonferroni]
+    p_value                 of a cause and of something else: the probability that a healthy stage
+                            shows as much, by its rank among healthy stages of every law of the
+                            zoo, never below one over their number; of a fault of the data: of such
+                            evidence where there is none, times the number of effects
     rms_percent             rms of what it adds, percent of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit
@@ -134,6 +137,8 @@ class Diagnosis:
     explained_fraction  of the variance above the noise floor
     unexplained         what no name stands for; None in files of versions that did not ask
     findings            by falling gain
+    strengths           of every effect that was evidence, named or not: its rms over the structure
+                        that is left beside it. Not in diagnosis.json
     model               the axis with everything found in it, as it ships; None where no model was
                         at hand. It stands in model.json, not here
     """
@@ -148,6 +153,7 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
     unexplained: Unexplained | None = None
+    strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
 
     @property

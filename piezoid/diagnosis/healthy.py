@@ -1,4 +1,4 @@
-"""How much healthy stages leave: the null against which a remainder is more than usual.
+"""How much healthy stages show: the null of what is left, and of every cause that is named.
 
 Hysteresis of another law than the class follows leaves a remainder that lives somewhere, and no
 shuffling of it tells that from an effect nobody has named. So its score,
@@ -11,7 +11,10 @@ scores of healthy stages of all laws of the zoo. Its rank among n of them is a p
     p = (1 + #{s_i >= s}) / (n + 1),
 
 exactly uniform for a healthy stage that is exchangeable with these, whatever the score is: no
-threshold is typed in. ``python -m benchmarks.zoo.healthy`` makes the table.
+threshold is typed in. A cause is held in the same way against the strongest that the diagnosis of
+a healthy stage came upon, named or dismissed: its rms over that of the structure left beside it.
+That probability is of any finding in the whole diagnosis, hence no factor for many effects.
+``python -m benchmarks.zoo.healthy`` makes the table.
 
 Source: Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World (2005), conformal p.
 """
@@ -33,16 +36,26 @@ def score_of(gain: float, rms: float, noise: float) -> float:
 def chance_of(score: float, healthy: Iterable[float] | None = None) -> float:
     """Return the probability that a healthy stage scores as much.
 
-    healthy  scores of healthy stages; None: of the table
+    healthy  scores of healthy stages; None: those of the table
 
     >>> chance_of(3.0, [0.1, 0.5, 4.0])
     0.5
     """
-    scores = list(_scores() if healthy is None else healthy)
+    scores = list(_table("scores") if healthy is None else healthy)
     return (1.0 + sum(one >= score for one in scores)) / (len(scores) + 1.0)
 
 
+def strengths_of_healthy() -> tuple[float, ...]:
+    """Return the strength of the strongest evidence in each healthy stage; 0 where none was."""
+    return _table("strengths")
+
+
+def least_chance() -> float:
+    """Return the smallest probability that the table can say: no healthy stage leaves as much."""
+    return chance_of(float("inf"))
+
+
 @cache
-def _scores() -> tuple[float, ...]:
+def _table(kind: str) -> tuple[float, ...]:
     table = json.loads(files(__package__).joinpath("healthy_scores.json").read_text("utf-8"))
-    return tuple(one for of_law in table["scores"].values() for one in of_law)
+    return tuple(one for of_law in table[kind].values() for one in of_law)

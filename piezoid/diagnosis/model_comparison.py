@@ -32,18 +32,20 @@ Confounded = dict[str, tuple[str, ...]]
 
 def compare_models(
     clean: View, selected: Sequence[SelectedEffect], executor: Executor
-) -> tuple[list[Candidate], Confounded]:
+) -> tuple[list[Candidate], Confounded, list[Candidate]]:
     """Judge every selected effect or what replaces it, and name the effects that do as well.
 
-    What has no name beside all others goes, the least of it first.
+    What has no name beside all others goes, the least of it first; it is returned last.
     """
     selected = list(selected)
+    dismissed: list[Candidate] = []
     while True:
         causes, confounded = _compare_each(clean, selected, executor)
         mute = [cause for cause in causes if not cause.has_a_name]
         if not mute:
-            return causes, confounded
+            return causes, confounded, dismissed
         least = min(mute, key=lambda cause: cause.cv.gain)
+        dismissed.append(least)
         selected = [cause.selected for cause in causes if cause is not least]
 
 

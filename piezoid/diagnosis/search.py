@@ -45,6 +45,7 @@ class Outcome:
     confounded  effects that would explain as much in the place of a selected one, by its name
     screened    the last score test of each effect that was not selected
     held_back   significant structure beside causes it cannot be separated from
+    dismissed   what was selected, or structure that was significant, and has no name
     against     why the class does not apply, so that no cause is looked for; empty where it does
     """
 
@@ -56,6 +57,7 @@ class Outcome:
     confounded: Confounded
     screened: Mapping[str, ScoreTest]
     held_back: tuple[str, ...] = ()
+    dismissed: tuple[Candidate, ...] = ()
     against: str = ""
 
 
@@ -63,7 +65,7 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
     """Find the causes of what the nuisance class cannot follow."""
     clean, faults = repaired(view, executor)
     state = _best_selection(clean, faults, executor)
-    causes, confounded = compare_models(state.clean, state.selected, executor)
+    causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = extended(state.clean, [cause.selected for cause in causes])
     named = {cause.effect.name for cause in causes}
     found = Outcome(
@@ -74,6 +76,7 @@ def search(view: View, executor: Executor = SERIAL) -> Outcome:
         causes=tuple(causes),
         confounded=confounded,
         screened={**_dropped(final, {*named, *state.screened}), **state.screened},
+        dismissed=tuple(dismissed),
     )
     return _with_structure(found, executor)
 
@@ -148,6 +151,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
             outcome = replace(
                 outcome,
                 held_back=(*outcome.held_back, effect.name),
+                dismissed=(*outcome.dismissed, structure),
                 confounded=_with_confounded(outcome.confounded, effect),
             )
     return outcome

@@ -25,7 +25,7 @@ from piezoid.diagnosis.discovery import (
     of_grid,
 )
 from piezoid.diagnosis.extended import extended
-from piezoid.diagnosis.healthy import chance_of, score_of
+from piezoid.diagnosis.healthy import chance_of, least_chance, score_of
 from piezoid.diagnosis.range_end import Ended, ended
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.search import Outcome, search
@@ -45,7 +45,6 @@ IN_TIME = 0.2  # of it along time, which follows whatever is slow
 SHARE = 0.25  # of its power above the noise: the rest lives elsewhere
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
 UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
-UNHEARD_OF = 0.02  # the least that the table of healthy stages says: none of them left as much
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
 BETTER = 0.97  # of the error: what the second search must leave
 NO_WORSE = 1.03  # of it: what a search may leave that mends less
@@ -101,13 +100,21 @@ class Discovered:
 
     @property
     def is_unheard_of(self) -> bool:
-        """Whether hardly a healthy stage leaves as much along what does not repeat."""
-        return self.end is None and self.lives.basis.per_unit == 0.0 and self.chance <= UNHEARD_OF
+        """Whether no healthy stage leaves as much along what does not repeat."""
+        return (
+            self.end is None and self.lives.basis.per_unit == 0.0 and self.chance <= least_chance()
+        )
 
     @property
     def p_value(self) -> float:
-        """Return the p-value, times the families of coordinates [Bonferroni]."""
-        return min(1.0, FAMILIES * max(self.lives.p_value, LEAST_P))
+        """Return the probability that a healthy stage leaves as much, or of such a line in noise.
+
+        What repeats is held against the spectrum around it, times the families of coordinates
+        [Bonferroni]; everything else has its rank among healthy stages.
+        """
+        if self.lives.basis.per_unit > 0.0:
+            return min(1.0, FAMILIES * max(self.lives.p_value, LEAST_P))
+        return self.chance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

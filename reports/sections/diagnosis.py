@@ -101,9 +101,10 @@ def _gain(finding: Finding) -> str:
 def _gains(found: Diagnosis) -> Table:
     return Table(
         caption="What was found, largest gain first. Gain: the part of the error on rows left out "
-        "that goes with this effect alone in or out of the model, refitted both times. p: chance "
-        "of such evidence without the effect, times the number of effects tried: whether it is "
-        "there. The interval is of its size: how large it is.",
+        "that goes with this effect alone in or out of the model, refitted both times. p: the "
+        "probability that a healthy stage shows as much, by its rank among healthy stages of "
+        "many laws of hysteresis: whether it is there. The interval is of its size: how large "
+        "it is.",
         columns=("effect", "gain", "without it", "with it", "size", "p"),
         wordy=(1, 4),
         rows=tuple(

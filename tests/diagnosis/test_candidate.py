@@ -139,6 +139,18 @@ def test_an_effect_is_larger_than_the_structure_that_is_left_or_has_no_name(
     assert exceeds_structure(share, rms, noise) is larger
 
 
+@pytest.mark.parametrize(
+    ("rms", "noise", "strength"),
+    [
+        (0.025, 0.020, 0.02 / 0.015),  # the structure that is left, of half the stroke
+        (0.020, 0.020, 0.02 / (0.020 * 0.03**0.5)),  # none, but what the noise may be wrong by
+    ],
+)
+def test_the_strength_of_evidence_is_its_rms_over_that_of_the_structure(rms, noise, strength):
+    found = judged(creep.EFFECT, held(rms=rms), left=1.0, noise=noise)
+    assert found.strength == pytest.approx(strength)
+
+
 @pytest.mark.parametrize(("noise", "named"), [(1.0, True), (0.9999, False)])
 def test_what_is_sure_and_small_beside_what_is_left_is_significant_and_has_no_name(noise, named):
     """Of half the stroke 0.02 is added, and 0.014 of structure is left or none."""

@@ -1,4 +1,4 @@
-"""What is left is ranked among what healthy stages leave."""
+"""What is left, and every cause, is ranked among what healthy stages show."""
 
 import json
 from importlib.resources import files
@@ -7,13 +7,18 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from piezoid.diagnosis.healthy import chance_of, score_of
+from piezoid.diagnosis.healthy import (
+    chance_of,
+    least_chance,
+    score_of,
+    strengths_of_healthy,
+)
 from piezoid_datasets.virtual_lab.truths import ZOO
 
 
-def table() -> dict[str, list[float]]:
+def table(kind: str) -> dict[str, list[float]]:
     text = files("piezoid.diagnosis").joinpath("healthy_scores.json").read_text("utf-8")
-    return json.loads(text)["scores"]
+    return json.loads(text)[kind]
 
 
 @pytest.mark.parametrize("draw", ["exponential", "lognormal", "standard_cauchy"])
@@ -39,7 +44,28 @@ def test_a_remainder_of_noise_scores_next_to_nothing_and_a_strong_curve_much() -
     assert score_of(-0.1, 5.0, 1.0) == 0.0
 
 
-def test_the_table_holds_healthy_stages_of_every_law() -> None:
-    scores = table()
+@pytest.mark.parametrize("kind", ["scores", "strengths"])
+def test_the_table_holds_healthy_stages_of_every_law(kind) -> None:
+    scores = table(kind)
     assert set(scores) == {truth.name for truth in ZOO}
     assert all(len(of_law) >= 3 for of_law in scores.values())
+
+
+def test_healthy_stages_of_a_law_are_not_accused_by_the_other_laws_table() -> None:
+    """Of n stages at most 5 % and two standard deviations have a probability of 0.05 or less."""
+    strengths = table("strengths")
+    chances = []
+    for law, own in strengths.items():
+        others = [one for other, of_it in strengths.items() if other != law for one in of_it]
+        chances += [chance_of(one, others) for one in own]
+    count = len(chances)
+    assert (
+        sum(chance <= 0.05 for chance in chances) <= 0.05 * count + 2.0 * (0.0475 * count) ** 0.5
+    )
+
+
+def test_a_cause_is_as_sure_as_the_table_is_large_and_no_surer() -> None:
+    strengths = strengths_of_healthy()
+    assert chance_of(1e9, strengths) == pytest.approx(1.0 / (1.0 + len(strengths)))
+    assert chance_of(0.0, strengths) == 1.0
+    assert least_chance() <= 0.02

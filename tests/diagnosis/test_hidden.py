@@ -64,7 +64,7 @@ def test_what_is_explained_leaves_less():
         for finding in found.findings:
             low, high = finding.size.ci95
             assert low <= finding.size.value <= high
-            assert 0.0 <= finding.p_value <= 0.05
+            assert 0.0 <= finding.p_value <= 0.1  # of healthy stages that show evidence at all
 
 
 def test_a_healthy_stage_has_no_findings_and_a_bound_on_everything():

@@ -61,9 +61,10 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
         ], {}
 
     monkeypatch.setattr(confounded, "_compare_each", each)
-    causes, _ = confounded.compare_models(None, ["creep", "lag", "delay"], SERIAL)
+    causes, _, dismissed = confounded.compare_models(None, ["creep", "lag", "delay"], SERIAL)
     assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
     assert [cause.name for cause in causes] == ["creep", "delay"]
+    assert [cause.name for cause in dismissed] == ["lag"]
 
 
 @pytest.mark.parametrize(
@@ -99,6 +100,7 @@ def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float
     cause = SimpleNamespace(
         effect=creep.EFFECT,
         share=0.01,
+        strength=3.0,
         cv=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
         selected=SimpleNamespace(parameters={}, from_jumps=False),
     )
