@@ -8,6 +8,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.fmu import controller_units
 from piezoid.export.fmu_unit import packed
 from piezoid.export.shared_library import shared_library_files
+from piezoid.targets.biquad import biquad_files
 from piezoid.targets.exported import Exported
 from piezoid.targets.pi_pid import pi_pid_files
 from piezoid.targets.plant_unit import plant_units
@@ -45,6 +46,7 @@ _MAKERS: dict[str, Callable[[Exported], Made]] = {
     "fmu": _fmus,
     "library": _library,
     "pi-pid": pi_pid_files,
+    "biquad": biquad_files,
     "waveform": waveform_files,
 }
 TARGETS = (BUNDLE, *_MAKERS)
