@@ -14,7 +14,7 @@ _LARGEST = 2**24  # points of a table
 _NUMBERS = {
     "pi-pid": ("slew_V_per_s",),
     "biquad": ("update_Hz", "error_range_m"),
-    "nanonis": ("drift_limit_percent",),
+    "nanonis": ("drift_limit_percent", "frame_half_range_m"),
     "waveform": ("frequency_Hz", "rate_Hz", "half_range_m"),
 }
 _WHOLE = {
@@ -42,6 +42,7 @@ class Box:
     error_range_m  of the difference, full scale; None: as far as references go
     output_V      command at the ends of its converter; None: the limits of the axis
     table_points  of a hysteresis table;  drift_limit_percent  of its range, for drift compensation
+    frame_half_range_m  from the middle of a frame to its ends; None: 0.7 of the way to the limits
     shape         of the scan, ``triangle`` (rounded corners) or ``sine``
     frequency_Hz  of its lines to and fro
     half_range_m  from the middle of the scan to its ends; None: 0.7 of the way to the limits
@@ -60,6 +61,7 @@ class Box:
     output_V: tuple[float, float] | None = None
     table_points: int = 32
     drift_limit_percent: float = 10.0
+    frame_half_range_m: float | None = None
     shape: str = "triangle"
     frequency_Hz: float = 10.0
     half_range_m: float | None = None

@@ -10,6 +10,7 @@ from piezoid.export.fmu_unit import packed
 from piezoid.export.shared_library import shared_library_files
 from piezoid.targets.biquad import biquad_files
 from piezoid.targets.exported import Exported
+from piezoid.targets.nanonis import nanonis_files
 from piezoid.targets.pi_pid import pi_pid_files
 from piezoid.targets.plant_unit import plant_units
 from piezoid.targets.waveform import waveform_files
@@ -47,6 +48,7 @@ _MAKERS: dict[str, Callable[[Exported], Made]] = {
     "library": _library,
     "pi-pid": pi_pid_files,
     "biquad": biquad_files,
+    "nanonis": nanonis_files,
     "waveform": waveform_files,
 }
 TARGETS = (BUNDLE, *_MAKERS)
