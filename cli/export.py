@@ -25,13 +25,9 @@ def export(
     ] = None,
     target: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Beside the bundle: fmu, library, pi-pid, waveform. Any number of them."
-        ),
+        typer.Option(help="Beside the bundle: fmu, library, pi-pid, biquad, nanonis, waveform."),
     ] = None,
-    box: Annotated[
-        Path | None, typer.Option(help="box.toml: what the box of pi-pid or waveform can hold.")
-    ] = None,
+    box: Annotated[Path | None, typer.Option(help="box.toml: what the boxes can hold.")] = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
@@ -40,10 +36,11 @@ def export(
     --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
     of FMI 2.0 and 3.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
     shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
-    as the bundle. --target pi-pid adds settings for a box with PID and notches, --target waveform
-    a predistorted drive for a wave generator, each with what it loses beside the controller;
-    --box says what the box can hold. Targets not asked for are removed: they would be of another
-    design.
+    as the bundle. --target pi-pid adds settings for a box with PID and notches, --target biquad
+    sections for Stabilizer, PyRPL and Linien, --target nanonis sensitivity and hysteresis tables,
+    --target waveform a predistorted drive for a wave generator, each with what it loses beside
+    the controller; --box says what the boxes can hold. Targets not asked for are removed: they
+    would be of another design.
 
     The controller is run against the identified stage first. An axis that fails there does not
     ship: its figures go to refused/, for study, and exit status 1 says that it is missing. It
@@ -147,6 +144,11 @@ def _beside(
         models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
         designs={one.axis: one for one in design.axes},
         converter_V=declared.acquisition.input_range_V,
+        amplifier_V_per_V={
+            axis.axis: gain
+            for axis in file.axes
+            if (gain := declared.amplifier_of(axis.axis).gain_V_per_V) is not None
+        },
         box=box,
     )
     return written_for(made_of, targets)

@@ -9,12 +9,26 @@ from piezoid.errors import ParameterFileError
 from piezoid.toml_text import read_toml
 
 SHAPES = ("triangle", "sine")
+FORMATS = ("stabilizer", "pyrpl", "linien")
 _LARGEST = 2**24  # points of a table
 _NUMBERS = {
     "pi-pid": ("slew_V_per_s",),
+    "biquad": ("update_Hz", "error_range_m"),
+    "nanonis": ("drift_limit_percent", "frame_half_range_m"),
     "waveform": ("frequency_Hz", "rate_Hz", "half_range_m"),
 }
-_WHOLE = {"pi-pid": {"notches": (0, 2)}, "waveform": {"points": (4, _LARGEST), "bits": (8, 16)}}
+_WHOLE = {
+    "pi-pid": {"notches": (0, 2)},
+    "biquad": {"sections": (1, 14)},
+    "nanonis": {"table_points": (3, 1024)},
+    "waveform": {"points": (4, _LARGEST), "bits": (8, 16)},
+}
+_ONE_OF: dict[str, dict[str, tuple[str, ...]]] = {
+    "waveform": {"shape": SHAPES},
+    "biquad": {"format": FORMATS},
+}
+_ENDS: dict[str, tuple[str, ...]] = {"waveform": ("range_V",), "biquad": ("output_V",)}
+_TABLES = ", ".join(f"[{table}]" for table in _NUMBERS)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,6 +37,12 @@ class Box:
 
     notches       0 to 2
     slew_V_per_s  its own limit; None: none
+    format        of its sections, one of ``FORMATS``; None: each that holds them
+    sections      at most;  update_Hz  at which it computes; None: as it is published
+    error_range_m  of the difference, full scale; None: as far as references go
+    output_V      command at the ends of its converter; None: the limits of the axis
+    table_points  of a hysteresis table;  drift_limit_percent  of its range, for drift compensation
+    frame_half_range_m  from the middle of a frame to its ends; None: 0.7 of the way to the limits
     shape         of the scan, ``triangle`` (rounded corners) or ``sine``
     frequency_Hz  of its lines to and fro
     half_range_m  from the middle of the scan to its ends; None: 0.7 of the way to the limits
@@ -34,6 +54,14 @@ class Box:
 
     notches: int = 2
     slew_V_per_s: float | None = None
+    format: str | None = None
+    sections: int | None = None
+    update_Hz: float | None = None
+    error_range_m: float | None = None
+    output_V: tuple[float, float] | None = None
+    table_points: int = 32
+    drift_limit_percent: float = 10.0
+    frame_half_range_m: float | None = None
     shape: str = "triangle"
     frequency_Hz: float = 10.0
     half_range_m: float | None = None
@@ -50,13 +78,13 @@ def read_box(place: Path) -> Box:
     except (OSError, ValueError) as error:
         raise ParameterFileError(
             f"{place} cannot be read: {error}",
-            needed="a TOML file with the tables [pi-pid] and [waveform]",
+            needed=f"a TOML file with tables of {_TABLES}",
             remedy="Correct it, or leave --box away: then the defaults of the guide hold.",
         ) from None
     given: dict[str, Any] = {}
     for table, keys in tables.items():
         if table not in _NUMBERS or not isinstance(keys, Mapping):
-            raise _wrong(place, table, "no table of it", "[pi-pid] or [waveform]")
+            raise _wrong(place, table, "no table of it", _TABLES)
         for key, value in keys.items():
             given[key] = _checked(place, table, key, value)
     return Box(**given)
@@ -74,11 +102,12 @@ def _checked(place: Path, table: str, key: str, value: object) -> object:
         if not is_number or not isinstance(value, int) or not least <= value <= most:
             raise _wrong(place, where, repr(value), f"a whole number from {least} to {most}")
         return value
-    if table == "waveform" and key == "shape":
-        if value not in SHAPES:
-            raise _wrong(place, where, repr(value), " or ".join(SHAPES))
+    known = _ONE_OF.get(table, {}).get(key)
+    if known is not None:
+        if value not in known:
+            raise _wrong(place, where, repr(value), " or ".join(known))
         return value
-    if table == "waveform" and key == "range_V":
+    if key in _ENDS.get(table, ()):
         if (
             not isinstance(value, list)
             or len(value) != 2
@@ -87,12 +116,8 @@ def _checked(place: Path, table: str, key: str, value: object) -> object:
         ):
             raise _wrong(place, where, repr(value), "two voltages, the lower first")
         return (float(value[0]), float(value[1]))
-    known = (
-        *_NUMBERS[table],
-        *_WHOLE[table],
-        *(("shape", "range_V") if table == "waveform" else ()),
-    )
-    raise _wrong(place, where, "no key of it", f"one of {', '.join(known)}")
+    keys = (*_NUMBERS[table], *_WHOLE[table], *_ONE_OF.get(table, ()), *_ENDS.get(table, ()))
+    raise _wrong(place, where, "no key of it", f"one of {', '.join(keys)}")
 
 
 def _wrong(place: Path, where: str, what: str, needed: str) -> ParameterFileError:

@@ -12,6 +12,20 @@ from piezoid.verification.loop_plant import begun_plant
 from piezoid.verification.plant import AxisPlant
 
 Step = Callable[[float, float], float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compiled:
+    """A box in C, of the form of ``pz_step``: step(state, parameters, reference, measured).
+
+    state  begins with two words, the second a status
+    """
+
+    step: int
+    state: ctypes.Structure
+    parameters: ctypes.Structure
+
+
 _STEP = ctypes.CFUNCTYPE(
     ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double
 )
@@ -28,7 +42,7 @@ class BoxRecord:
 
 def run_box(
     plant: AxisPlant,
-    step: Step,
+    step: Step | Compiled,
     reference_m: Array,
     *,
     rng: np.random.Generator,
@@ -36,7 +50,7 @@ def run_box(
 ) -> BoxRecord:
     """Run a lateral axis from rest.
 
-    step           called once a sample with reference and reading, m; returns V
+    step           called once a sample with reference and reading, m; returns V, or the same in C
     reference_m    (samples,)
     disturbance_m  (samples,)  at the response's output; None: none
     """
@@ -46,11 +60,16 @@ def run_box(
     if disturbance_m is not None:
         disturbed_m[:-1], disturbed_m[-1] = disturbance_m, disturbance_m[-1]
     begun = begun_plant(plant, kept, float(disturbed_m[0]))
-    called = _STEP(lambda _state, _parameters, reference, measured: step(reference, measured))
-    state = np.zeros(2, dtype=np.uint32)  # the loop looks for status behind the first word
     status = np.empty(samples, dtype=np.uint32)
-    run = LoopRun(state=state.ctypes.data, samples=samples, status=status.ctypes.data)
-    run.step_double, run.reset_at = ctypes.cast(called, ctypes.c_void_p).value, samples
+    run = LoopRun(samples=samples, status=status.ctypes.data, reset_at=samples)
+    if isinstance(step, Compiled):
+        run.step_double, run.state = step.step, ctypes.addressof(step.state)
+        run.parameters = ctypes.addressof(step.parameters)
+    else:
+        called = _STEP(lambda _state, _parameters, reference, measured: step(reference, measured))
+        state = np.zeros(2, dtype=np.uint32)  # the loop looks for status behind the first word
+        run.step_double = ctypes.cast(called, ctypes.c_void_p).value
+        run.state = state.ctypes.data
     arrays = {
         "reference": np.ascontiguousarray(reference_m, dtype=np.float64),
         "disturbance": disturbed_m,

@@ -26,6 +26,7 @@ class Exported:
     drawn    by axis, other plants that the recordings allow
     models   by axis, the identified model;  designs  the loops it was designed
     converter_V  ends of the stage's own converter, None where lab.toml does not say
+    amplifier_V_per_V  by axis, where lab.toml says
     box      what the box can hold
     """
 
@@ -35,6 +36,7 @@ class Exported:
     models: Mapping[str, AxisModel] = field(default_factory=dict)
     designs: Mapping[str, AxisDesign] = field(default_factory=dict)
     converter_V: tuple[float, float] | None = None
+    amplifier_V_per_V: Mapping[str, float] = field(default_factory=dict)
     box: Box = field(default_factory=Box)
 
     @property

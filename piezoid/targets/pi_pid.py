@@ -5,15 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.design.design import AxisDesign
-from piezoid.design.from_model import plant_family
-from piezoid.design.hysteresis_bounds import affine_bounds
-from piezoid.design.lateral import with_sector
-from piezoid.design.plant import Fraction, PlantFamily
+from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
 from piezoid.export.inert import inert
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.readable import told
@@ -21,12 +16,18 @@ from piezoid.targets.box_loop import run_box
 from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid, PidBox
 from piezoid.targets.pid_search import Tuned, tuned_pid
+from piezoid.targets.price import (
+    FREQUENCIES_Hz,
+    felt_family,
+    loss,
+    rejection_csv,
+    shipped_rejection_dB,
+)
 from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.tracking import Tracking
 from piezoid.verification.trajectories import constant_angular_velocity
 
 SEED = 0
-FREQUENCIES_Hz = np.geomspace(1.0, 1000.0, 61)
 _SPIRALS_Hz = (10.0, 50.0)
 _TURNS = 5.0
 _COUNTED = ("no notch", "one notch", "two notches")
@@ -90,28 +91,11 @@ class Priced:
     def price(self) -> str:
         """What the box loses, in one or two sentences."""
         own_dB, pid_dB = self.rejection_dB.T
-        rejects = own_dB < 0.0
-        last = len(rejects) if rejects.all() else int(np.argmin(rejects))
-        if last == 0:
-            return "the exported controller itself rejects nothing from 1 Hz on"
-        at = {f: int(np.argmin(np.abs(FREQUENCIES_Hz - f))) for f in (1.0, 10.0, 100.0)}
-        parts = ", ".join(
-            f"{pid_dB[k]:.1f} dB instead of {own_dB[k]:.1f} dB at {f:g} Hz"
-            for f, k in at.items()
-            if k < last
-        )
-        loss_dB = float(np.max((pid_dB - own_dB)[:last]))
-        how = "lose up to" if loss_dB > 0.0 else "gain at least"
-        below = told(float(FREQUENCIES_Hz[last - 1]), "Hz")
         slow = [row for row in self.rows if row[0] == _SPIRALS_Hz[0]]
         own = told(max(row[2].rms_m for row in slow), "m")
         pid = told(max(row[3].rms_m for row in slow), "m")
-        notches = _COUNTED[len(self.tuned.pid.notches)]
-        return (
-            f"with PID and {notches} you {how} {abs(loss_dB):.1f} dB of rejection below {below} "
-            f"({parts}; worst plants); a spiral of {_SPIRALS_Hz[0]:g} Hz errs by {pid} rms "
-            f"instead of {own}"
-        )
+        said = loss(f"PID and {_COUNTED[len(self.tuned.pid.notches)]}", own_dB, pid_dB)
+        return f"{said}; a spiral of {_SPIRALS_Hz[0]:g} Hz errs by {pid} rms instead of {own}"
 
 
 def pi_pid_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
@@ -137,7 +121,9 @@ def pi_pid_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ..
     files = {
         "README.md": readme.encode(),
         "settings.csv": _settings_csv(priced).encode(),
-        "rejection.csv": _rejection_csv(priced).encode(),
+        "rejection.csv": rejection_csv(
+            ("exported", "pid"), {one.axis: one.rejection_dB for one in priced}
+        ).encode(),
     }
     return files, tuple(notes)
 
@@ -146,7 +132,7 @@ def priced_pid(exported: Exported, axis: AxisParameters) -> Priced:
     """Return the best settings of one axis, and what they lose."""
     design, model = exported.designs[axis.axis], exported.models[axis.axis]
     box, asked, values = exported.box, design.specification, axis.values
-    family = _family(model, design.sampling_rate_Hz)
+    family = felt_family(model, design.sampling_rate_Hz)
     plants = exported.family(axis.axis)
     blank = Pid(
         sampling_rate_Hz=design.sampling_rate_Hz,
@@ -172,7 +158,9 @@ def priced_pid(exported: Exported, axis: AxisParameters) -> Priced:
         axis=axis.axis,
         tuned=tuned,
         plants=len(family.members),
-        rejection_dB=_rejection_dB(design, family, tuned.pid),
+        rejection_dB=np.stack(
+            [shipped_rejection_dB(design), _rejection_dB(family, tuned.pid)], axis=1
+        ),
         rows=tuple(
             _row(exported, axis, tuned.pid, frequency_Hz, place)
             for frequency_Hz in _SPIRALS_Hz
@@ -181,23 +169,10 @@ def priced_pid(exported: Exported, axis: AxisParameters) -> Priced:
     )
 
 
-def _family(model: AxisModel, rate_Hz: float) -> PlantFamily:
-    """Return the plants as a box without an inverse of the hysteresis feels them."""
-    bounds = affine_bounds(
-        model.hysteresis, model.certificate.reach_V, remainder_m=model.certificate.bound_m
-    )
-    return with_sector(plant_family(model, rate_Hz), bounds)
-
-
-def _rejection_dB(design: AxisDesign, family: PlantFamily, pid: Pid) -> Array:
-    loop = design.recommended
-
-    def worst(members: tuple[Fraction, ...], R: Array, S: Array) -> Array:
-        found = [np.abs(sensitivities(m, R, S, FREQUENCIES_Hz).Syp) for m in members]
-        return np.asarray(decibel(np.max(found, axis=0)))
-
-    own = worst(tuple(loop.members), loop.R, loop.S)
-    return np.stack([own, worst(tuple(family.members), *pid.polynomials())], axis=1)
+def _rejection_dB(family: PlantFamily, pid: Pid) -> Array:
+    R, S = pid.polynomials()
+    found = [np.abs(sensitivities(m, R, S, FREQUENCIES_Hz).Syp) for m in family.members]
+    return np.asarray(decibel(np.max(found, axis=0)))
 
 
 def _row(
@@ -264,12 +239,4 @@ def _settings_csv(priced: list[Priced]) -> str:
     lines = ["axis,setting,value,unit"]
     for one in priced:
         lines += [f"{one.axis},{n},{v!r},{u}" for n, v, u in _settings(one.tuned.pid)]
-    return "\n".join([*lines, ""])
-
-
-def _rejection_csv(priced: list[Priced]) -> str:
-    lines = ["axis,frequency_Hz,exported_dB,pid_dB"]
-    for one in priced:
-        for f, (own, pid) in zip(FREQUENCIES_Hz, one.rejection_dB, strict=True):
-            lines.append(f"{one.axis},{f:.6g},{own:.3f},{pid:.3f}")
     return "\n".join([*lines, ""])

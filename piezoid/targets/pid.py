@@ -63,21 +63,30 @@ class Pid:
             derivative_V_s_per_m=self.derivative_V_s_per_m * factor,
         )
 
+    def sections(self, rate_Hz: float) -> tuple[tuple[Array, Array], ...]:
+        """Return B and monic A in q^-1 of the PID and of each notch, V/m, at another rate.
+
+        The filter of D keeps its time constant, each notch its frequency.
+        """
+        period_s = 1.0 / rate_Hz
+        difference = np.array([1.0, -1.0])
+        P, integral = self.proportional_V_per_m, self.integral_V_per_m_s * period_s
+        notches = tuple(notch.fraction(rate_Hz) for notch in self.notches)
+        if self.derivative_V_s_per_m == 0.0:
+            return ((np.array([P + integral, -P]), difference), *notches)
+        kept = _kept() ** (self.sampling_rate_Hz / rate_Hz)
+        pole = np.array([1.0, -kept])
+        top = total(
+            P * product(difference, pole),
+            integral * pole,
+            self.derivative_V_s_per_m / period_s * (1.0 - kept) * product(difference, difference),
+        )
+        return ((top, product(difference, pole)), *notches)
+
     def polynomials(self) -> tuple[Array, Array]:
         """Return R and S of S u = R (r - y), coefficients in q^-1, S monic."""
-        period_s = 1.0 / self.sampling_rate_Hz
-        difference, pole = np.array([1.0, -1.0]), np.array([1.0, -_kept()])
-        twice = product(difference, difference)
-        top = total(
-            self.proportional_V_per_m * product(difference, pole),
-            self.integral_V_per_m_s * period_s * pole,
-            self.derivative_V_s_per_m / period_s * (1.0 - _kept()) * twice,
-        )
-        bottom = product(difference, pole)
-        for notch in self.notches:
-            numerator, denominator = notch.fraction(self.sampling_rate_Hz)
-            top, bottom = product(top, numerator), product(bottom, denominator)
-        return top, bottom
+        tops, bottoms = zip(*self.sections(self.sampling_rate_Hz), strict=True)
+        return product(*tops), product(*bottoms)
 
 
 class PidBox:

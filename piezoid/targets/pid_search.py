@@ -53,11 +53,12 @@ def tuned_pid(
     notches: int,
     modulus_margin: float,
     delay_margin_s: float,
+    derivative: bool = True,
 ) -> Tuned:
     """Return the settings with the largest integral gain that keep both margins on every plant.
 
     blank    limits and converter of the box; its gains are not looked at
-    notches  how many it has
+    notches  how many it has;  derivative: False for a box without
 
     The integral is what rejects slow disturbances, |Syp| = 2 pi f / (gain integral).
 
@@ -66,7 +67,7 @@ def tuned_pid(
     grid = _grid(family)
     sign = float(np.sign(family.nominal.gain))
     best: Pid | None = None
-    for one in _structures(family.nominal, blank, notches, sign):
+    for one in _structures(family.nominal, blank, notches, derivative, sign):
         known = 0.0 if best is None else abs(best.integral_V_per_m_s)
         found = _largest(grid, one, known, modulus_margin, delay_margin_s)
         best = found or best
@@ -116,7 +117,9 @@ def _modes(plant: Plant) -> list[tuple[float, float]]:
     return sorted(zip(natural_Hz[light].tolist(), damping[light].tolist(), strict=True))
 
 
-def _structures(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterator[Pid]:
+def _structures(
+    nominal: Plant, blank: Pid, notches: int, derivative: bool, sign: float
+) -> Iterator[Pid]:
     """Yield settings with an integral gain of 1."""
     period_s = 1.0 / blank.sampling_rate_Hz
     placed = _modes(nominal)[:notches]
@@ -130,7 +133,8 @@ def _structures(nominal: Plant, blank: Pid, notches: int, sign: float) -> Iterat
     )
     if placed:
         banks.append(())
-    for bank, lead, share in product(banks, _LEADS_samples, _DERIVATIVES):
+    shares = _DERIVATIVES if derivative else (0.0,)
+    for bank, lead, share in product(banks, _LEADS_samples, shares):
         if lead == 0.0 and share > 0.0:
             continue
         lead_s = lead * period_s

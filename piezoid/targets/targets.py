@@ -8,7 +8,9 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.fmu import controller_units
 from piezoid.export.fmu_unit import packed
 from piezoid.export.shared_library import shared_library_files
+from piezoid.targets.biquad import biquad_files
 from piezoid.targets.exported import Exported
+from piezoid.targets.nanonis import nanonis_files
 from piezoid.targets.pi_pid import pi_pid_files
 from piezoid.targets.plant_unit import plant_units
 from piezoid.targets.waveform import waveform_files
@@ -45,6 +47,8 @@ _MAKERS: dict[str, Callable[[Exported], Made]] = {
     "fmu": _fmus,
     "library": _library,
     "pi-pid": pi_pid_files,
+    "biquad": biquad_files,
+    "nanonis": nanonis_files,
     "waveform": waveform_files,
 }
 TARGETS = (BUNDLE, *_MAKERS)

@@ -167,7 +167,7 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
     voltage_V = inverted_V(plant, wanted_m)
     quiet = replace(plant, noise_rms=0.0, hums=())
     for _ in range(_ROUNDS):
-        position_m = _last_period(quiet, voltage_V, hold)
+        position_m = last_period(quiet, voltage_V, hold)
         missing = np.fft.rfft(wanted_m - position_m)
         voltage_V = voltage_V + _LEARNT * np.fft.irfft(missing / response, points)
     own_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
@@ -176,11 +176,11 @@ def waveform_of(exported: Exported, axis: AxisParameters) -> Waveform:
         axis=axis.axis, rate_Hz=rate_Hz, hold=hold, wanted_m=wanted_m, voltage_V=voltage_V
     )
     if range_V is None:
-        _refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
+        refuse_beyond(axis.axis, voltage_V, own_V, radius_m)
         return table
     rounded = coded(table, range_V, box.bits)
     allowed_V = (max(range_V[0], own_V[0]), min(range_V[1] - rounded.step_V, own_V[1]))
-    _refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
+    refuse_beyond(axis.axis, voltage_V, allowed_V, radius_m)
     return rounded
 
 
@@ -207,8 +207,8 @@ def compared(
     straight_V = middle_V + (one.wanted_m - room_of(axis).centre_m) / gain
     path_m = np.tile(np.repeat(one.wanted_m, one.hold), _PERIODS)
     for plant in plants:
-        waveform_m = _last_period(plant, one.voltage_V, one.hold) - one.wanted_m
-        straight_m = _last_period(plant, straight_V, one.hold) - one.wanted_m
+        waveform_m = last_period(plant, one.voltage_V, one.hold) - one.wanted_m
+        straight_m = last_period(plant, straight_V, one.hold) - one.wanted_m
         moved_m = shipped_position_m(axis, plant, path_m, SEED)
         shipped_m = moved_m[:: one.hold][-len(one.wanted_m) :] - one.wanted_m
         spreads = (float(np.std(error)) for error in (straight_m, waveform_m, shipped_m))
@@ -256,17 +256,22 @@ def _converter(one: Waveform) -> str:
     return f"voltage = {one.middle_V!r} V + code x {one.step_V!r} V."
 
 
-def _refuse_beyond(
-    axis: str, voltage_V: Array, range_V: tuple[float, float], radius_m: float
+def refuse_beyond(
+    axis: str,
+    voltage_V: Array,
+    range_V: tuple[float, float],
+    radius_m: float,
+    key: str = "half_range_m",
+    table: str = "[waveform]",
 ) -> None:
-    """Refuse voltages of a scan of this half range that lie outside of a range."""
+    """Refuse voltages of a scan of this half range, a key of a table, outside of a range."""
     low_V, high_V = float(voltage_V.min()), float(voltage_V.max())
     if range_V[0] <= low_V and high_V <= range_V[1]:
         return
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * (high_V - low_V)
     share = min(range_V[1] - middle_V, middle_V - range_V[0]) / half_V
     fits = (
-        f"half_range_m of {_SPARED * share * radius_m:.3g} or less"
+        f"{key} of {_SPARED * share * radius_m:.3g} or less"
         if share > 0.0
         else f"a box that puts out {middle_V:.4g} V, about which the scan lies"
     )
@@ -274,7 +279,7 @@ def _refuse_beyond(
         f"axis {axis}: +-{told(radius_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and box and "
         f"stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
         needed="all of the period within them",
-        remedy=f"What would fit: {fits}, in [waveform] of box.toml.",
+        remedy=f"What would fit: {fits}, in {table} of box.toml.",
     )
 
 
@@ -289,7 +294,7 @@ def inverted_V(plant: AxisPlant, wanted_m: Array) -> Array:
     return np.asarray(twice_V[len(wanted_m) :])
 
 
-def _last_period(plant: AxisPlant, voltage_V: Array, hold: int) -> Array:
+def last_period(plant: AxisPlant, voltage_V: Array, hold: int = 1) -> Array:
     """Return where a plant is at each point of the last period, (points,)."""
     table_V = iter(np.tile(np.repeat(voltage_V, hold), _PERIODS).tolist())
     samples = _PERIODS * hold * len(voltage_V)

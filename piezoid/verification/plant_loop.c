@@ -127,6 +127,9 @@ static double dot(const double *row, const double *x, size_t count) {
 
 static void advance(const pl_linear *block, double old, double newer) {
     double next[PL_MAX_STATES];
+    if (block->states == 0) {
+        return;
+    }
     for (size_t i = 0; i < block->states; ++i) {
         next[i] = dot(block->A + i * block->states, block->x, block->states) +
                   block->B_old[i] * old + block->B_new[i] * newer;

@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import bundle
 from piezoid.export.parameter_file import ParameterFile
+from piezoid.verification.longest_path import longest_path, loop_counts
 from piezoid.verification.proof import Proof
 from piezoid.verification.replay import called, compare, lay_out, source
 
@@ -18,7 +19,10 @@ _LIBRARY = "rdimon.specs"
 _TARGET_FLAGS = (
     *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
     *(f"--specs={_LIBRARY}", "-nostartfiles", "-DPZ_BOARD", "-DPZ_REAL_FLOAT"),
+    # a step calls nothing of the C library and jumps through no table: its longest path is known
+    *("-g", "-fno-jump-tables", "-fno-tree-loop-distribute-patterns"),
 )
+_DISASSEMBLED = ("arm-none-eabi-objdump", "-d", "-l", "--no-show-raw-insn", "replay.elf")
 _EMULATOR = "qemu-system-arm"
 _EMULATED = (
     *("-machine", "mps2-an386", "-cpu", "cortex-m4", "-icount", "shift=5"),
@@ -62,12 +66,19 @@ def emulate(file: ParameterFile, contents: Mapping[str, bytes] | None = None) ->
         script = ("-T", "board.ld", "-o", "replay.elf")
         called((_TARGET, *_FLAGS, *_TARGET_FLAGS, *sources, *script), folder)
         found = compare(folder, (_EMULATOR, *_EMULATED), file, "float", ordinary)
+        code = called(_DISASSEMBLED, folder)
+    runtime = held["piezoid_runtime.c"].decode()
     return Proof(
         build=f"{_TARGET} {' '.join(_FLAGS)}, Cortex-M4F emulated (mps2-an386), float",
         is_built=True,
         samples=found.samples,
         differing=found.differing,
         instructions_per_sample=found.instructions,
+        most_instructions=found.most,
+        longest_path={
+            axis.axis: longest_path(code, runtime, loop_counts(axis.values), entry="pz_step")
+            for axis in file.axes
+        },
         stack_bytes=found.stack_bytes,
         state_bytes=found.state_bytes,
     )

@@ -26,13 +26,15 @@ class Answers:
 
     differing     samples with another bit in voltage or status than the packaged library
     samples       compared
-    instructions  per ordinary sample, by axis; 0 where the build cannot count
+    instructions  per ordinary sample, by axis; none where the build cannot count
+    most          of any sample, hostile ones included, likewise
     stack_bytes, state_bytes   as it reported
     """
 
     differing: int
     samples: int
     instructions: dict[str, float]
+    most: dict[str, int]
     stack_bytes: int
     state_bytes: int
 
@@ -119,9 +121,10 @@ def compare(
     return Answers(
         differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
         samples=samples,
-        instructions={file.axes[axis].axis: n / ordinary for axis, n, _, _ in numbers if n},
-        stack_bytes=max(stack for _, _, stack, _ in numbers),
-        state_bytes=numbers[0][3],
+        instructions={file.axes[axis].axis: n / ordinary for axis, n, *_ in numbers if n},
+        most={file.axes[axis].axis: most for axis, n, most, *_ in numbers if n},
+        stack_bytes=max(stack for *_, stack, _ in numbers),
+        state_bytes=numbers[0][4],
     )
 
 

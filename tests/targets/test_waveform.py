@@ -138,7 +138,7 @@ def test_without_a_known_range_there_are_voltages_and_no_integers():
         ("[waveform]\nfrequency_Hz = nan", "a number above 0"),
         ("[pi-pid]\nnotches = 3", "a whole number from 0 to 2"),
         ("[pi-pid]\npoints = 3", "one of slew_V_per_s, notches"),
-        ("[nanonis]\na = 3", r"\[pi-pid\] or \[waveform\]"),
+        ("[moku]\na = 3", r"\[pi-pid\], \[biquad\], .*\[waveform\]"),
         ("[waveform", "cannot be read"),
     ],
 )

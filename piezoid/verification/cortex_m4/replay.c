@@ -4,7 +4,7 @@
  * samples of each axis, and how many of them (the first ones) are an ordinary day's; then, axis by
  * axis, pairs of pz_real: reference, measured. answers.bin holds pz_real and the status word of
  * every sample. The last line printed for each axis: index, instructions of all ordinary samples,
- * bytes of stack, bytes of state.
+ * most instructions of any sample, bytes of stack, bytes of state.
  */
 #include <stdio.h>
 
@@ -31,7 +31,7 @@ static uint32_t board_painted_stack(void) {
 static pz_state state[PIEZO_AXES];
 
 static int step_all(int axis, const uint32_t count[2], FILE *in, FILE *out) {
-    uint32_t instructions = 0, deepest = 0;
+    uint32_t instructions = 0, most = 0, deepest = 0;
     for (uint32_t k = 0; k < count[0]; ++k) {
         pz_real pair[2];
         if (fread(pair, sizeof pair, 1, in) != 1) {
@@ -51,16 +51,16 @@ static int step_all(int axis, const uint32_t count[2], FILE *in, FILE *out) {
             const uint32_t used = board_painted_stack();
             deepest = used > deepest ? used : deepest;
         }
-        if (k < count[1]) {
-            instructions += after - before - counting;
-        }
+        const uint32_t taken = after - before - counting;
+        most = taken > most ? taken : most;
+        instructions += k < count[1] ? taken : 0;
         if (fwrite(&voltage_V, sizeof voltage_V, 1, out) != 1 ||
             fwrite(&state[axis].status, sizeof(uint32_t), 1, out) != 1) {
             return 1;
         }
     }
-    printf("%d %lu %lu %lu\n", axis, (unsigned long)instructions, (unsigned long)deepest,
-           (unsigned long)sizeof(pz_state));
+    printf("%d %lu %lu %lu %lu\n", axis, (unsigned long)instructions, (unsigned long)most,
+           (unsigned long)deepest, (unsigned long)sizeof(pz_state));
     return 0;
 }
 

@@ -1,0 +1,73 @@
+"""What every target loses beside the exported controller: the table of docs/guide/targets.md.
+
+    python -m benchmarks.target_losses DEMO VIRTUAL...
+
+The stages are folders of `piezoid fit` or `piezoid demo`. Losses are those that each target writes
+into its own README: worst over the plants that the recordings of that stage allow.
+"""
+
+import sys
+from pathlib import Path
+
+from piezoid.design.design import design_from_json
+from piezoid.errors import PiezoidError
+from piezoid.export.parameter_file import from_json
+from piezoid.identification.store import read_model
+from piezoid.targets.box import Box
+from piezoid.targets.exported import Exported
+from piezoid.targets.section_boxes import BOXES
+from piezoid.targets.targets import written_for
+from piezoid.verification.stage import stage_plants
+from piezoid_cli.stage_files import content_of, lab_of
+
+CASES = [
+    ("pi-pid", Box()),
+    *(("biquad", Box(format=name)) for name in BOXES),
+    ("nanonis", Box()),
+    ("waveform", Box()),
+]
+
+
+def exported_of(folder: Path, box: Box) -> Exported:
+    """Return what targets are made of, as `piezoid export` reads it."""
+    design = design_from_json(content_of(folder / "design.json"), "design.json")
+    model = read_model(content_of(folder / "model.json"), "model.json")
+    file = from_json(content_of(folder / "params.json"), "params.json")
+    lab = lab_of(folder, None)
+    plants, drawn = stage_plants(file, model, lab)
+    return Exported(
+        file=file,
+        plants=plants,
+        drawn={plant.axis: others for plant, others in zip(plants, drawn, strict=True)},
+        models={axis.axis: model[axis.axis] for axis in file.axes if axis.method != "rst"},
+        designs={one.axis: one for one in design.axes},
+        converter_V=lab.acquisition.input_range_V,
+        box=box,
+    )
+
+
+def losses(folder: Path) -> list[tuple[str, str]]:
+    """Return target and sentence, one for every axis and box of a stage."""
+    rows = []
+    for target, box in CASES:
+        name = target if box.format is None else f"{target}, {box.format}"
+        try:
+            notes = written_for(exported_of(folder, box), [target]).notes
+        except PiezoidError as error:
+            notes = (f"refused: {error}",)
+        rows += [(name, note) for note in notes if note.startswith(("axis", "refused"))]
+    return [
+        (name, note) for name, note in rows if " is not in " not in note and " has no " not in note
+    ]
+
+
+def main(folders: list[str]) -> None:
+    """Print the table."""
+    print("| stage | target | beside the exported controller |\n| --- | --- | --- |")
+    for folder in folders:
+        for name, note in losses(Path(folder)):
+            print(f"| {Path(folder).name} | {name} | {note} |", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

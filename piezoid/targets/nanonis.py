@@ -1,0 +1,363 @@
+"""The target `nanonis`: sensitivity, limits, hysteresis tables and drift for a Nanonis controller.
+
+Such a controller moves a scanner without a displacement sensor: positions over a sensitivity are
+voltages, bent by a table for the fast and one for the slow axis. Here a table is taken to hold
+points of one curve, and between them straight lines:
+
+    voltage = middle + sign y(sign s) / sensitivity,   s of the wanted displacement less the middle
+
+forward lines with sign +1; where the box mirrors the table, backward lines with -1. The curve is
+the forward branch of the loop that the identified hysteresis inverts to for this frame.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters
+from piezoid.numerics.arrays import Array
+from piezoid.readable import told
+from piezoid.targets.exported import Exported, shipped_position_m
+from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
+from piezoid.verification.approach import room_of
+from piezoid.verification.trajectories import raster
+
+SEED = 0
+_LINE_Hz = 1.0  # to and fro
+_DENSE = 4096  # points of a branch
+_CREPT_s = (10.0, 100.0)  # after a move: a frame
+_LEFT = 0.1  # of the bend that a table may leave
+_PLACES = ("X", "Y", "Z")
+COLUMNS = ("straight", "table", "exported", "back", "mirrored")
+
+_SEND = '''\
+"""Send nanonis.json to a controller: python3 send.py HOST PORT. Needs SPECS' nanonis_spm.
+
+A value of null keeps what the controller has. Read the file first: it changes what a metre is.
+"""
+
+import json
+import pathlib
+import socket
+import sys
+
+import nanonis_spm
+
+calls = json.loads((pathlib.Path(__file__).parent / "nanonis.json").read_text())["calls"]
+with socket.create_connection((sys.argv[1], int(sys.argv[2]))) as connection:
+    nanonis = nanonis_spm.Nanonis(connection)
+    for name, arguments in calls.items():
+        values = list(arguments.values())
+        if None in values:
+            held = getattr(nanonis, name.removesuffix("Set") + "Get")()[2]
+            values = [h if v is None else v for v, h in zip(values, held)]
+        print(name, getattr(nanonis, name)(*values)[0])
+'''
+
+_README = """\
+# {name}: settings for a Nanonis controller
+
+| file | content |
+| --- | --- |
+| `nanonis.json` | methods of SPECS' Python package nanonis_spm 1.0.9, with their arguments |
+| `AXIS.csv` | the table of an axis, m about the middle: where to be, where to go without a bend |
+| `send.py` | sends them with that package |
+
+They set sensitivity, limits, hysteresis tables and drift. {voltages} {fast}
+
+{axes}
+Errors are rms about the mean, of lines at {line}; *straight* is the sensitivity alone. Tables
+and sensitivities are rounded to single precision, as they are sent. Drift compensation is off in
+the file: its speeds are what a stage creeps after a move by half the frame towards larger
+displacements, between {crept}; scale them by your move, turn their sign with it, and switch it
+on (1).
+
+Tested: names and order of arguments against that package; tables on the identified plant and
+others that the recordings allow, with hysteresis, creep, noise and dynamics. Not tested, because
+no such box was at hand: whether it joins points by straight lines, whether it mirrors a table on
+backward lines (then the last column holds, else *back*), the unit of its points (here m; its
+document names none), how many it holds, whether its limits are volts before or behind its
+amplifier.
+"""
+
+_AXIS = """\
+## Axis {axis}: +-{half} about {centre}, {count} points
+
+{sensitivity} m/V; {low:.4f} V to {high:.4f} V at the ends of the frame. {price}.
+
+| plant | straight | table, forward | exported controller | back, not mirrored | back, mirrored |
+| --- | --- | --- | --- | --- | --- |
+{rows}
+
+{drift}.
+"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """What one axis takes.
+
+    sensitivity_m_per_V  of the command, signed
+    middle_V, centre_m   where the frame's middle is
+    half_m               from there to its ends
+    x_m, y_m             (points,)  about the middle, single precision
+    ends_V               of the whole loop
+    """
+
+    axis: str
+    sensitivity_m_per_V: float
+    middle_V: float
+    centre_m: float
+    half_m: float
+    x_m: Array
+    y_m: Array
+    ends_V: tuple[float, float]
+
+    def voltage_V(self, wanted_m: Array, sign: Array | float = 1.0) -> Array:
+        """Return what the box is taken to put out, (samples,)."""
+        s_m = np.asarray(sign) * (wanted_m - self.centre_m)
+        bent_m = np.asarray(sign) * np.interp(s_m, self.x_m, self.y_m)
+        return np.asarray(self.middle_V + bent_m / self.sensitivity_m_per_V)
+
+
+def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+    """Return the folder's files by name, and sentences about what the tables are worth.
+
+    Raises ``ParameterFileError`` for a frame that the stage cannot reach.
+    """
+    notes = [
+        f"axis {axis.axis} has no table in nanonis/: it follows a surface"
+        for axis in exported.file.axes
+        if axis.method == "rst"
+    ]
+    if not exported.lateral:
+        return {}, tuple(notes)
+    tables = [table_of(exported, axis) for axis in exported.lateral]
+    files: dict[str, str] = {"nanonis.json": settings_json(exported, tables), "send.py": _SEND}
+    sections = []
+    for axis, table in zip(exported.lateral, tables, strict=True):
+        rows = compared(exported, axis, table)
+        worst = {name: max(row[name] for row in rows.values()) for name in COLUMNS}
+        price = (
+            f"a table of {len(table.x_m)} points errs by {told(worst['table'], 'm')} rms on "
+            f"forward lines, the sensitivity alone by {told(worst['straight'], 'm')}, the "
+            f"exported controller by {told(worst['exported'], 'm')}; worst of {len(rows)} plants"
+        )
+        notes.append(f"axis {axis.axis}: {price}")
+        sections.append(_section(exported, axis, table, rows, price))
+        files[f"{axis.axis}.csv"] = "\n".join(
+            [
+                "x_m,y_m",
+                *(f"{x:.9g},{y:.9g}" for x, y in zip(table.x_m, table.y_m, strict=True)),
+                "",
+            ]
+        )
+    gains = [exported.amplifier_V_per_V.get(table.axis) for table in tables]
+    files["README.md"] = _README.format(
+        name=inert(exported.file.name),
+        voltages="Volts and m/V are those behind the amplifier that lab.toml declares."
+        if all(gains)
+        else "Volts and m/V are those of the command: lab.toml declares no gain_V_per_V of the "
+        "amplifier for every axis. Multiply volts by yours, divide m/V by it.",
+        fast=f"Axis {tables[0].axis} is taken for the fast one"
+        + (f", axis {tables[1].axis} for the slow one." if len(tables) > 1 else "."),
+        axes="\n".join(sections),
+        line=told(_LINE_Hz, "Hz"),
+        crept=f"{_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s after it",
+    )
+    return {name: text.encode() for name, text in files.items()}, tuple(notes)
+
+
+def table_of(exported: Exported, axis: AxisParameters) -> Table:
+    """Return sensitivity and table of one axis for a frame in the middle of its references."""
+    box, plant, room = exported.box, exported.family(axis.axis)[0], room_of(axis)
+    half_m = box.frame_half_range_m or room.radius_m
+    if half_m > room.farthest_m:
+        raise ParameterFileError(
+            f"axis {axis.axis}: frame_half_range_m of [nanonis] is {half_m:g} m",
+            needed=f"at most {room.farthest_m:.4g} m: from the middle to its limits",
+            remedy="Set it to that or less.",
+        )
+    forward_m = np.linspace(-half_m, half_m, _DENSE)
+    loop_V = inverted_V(plant, room.centre_m + np.concatenate([forward_m, forward_m[::-1]]))
+    ends_V = (float(loop_V.min()), float(loop_V.max()))
+    allowed_V = (float(axis.values["voltage_minimum_V"]), float(axis.values["voltage_maximum_V"]))
+    refuse_beyond(axis.axis, loop_V, allowed_V, half_m, "frame_half_range_m", "[nanonis]")
+    branch_V = loop_V[:_DENSE]
+    slope = 2.0 * half_m / float(branch_V[-1] - branch_V[0])
+    sensitivity = _single(slope)
+    middle_V = 0.5 * (ends_V[0] + ends_V[1])
+    y_m = sensitivity * (branch_V - middle_V)
+    knot_m, fitted_m, left_m = _polyline(forward_m, y_m, box.table_points)
+    bent_m = float(np.std(y_m - forward_m))
+    if left_m > _LEFT * bent_m:
+        enough = next(
+            n
+            for n in range(box.table_points, _DENSE)
+            if _polyline(forward_m, y_m, n)[2] <= _LEFT * bent_m
+        )
+        raise ParameterFileError(
+            f"axis {axis.axis}: {box.table_points} points leave {told(left_m, 'm')} rms of a loop "
+            f"that bends by {told(bent_m, 'm')}",
+            needed=f"at most {_LEFT:g} of it",
+            remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
+        )
+    return Table(
+        axis=axis.axis,
+        sensitivity_m_per_V=sensitivity,
+        middle_V=middle_V,
+        centre_m=room.centre_m,
+        half_m=half_m,
+        x_m=knot_m.astype(np.float32).astype(np.float64),
+        y_m=np.maximum.accumulate(fitted_m).astype(np.float32).astype(np.float64),
+        ends_V=ends_V,
+    )
+
+
+def _polyline(place_m: Array, value_m: Array, points: int) -> tuple[Array, Array, float]:
+    """Return knots, values of the nearest polyline, and rms of what it leaves, m."""
+    knot_m = np.linspace(place_m[0], place_m[-1], points)
+    hats = np.stack([np.interp(place_m, knot_m, one) for one in np.eye(points)], axis=1)
+    fitted_m = np.asarray(np.linalg.lstsq(hats, value_m)[0], dtype=np.float64)
+    return knot_m, fitted_m, float(np.sqrt(np.mean((hats @ fitted_m - value_m) ** 2)))
+
+
+def compared(
+    exported: Exported, axis: AxisParameters, table: Table
+) -> dict[str, dict[str, float]]:
+    """Return by plant what is left on lines: rms in m, ``COLUMNS``."""
+    found = {}
+    for plant in exported.family(axis.axis):
+        rate_Hz = plant.sampling_rate_Hz
+        unit = raster(rate_Hz, _LINE_Hz, 1.0).x
+        wanted_m = table.centre_m + table.half_m * unit
+        rising = np.gradient(unit) > 0.0
+        forward, backward = rising, ~rising
+        sign = np.where(rising, 1.0, -1.0)
+        straight_V = table.middle_V + (wanted_m - table.centre_m) / table.sensitivity_m_per_V
+        path_m = np.tile(wanted_m, 3)
+        moved = {
+            "straight": last_period(plant, straight_V),
+            "table": last_period(plant, table.voltage_V(wanted_m)),
+            "mirrored": last_period(plant, table.voltage_V(wanted_m, sign)),
+            "exported": shipped_position_m(axis, plant, path_m, SEED)[-len(wanted_m) :],
+        }
+        # A table that is not mirrored bends both branches alike; the loop it leaves is wider
+        moved["back"] = moved["table"]
+        found[plant.label] = {
+            name: float(
+                np.std((moved[name] - wanted_m)[backward if name in COLUMNS[3:] else forward])
+            )
+            for name in COLUMNS
+        }
+    return found
+
+
+def settings_json(exported: Exported, tables: list[Table]) -> str:
+    """Return what the controller is told, by the names of its published interface."""
+    by_place: list[Table | None] = [*tables[:2], *([None] * (2 - len(tables[:2])))]
+    gains = [exported.amplifier_V_per_V.get(table.axis) for table in tables]
+    known = {
+        table.axis: gain if all(gains) and gain else 1.0
+        for table, gain in zip(tables, gains, strict=True)
+    }
+    sensitivities: dict[str, float | None] = {}
+    limits: dict[str, float | int | None] = {"Enable_limits": 1}
+    for place, table in zip(_PLACES, [*by_place, None], strict=True):
+        axis = None if table is None else _parameters(exported, table.axis)
+        gain = 1.0 if table is None else known[table.axis]
+        sensitivities[f"Calibration_{place}_mPerV"] = (
+            None if table is None else _single(table.sensitivity_m_per_V / gain)
+        )
+        ends = [
+            None if axis is None else gain * float(axis.values[f"voltage_{end}_V"])
+            for end in ("minimum", "maximum")
+        ]
+        if None not in ends:
+            ends.sort(key=lambda volts: volts or 0.0)
+        for end, volts in zip(("low", "high"), ends, strict=True):
+            limits[f"Limit_{place}_{end}_V"] = None if volts is None else _single(volts)
+    points: dict[str, int | list[float]] = {}
+    for speed, table in zip(("Fast", "Slow"), by_place, strict=True):
+        straight = [-1.0, 1.0]
+        x, y = (straight, straight) if table is None else (table.x_m.tolist(), table.y_m.tolist())
+        # nanonis_spm writes one of the names with two underscores
+        points[f"{speed}_axis_{'_' if speed == 'Fast' else ''}number_points_X"] = len(x)
+        points[f"{speed}_axis_points_X"] = x
+        points[f"{speed}_axis_number_points_Y"] = len(y)
+        points[f"{speed}_axis_points_Y"] = y
+    drift = [0.0 if t is None else _single(-crept(exported, t)[0]) for t in [*by_place, None]]
+    calls = {
+        "Piezo_SensSet": sensitivities,
+        "Piezo_XYZLimitsSet": limits,
+        "Piezo_HystValsSet": points,
+        "Piezo_HystOnOffSet": {"On_Off": 1},
+        "Piezo_DriftCompSet": {
+            "Compensation_on_off": 2,
+            **{f"V{place.lower()}_m_s": v for place, v in zip(_PLACES, drift, strict=True)},
+            "Sat_Lim": exported.box.drift_limit_percent,
+        },
+    }
+    return json.dumps({"schema": "piezoid.nanonis/1", "calls": calls}, indent=1) + "\n"
+
+
+def crept(exported: Exported, table: Table) -> tuple[float, float, float]:
+    """Return m/s and m that a stage creeps after a move by half the frame, and m left of them.
+
+    From the creep elements that ship: y sum of share_i (1 - exp(-t / tau_i)).
+    """
+    values = _parameters(exported, table.axis).values
+    rate = np.asarray(values["relaxation_rate"], dtype=np.float64)
+    share = np.asarray(values["relaxation_share"], dtype=np.float64)
+    rate, share = rate[rate > 0.0], share[rate > 0.0]
+    tau_s = -1.0 / (np.log1p(-rate) * float(values["sampling_rate_Hz"]))
+    time_s = np.linspace(*_CREPT_s, 200)
+    moved_m = table.half_m * np.sum(share * (1.0 - np.exp(-time_s[:, None] / tau_s)), axis=1)
+    gone_m = float(moved_m[-1] - moved_m[0])
+    speed = gone_m / (_CREPT_s[1] - _CREPT_s[0])
+    left_m = moved_m - moved_m[0] - speed * (time_s - time_s[0])
+    return speed, gone_m, float(np.abs(left_m).max())
+
+
+def _section(
+    exported: Exported,
+    axis: AxisParameters,
+    table: Table,
+    rows: Mapping[str, Mapping[str, float]],
+    price: str,
+) -> str:
+    speed, gone_m, left_m = crept(exported, table)
+    drift = (
+        f"After a move by {told(table.half_m, 'm')} it creeps by {told(gone_m, 'm')} between "
+        f"{_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {told(speed, 'm')} a second leave at most "
+        f"{told(left_m, 'm')}"
+        if gone_m
+        else "No creep ships with this axis, so there is no speed to compensate"
+    )
+    return _AXIS.format(
+        axis=axis.axis,
+        half=told(table.half_m, "m"),
+        centre=told(table.centre_m, "m"),
+        count=len(table.x_m),
+        sensitivity=f"{table.sensitivity_m_per_V:.6g}",
+        low=table.ends_V[0],
+        high=table.ends_V[1],
+        price=price[0].upper() + price[1:],
+        rows="\n".join(
+            f"| {label} | {' | '.join(told(row[name], 'm') for name in COLUMNS)} |"
+            for label, row in rows.items()
+        ),
+        drift=drift,
+    )
+
+
+def _parameters(exported: Exported, axis: str) -> AxisParameters:
+    return next(one for one in exported.file.axes if one.axis == axis)
+
+
+def _single(value: float) -> float:
+    return float(np.float32(value))

@@ -1,0 +1,98 @@
+"""The examples for microcontrollers: built for the chip, and run on an emulated one."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from piezoid.export.bundle import bundle
+from tests.runtime.compiler import found, run
+from tests.verification.rig import stage
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
+FLAGS = ("-O2", "-ffp-contract=off", "-DPZ_REAL_FLOAT", "-Wall", "-Wextra", "-Werror")
+CORE_Hz, RATE_Hz = 168e6, 20e3
+INSTRUCTION_s = 8e-9  # the emulator's, -icount shift=3
+# Declarations of the STM32 core for Arduino that the sketch uses
+ARDUINO = """\
+#include <stdint.h>
+#define A0 0
+#define PA4 4
+#define TIM2 ((void *)0)
+enum { HERTZ_FORMAT };
+uint32_t micros(void);
+int analogRead(int);
+void analogWrite(int, int), analogReadResolution(int), analogWriteResolution(int);
+void delay(unsigned long);
+struct HardwareTimer {
+    explicit HardwareTimer(void *);
+    void setOverflow(uint32_t, int), attachInterrupt(void (*)(void)), resume();
+};
+struct Stream {
+    void begin(unsigned long);
+    int available();
+    float parseFloat();
+    void print(const char *), print(unsigned long), println(const char *), println(unsigned long);
+};
+extern Stream Serial;
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "bundle").mkdir()
+    for name, content in bundle(stage("x")).files.items():
+        (tmp_path / "bundle" / name).write_bytes(content)
+    return tmp_path
+
+
+def built(folder, *others, specs):
+    program = folder / "controller.elf"
+    example = EXAMPLES / "stm32f405"
+    run(
+        *(found("arm-none-eabi-gcc"), "-std=c99", *FLAGS, "-Wconversion", *CORE, *others),
+        *("-nostartfiles", f"--specs={specs}", "-T", str(example / "stm32f405.ld")),
+        *("-I", str(folder / "bundle"), str(example / "main.c")),
+        *(str(folder / "bundle" / "piezoid_runtime.c"), "-o", str(program)),
+    )
+    return program
+
+
+def test_the_interrupt_of_20_khz_has_time_to_spare_on_an_emulated_chip(folder):
+    emulator = found("qemu-system-arm")
+    # The emulator's timer counts at 1 GHz, whatever the clock is set to
+    program = built(folder, "-DPZ_EMULATED", "-DTIMER_Hz=1000000000u", specs="rdimon.specs")
+    said = run(
+        *(emulator, "-machine", "netduinoplus2", "-icount", "shift=3", "-display", "none"),
+        *("-serial", "none", "-monitor", "none"),
+        *("-semihosting-config", "enable=on,target=native", "-kernel", str(program)),
+    )
+    steps, ticks, worst, missed = (int(word) for word in said.split())
+    assert steps >= 4000
+    assert missed == 0
+    instructions = ticks / steps / CORE_Hz / INSTRUCTION_s
+    assert 200 < instructions <= worst / CORE_Hz / INSTRUCTION_s < 0.5 * CORE_Hz / RATE_Hz
+
+
+def test_the_program_for_the_chip_builds_without_a_warning_and_fits(folder):
+    program = built(folder, specs="nosys.specs")
+    size = run(found("arm-none-eabi-size"), str(program)).splitlines()[1].split()
+    assert int(size[0]) + int(size[1]) < 64 * 1024
+    assert int(size[2]) < 16 * 1024
+
+
+def test_the_sketch_is_sound_against_the_declarations_it_uses(folder):
+    compiler = found("arm-none-eabi-g++")
+    (folder / "bundle" / "Arduino.h").write_text(ARDUINO)
+    said = subprocess.run(
+        [
+            *(compiler, "-std=gnu++17", *FLAGS, "-Wno-missing-field-initializers", *CORE),
+            *("-fsyntax-only", "-include", "Arduino.h", "-I", str(folder / "bundle")),
+            *("-x", "c++", str(EXAMPLES / "arduino" / "piezoid.ino")),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert said.returncode == 0, said.stderr

@@ -1,0 +1,103 @@
+"""The longest path of code whose longest path is known by hand."""
+
+import pytest
+
+from piezoid.errors import RuntimeLibraryError
+from piezoid.verification.longest_path import Bound, longest_path, loop_counts
+from tests.verification.rig import stage
+
+SOURCE = """\
+static int inner(int n) {
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        sum += i;
+    }
+}
+int step(int x) {
+    return x > 0 ? inner(x) : 0;
+}
+"""
+
+# inner: 2 before, 3 in the loop, 1 behind it
+INNER = """\
+00000100 <inner>:
+/made/piezoid_runtime.c:2
+     100:\tmovs\tr2, #0
+     102:\tcmp\tr1, #0
+/made/piezoid_runtime.c:3
+     104:\tadds\tr0, r0, r2
+/made/piezoid_runtime.c:2
+     106:\tadds\tr2, #1
+     108:\tbne.n\t104 <inner+0x4>
+     10a:\tbx\tlr
+"""
+
+# step: 2, then the dearer side: the call (1, and what it takes) and a jump, or 1; 1 at the end
+STEP = """\
+00000200 <step>:
+/made/piezoid_runtime.c:7
+     200:\tcmp\tr0, #0
+     202:\tbeq.n\t20a <step+0xa>
+     204:\tbl\t100 <inner>
+     208:\tb.n\t20c <step+0xc>
+     20a:\tmovs\tr0, #0
+     20c:\tbx\tlr
+"""
+
+
+def most(code, counts=None, entry="step"):
+    return longest_path(code, SOURCE, counts or {"play_count": 5}, entry=entry)
+
+
+def test_a_loop_counts_as_often_as_its_line_says():
+    found = most(INNER, entry="inner")
+    # the body runs once and goes back five times at most: a bound, one more than the loop needs
+    assert found.instructions == 2 + 6 * 3 + 1
+    # 1 + 1, (1 + 1 + 4) each, and 4 to return
+    assert found.cycles == 2 + 6 * 6 + 4
+
+
+def test_the_dearer_branch_counts_and_so_do_calls():
+    inner = most(INNER, entry="inner").instructions
+    assert most(INNER + STEP).instructions == 2 + (1 + inner + 1) + 1
+
+
+def test_instructions_cost_what_the_manual_says():
+    code = "00000000 <step>:\n" + "".join(
+        f"     {2 * k:x}:\t{text}\n"
+        for k, text in enumerate(
+            (
+                "push\t{r4, r5, r6, lr}",
+                "vldr\ts0, [r1]",
+                "vdiv.f32\ts0, s0, s1",
+                "vadd.f32\ts0, s0, s1",
+                "sdiv\tr0, r1, r2",
+                "ldrd\tr0, r1, [r2]",
+                "vpush\t{s16-s19}",
+                "pop\t{r4, r5, r6, pc}",
+            )
+        )
+    )
+    assert most(code) == Bound(instructions=8, cycles=5 + 2 + 15 + 2 + 12 + 3 + 5 + 8)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (INNER.replace("runtime.c:2", "runtime.c:3"), "has a loop at 0x104 that no line"),
+        (STEP, "inner is not in the object"),
+        (STEP.replace("100 <inner>", "200 <step>"), "step calls itself"),
+        (STEP.replace("bl\t100 <inner>", "blx\tr3"), "calls through a register"),
+        (STEP.replace("bx\tlr", "tbb\t[pc, r0]"), "jumps through a register"),
+        (STEP.replace("bx\tlr", "ldr\tpc, [r3]"), "jumps through a register"),
+    ],
+)
+def test_what_cannot_be_bounded_is_refused(code, said):
+    with pytest.raises(RuntimeLibraryError, match=said):
+        most(code, entry="inner" if code.startswith("00000100") else "step")
+
+
+def test_every_loop_of_a_step_has_a_count_of_its_axis():
+    for axis in stage().axes:
+        counts = loop_counts(axis.values)
+        assert counts["play_count"] == int(axis.values["play_count"])
+        assert counts["dead_zones.count"] >= counts["knot_count"]
