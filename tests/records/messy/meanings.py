@@ -246,8 +246,9 @@ MEANINGS: tuple[Messy, ...] = (
         name="counts.csv",
         wrong="a sensor in counts",
         write=text(lines(table=columns() * [1, 1, 1e4], names=(*NAMES[:2], "position [counts]"))),
-        refused="is a displacement in counts",
         lines=COUNTS,
+        kept=np.zeros(0, dtype=int),
+        problems=frozenset({"counts"}),
     ),
     Messy(
         name="codes.csv",
@@ -274,8 +275,9 @@ MEANINGS: tuple[Messy, ...] = (
                 names=("time [s]", "drive [counts]", "position [um]"),
             )
         ),
-        refused="is a voltage in counts",
         lines="scale = { voltage = 0.001 }\n",
+        kept=np.zeros(0, dtype=int),
+        problems=frozenset({"counts"}),
     ),
     Messy(
         name="tube.csv",
