@@ -71,12 +71,27 @@ def converted(
                 remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
             )
         values = values / gain_V_per_m
+    elif quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
+        _check_nominal(table, entry, column, unit, axis)
     elif unit.dimension is not wanted:
         raise refuse(
             table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
         )
     assigned = Assigned(column=column, quantity=quantity, axis=axis, unit=unit, values=values)
     return _scaled(entry, assigned), problems
+
+
+def _check_nominal(
+    table: RawTable, entry: RecordingEntry, column: Column, unit: Unit, axis: str
+) -> None:
+    """Refuse a drive that a program tells as a height, unless its volts per metre are said."""
+    if _said(entry.scale, Quantity.VOLTAGE, axis) is None:
+        raise UnitError(
+            f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
+            "times a sensitivity, as programs of microscopes tell it",
+            needed="the drive in volts, or how many volts one metre of it is",
+            remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
+        )
 
 
 def _in_counts(

@@ -18,7 +18,7 @@ _MOST_PATHS = 3  # axes of a stage: outputs and inputs of its response
 
 
 @contextmanager
-def reading(source: Source, format_name: str) -> Iterator[None]:
+def reading(source: Source, format_name: str, *, extra: str = "io") -> Iterator[None]:
     """Turn whatever a reader raises on a damaged file into the house's error.
 
     These libraries document no exceptions for damaged input (KeyError, struct.error, zlib.error,
@@ -34,8 +34,8 @@ def reading(source: Source, format_name: str) -> Iterator[None]:
         raise unreadable(
             source.name,
             f"reading {format_name} needs the Python package {error.name!r}, which is not here",
-            needed="the readers of the extra 'io'",
-            remedy="Run: pip install 'piezoid[io]'",
+            needed=f"the readers of the extra {extra!r}",
+            remedy=f"Run: pip install 'piezoid[{extra}]'",
         ) from error
     except (Exception, MemoryError) as error:
         reason = f": {str(error)[:200]}" if str(error) else ""  # short of memory, it says nothing

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.records.microscopes import write_ibw, write_jpk
+
 SAMPLES = 400
 RATE_Hz = 1000.0
 EVERY = np.arange(SAMPLES)
@@ -162,7 +164,15 @@ def cut_excel(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:4000])
 
 
+def igor(path: Path) -> None:
+    write_ibw(path, columns()[:, 1:], labels=NAMES[1:], step=1e3 / RATE_Hz, step_unit="ms")
+
+
 def jpk(path: Path) -> None:
+    write_jpk(path, [(SAMPLES / RATE_Hz, VOLTAGE_V, 1e-6 * POSITION_um)])
+
+
+def empty_jpk(path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("header.properties", "jpk-data-file=spm-forcefile\n")
         archive.writestr("segments/0/segment-header.properties", "")
