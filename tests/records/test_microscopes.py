@@ -83,6 +83,9 @@ def test_many_curves_and_a_curve_without_a_sensor_are_refused(tmp_path: Path) ->
             archive.writestr(name, "")
     with pytest.raises(UnreadableFileError, match="JPK archive of 2 curves"):
         read_table(tmp_path / "map.jpk-force-map")
+    write_jpk(tmp_path / "none.jpk-force", [])
+    with pytest.raises(UnreadableFileError, match="the JPK reader stopped"):
+        read_table(tmp_path / "none.jpk-force")
     write_jpk(tmp_path / "whole.jpk-force", [(0.3, DRIVE_V, HEIGHT_m)])
     with (
         zipfile.ZipFile(tmp_path / "whole.jpk-force") as whole,

@@ -4,6 +4,7 @@ The piezo's drive is read in volts, as the controller put it out, the height as 
 it in metres; heights that a program computed from the drive are no measurement.
 """
 
+import zipfile
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.readers.archive import ZIP, members
 from piezoid.records.readers.foreign import reading, table_of
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, unreadable
+from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable
 
 _DRIVE, _MEASURED = "height (piezo)", "height (measured)"  # as afmformats calls them
@@ -38,6 +39,8 @@ def read(source: Source) -> RawTable:
         from afmformats.errors import AFMFileFormatError
         from afmformats.formats.fmt_jpk.jpk_reader import ArchiveCache, JPKReader
 
+        with source.open() as stream, zipfile.ZipFile(stream) as archive:
+            check_growth(source, sum(item.file_size for item in archive.infolist()))
         file = JPKReader(source.path)
         try:
             if len(file) != 1:
@@ -53,17 +56,17 @@ def read(source: Source) -> RawTable:
             raise ValueError(str(error)) from error
         finally:
             ArchiveCache.open_archives.pop(source.path, None)
-    durations_s = np.array([duration_s for duration_s, _, _ in parts])
-    begins_s = np.cumsum(durations_s) - durations_s
-    times_s = [
-        begin_s + np.arange(len(drive)) * duration_s / len(drive)
-        for begin_s, (duration_s, drive, _) in zip(begins_s, parts, strict=True)
-    ]
-    arrays = {
-        "time": np.concatenate(times_s),
-        "drive, volts of the height": np.concatenate([drive for _, drive, _ in parts]),
-        "measured height": np.concatenate([measured for _, _, measured in parts]),
-    }
+        durations_s = np.array([duration_s for duration_s, _, _ in parts])
+        begins_s = np.cumsum(durations_s) - durations_s
+        times_s = [
+            begin_s + np.arange(len(drive)) * duration_s / len(drive)
+            for begin_s, (duration_s, drive, _) in zip(begins_s, parts, strict=True)
+        ]
+        arrays = {
+            "time": np.concatenate(times_s),
+            "drive, volts of the height": np.concatenate([drive for _, drive, _ in parts]),
+            "measured height": np.concatenate([measured for _, _, measured in parts]),
+        }
     units = dict(zip(arrays, ("s", "V", "m"), strict=True))
     return table_of(source, "JPK", arrays, units=units)
 
