@@ -10,6 +10,8 @@ import pytest
 
 import piezoid
 from piezoid.counts import in_counts
+from piezoid.identification.store import read_model
+from piezoid_cli.stage_task import StageTask, run_stage
 from tests.journeys.test_strangers import piezoid as run
 from tests.laws import RATE_Hz, swept_um
 
@@ -79,7 +81,16 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
     (tmp_path / "lab.toml").write_text(
         '[[recording]]\nfile = "sweep.csv"\nscale = { displacement = 1e-9 }\n'
     )
-    raw = piezoid.fit(piezoid.read(sweep))["x"]
+    lab = tmp_path / "batch/lab.toml"
+    lab.parent.mkdir()
+    lab.write_text("")
+    (lab.parent / "sweep.csv").write_bytes(sweep.read_bytes())
+    inputs = {"sweep.csv": "", "lab.toml": ""}
+    batch = run_stage(StageTask(name="a", folder=str(lab.parent), inputs=inputs, version=""))
+    raw = read_model(batch.files["model.json"])["x"]
+    # Stages are compared in units: what is in counts is left out there.
+    assert {"lag_s", "held_out_rms_percent"} <= set(batch.stage.axes[0].values)
+    assert not {"noise_rms_m", "sensitivity_m_per_V"} & set(batch.stage.axes[0].values)
     known = piezoid.fit(piezoid.read(sweep, lab=tmp_path / "lab.toml"))["x"]
     assert (raw.counted, known.counted) == (("displacement",), ())
     assert raw.quality.held_out_rms_percent == pytest.approx(

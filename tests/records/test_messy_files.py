@@ -12,6 +12,7 @@ from piezoid.records.comparison import copies, refuse_misfits
 from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
+from piezoid.records.lab_draft import draft_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from tests.records.messy.outcomes import FILES, inspected, table
 from tests.records.messy.writers import (
@@ -251,6 +252,10 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
     assert "scale = { voltage = 0.000305175781 }" in problem.text
     np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
     assert read.counted == ("voltage",)
+    frame = read.to_frame()
+    assert list(frame) == ["time_s", "voltage_x [counts]", "displacement_x_m"]
+    assert Recording.from_frame(frame).counted == ("voltage",)
+    assert "voltage of x: 10 to 90 counts" in draft_lab([tmp_path / "run.csv"], tmp_path).text
 
 
 def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
