@@ -46,7 +46,7 @@ benchmark: $(READY)
 # The environment: exactly the versions of constraints.txt, for the build as well.
 $(READY): pyproject.toml constraints.txt $(C_FILES)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[io,batch,dev]'
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[io,afm,batch,dev]'
 	touch $@
 
 $(VENV)/docs-ready: $(READY)

@@ -152,6 +152,7 @@ def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
 def _show(found: "Diagnosis", out: Path) -> None:
     from rich.console import Console
 
+    from piezoid.counts import in_counts
     from piezoid.diagnosis.something_else import NAME
     from piezoid.readable import told
     from piezoid_reports.what_is_left import largest_first, left_of, nothing_named
@@ -165,16 +166,16 @@ def _show(found: "Diagnosis", out: Path) -> None:
         was, now = told(found.baseline.rms_m, "m"), told(found.final.rms_m, "m")
         falls = found.final.rms_m < found.baseline.rms_m
         goes = f"{'falls' if falls else 'goes'} from {was} to {now}" if was != now else f"is {was}"
-        console.print(
-            plain(
-                f"on rows left out the error {goes}; the sensor's noise is "
-                f"{told(found.noise_floor_rms_m, 'm')}"
-            )
+        said = (
+            f"on rows left out the error {goes}; the sensor's noise is "
+            f"{told(found.noise_floor_rms_m, 'm')}"
         )
+        console.print(plain(in_counts(said, found.counted)))
     else:
-        console.print(plain(f"axis {found.axis}: {nothing_named(found)}"))
+        said = f"axis {found.axis}: {nothing_named(found)}"
+        console.print(plain(in_counts(said, found.counted)))
     if found.findings:
-        console.print(plain(f"next: {left_of(found).remedy}"))
+        console.print(plain(in_counts(f"next: {left_of(found).remedy}", found.counted)))
     console.print(plain(f"all that was tested: {out / 'diagnosis.html'}"))
 
 

@@ -214,6 +214,7 @@ def _show_tip(tip: "TunnellingModel") -> None:
 def _table(model: "ActuatorModel") -> "Table":
     from rich.table import Table
 
+    from piezoid.counts import in_counts
     from piezoid.readable import told
 
     table = Table(title=plain(f"stage {model.stage}"))
@@ -226,8 +227,9 @@ def _table(model: "ActuatorModel") -> "Table":
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
             "loop or lag" if quality.lag_is_open else told(axis.lag.time_s, "s"),
-            told(quality.held_out_rms_m, "m") + ("" if quality.is_tested else " in sample"),
+            in_counts(told(quality.held_out_rms_m, "m"), axis.counted)
+            + ("" if quality.is_tested else " in sample"),
             f"{quality.held_out_rms_percent:.3f} %",
-            told(quality.noise_rms_m, "m"),
+            in_counts(told(quality.noise_rms_m, "m"), axis.counted),
         )
     return table

@@ -104,6 +104,8 @@ def _headline(inspection: "Inspection") -> str:
 
 
 def _clock_line(inspection: "Inspection") -> str:
+    from piezoid.counts import in_counts
+
     line = (
         f"  axis {inspection.axis}, {inspection.sampling_rate_Hz:.9g} Hz for "
         f"{inspection.duration_s:.6g} s, {inspection.breaks} breaks"
@@ -111,7 +113,8 @@ def _clock_line(inspection: "Inspection") -> str:
     if inspection.reversals is not None:
         line += f", {inspection.reversals} reversals of the drive"
     if inspection.levels_V:
-        line += " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+        levels = " at " + ", ".join(f"{level:.4g} V" for level in inspection.levels_V)
+        line += in_counts(levels, inspection.counted)
     if not inspection.axis_is_named:
         line += f"; nobody names the axis: {inspection.axis} is our name for it"
     return line

@@ -113,14 +113,25 @@ def _axis(axis: "AxisModel", found: "Calibration") -> FleetAxis:
 
     design = found.controllers.design
     designs = {} if design is None else {one.axis: one for one in design.axes}
-    values = {quantity.name: quantity.of(axis, designs.get(axis.axis)) for quantity in QUANTITIES}
+    values = {
+        quantity.name: quantity.of(axis, designs.get(axis.axis))
+        for quantity in QUANTITIES
+        if not _is_counted(quantity.unit, axis)
+    }
     return FleetAxis(
         axis=axis.axis,
         applies=axis.verdict.applies,
         values={name: value for name, value in values.items() if value is not None},
-        parameters=_parameters(axis),
+        parameters={} if axis.counted else _parameters(axis),
         errors=_errors(axis),
     )
+
+
+def _is_counted(unit: str, axis: "AxisModel") -> bool:
+    """Tell whether a quantity of this axis is in counts: stages are compared in units."""
+    from piezoid.counts import in_counts
+
+    return in_counts(unit, axis.counted) != unit
 
 
 def _errors(axis: "AxisModel") -> dict[str, float]:
@@ -129,7 +140,11 @@ def _errors(axis: "AxisModel") -> dict[str, float]:
 
     from piezoid_reports.fleet.quantities import QUANTITIES
 
-    found = {quantity.name: quantity.error(axis) for quantity in QUANTITIES}
+    found = {
+        quantity.name: quantity.error(axis)
+        for quantity in QUANTITIES
+        if not _is_counted(quantity.unit, axis)
+    }
     return {name: error for name, error in found.items() if error is not None and isfinite(error)}
 
 

@@ -4,10 +4,12 @@ Nothing is computed here that a record does not hold or say. Without ``ax`` a fi
 made, as wide as a column of a journal; the caller's style sheet holds for everything else.
 """
 
+from collections.abc import Collection
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from piezoid.counts import in_counts
 from piezoid.design.design import AxisDesign, Design, LoopDesign
 from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
@@ -41,6 +43,18 @@ _METHODS = {
 }
 
 
+def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
+    """Return axes with counts in their labels, where metres or volts were recorded in counts."""
+    for one in axes.figure.axes if counted else ():
+        one.set(
+            **{
+                name: in_counts(getattr(one, f"get_{name}")(), counted)
+                for name in ("title", "xlabel", "ylabel")
+            }
+        )
+    return axes
+
+
 def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
     """Draw a recording: displacement over drive, or both over time on two scales."""
     _check("Recording.plot", kind, ("loop", "time"))
@@ -55,7 +69,7 @@ def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None"
             x, y = _thinned(voltage_V[part], scale * response[part])
             axes.plot(x, y, color=MEASURED, linewidth=0.9)
         axes.set(xlabel=f"drive of {own} (V)", ylabel=f"displacement of {own} ({unit})")
-        return axes
+        return in_units_of(axes, held.counted)
     axes = _axes(ax)
     time_s = held.time_s
     if channel is not None:
@@ -75,7 +89,7 @@ def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None"
     drive.spines["top"].set_visible(False)
     axes.set_zorder(drive.get_zorder() + 1)  # what was measured in front
     axes.patch.set_visible(False)
-    return axes
+    return in_units_of(axes, held.counted)
 
 
 def comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axes":
@@ -110,7 +124,7 @@ def comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axe
         f"error {rms * held.rms_m:.3g} {rms_unit} rms, {held.rms_percent:.2f} % of the range",
         fontsize="medium",
     )
-    return axes
+    return in_units_of(axes, held.counted)
 
 
 def axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
@@ -121,7 +135,7 @@ def axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axe
     """
     _check("plot of a model", kind, ("loop", "response"))
     if kind == "response":
-        return _response(model, _axes(ax))
+        return in_units_of(_response(model, _axes(ax)), model.counted)
     axes = _axes(ax)
     loops = [_loop(model, share) for share in _LOOPS]
     scale, unit = _scaled(loops[0][1], "m")
@@ -154,7 +168,7 @@ def axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axe
         )
     axes.set(xlabel=f"drive of {model.axis} (V)", ylabel=f"displacement of {model.axis} ({unit})")
     axes.legend(frameon=False)
-    return axes
+    return in_units_of(axes, model.counted)
 
 
 def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
@@ -196,7 +210,7 @@ def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     axes.legend(
         frameon=False, fontsize="small", loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3
     )
-    return axes
+    return in_units_of(axes, held.counted)
 
 
 def design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":

@@ -337,6 +337,7 @@ def learn(
     declared = _lab(lab)
     own = None if controller is None else own_parameters(controller, model, declared, axis)
     known = model[axis or (next(iter(model.axes)) if own is None else own.axis)]
+    known.refuse_counts()
     sources = {"model": digest_of(model)}
     if own is None:
         asked_Hz = controller_rate_Hz(model, sampling_rate_Hz)

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from piezoid.calibration.since import Since
+from piezoid.counts import DISPLACEMENT
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
+from piezoid.readable import Scale
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -22,7 +24,13 @@ from piezoid_reports.traces import Trace
 
 FIGURES_IN_FULL = 6  # recordings of an axis that are drawn; the rest stand in a table
 NANO = 1e-9
+COUNT = Scale(factor=1.0, unit="m")  # of displacement, as the page writes it
 FIRST_SENTENCE = re.compile(r"(?<=[.;])\s")
+
+
+def scale_of_errors(axis: AxisModel) -> Scale:
+    """Return the unit of errors on logarithmic scales: nanometres, or counts."""
+    return COUNT if DISPLACEMENT in axis.counted else Scale(factor=NANO, unit="nm")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,6 +71,12 @@ class Page:
     files: Mapping[str, bytes] = field(default_factory=dict)
     lab: Lab | None = None
     since: Since | None = None
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """What was recorded in counts, of ``displacement`` and ``voltage``."""
+        own = {one for diagnosis in self.diagnoses for one in diagnosis.counted}
+        return tuple(sorted({*self.model.counted, *own}))
 
     @property
     def axes(self) -> tuple[AxisModel, ...]:
@@ -207,11 +221,12 @@ class Ladder:
     kind: ClassVar[str] = "ladder"
     title: str
     axis: Axis
+    unit: Scale
     rungs: tuple[Rung, ...]
 
     def share(self, rung: Rung) -> float:
         """Return where a rung lies along the axis, 0 to 1."""
-        place = math.log10(rung.value_m / NANO)
+        place = math.log10(rung.value_m / self.unit.factor)
         return (place - self.axis.low) / (self.axis.high - self.axis.low)
 
 

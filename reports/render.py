@@ -13,6 +13,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from piezoid.calibration.since import Since
+from piezoid.counts import in_counts
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
@@ -96,7 +97,7 @@ def render(
 def render_design(model: ActuatorModel, design: Design) -> str:
     """Return design.html: the controllers alone, designed after the fit."""
     page = Page(model=model, recordings=(), traces={}, model_digest=_digest(model), design=design)
-    return html(_title(model), _sections(page, OF_DESIGN))
+    return html(_title(model), _sections(page, OF_DESIGN), counted=page.counted)
 
 
 def render_diagnosis(
@@ -138,7 +139,7 @@ def _digest(model: ActuatorModel) -> str:
 
 def _written(page: Page, chapters: Sequence[Render]) -> str:
     sections = _sections(page, chapters)
-    return html(_title(page.model), sections, alarm=_alarm(page))
+    return html(_title(page.model), sections, alarm=_alarm(page), counted=page.counted)
 
 
 def _title(model: ActuatorModel) -> str:
@@ -156,16 +157,23 @@ def _alarm(page: Page) -> tuple[str, str] | None:
     return UNDRAWN if page.model.axes and not page.recordings else None
 
 
-def html(title: str, sections: Sequence[Section], *, alarm: tuple[str, str] | None = None) -> str:
+def html(
+    title: str,
+    sections: Sequence[Section],
+    *,
+    alarm: tuple[str, str] | None = None,
+    counted: Sequence[str] = (),
+) -> str:
     """Return the whole page.
 
     title     a name from the data, shown as text
     sections  its chapters
     alarm     what must be known before anything is read, and why
+    counted   what was recorded in counts: no metre, or no volt, is then on the page
     """
     style, script = _text("style.css"), _text("figures.js")
     return (
-        _environment()
+        _environment(counted)
         .get_template("page.html.j2")
         .render(
             title=title,
@@ -209,14 +217,18 @@ def _text(name: str) -> str:
     return (files_of("piezoid_reports") / "templates" / name).read_text(encoding="utf-8")
 
 
-def _environment() -> Environment:
+def _environment(counted: Sequence[str]) -> Environment:
+    def shown(value: object) -> object:
+        plain = isinstance(value, str) and not hasattr(value, "__html__")
+        return printable(in_counts(str(value), counted) if plain else value)
+
     found = Environment(
         loader=FunctionLoader(_text),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=printable,
+        finalize=shown,
     )
     found.filters["length_m"] = partial(told, unit="m")
     return found

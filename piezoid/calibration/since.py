@@ -197,6 +197,13 @@ def since(
             needed="two calibrations of one stage, with an axis in common",
             remedy="Name the folder of an earlier calibration of the same stage.",
         )
+    if then.counted != now.counted:
+        told = [" and ".join(one.counted) or "nothing" for one in (then, now)]
+        raise ParameterFileError(
+            f"the older stage has {told[0]} in counts of the converter, this one {told[1]}",
+            needed="two calibrations in one unit",
+            remedy="Fit the recordings of both with the same scale in lab.toml.",
+        )
     pairs = [(then.axes[name], now.axes[name]) for name in both]
     curves = tuple(found for a, b in pairs if (found := _curves(a, b)) is not None)
     return Since(

@@ -207,6 +207,7 @@ def _lateral_task(
     model: ActuatorModel, name: str, lab: Lab, rate_Hz: float | None, forms: Sequence[str]
 ) -> _Task:
     axis = model.axes[name]
+    axis.refuse_counts()
     if not axis.verdict.applies:
         raise DesignError(
             f"axis {name}: the model class does not apply, {axis.verdict.reason}",

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from piezoid.counts import in_counts
+from piezoid.errors import RecordingError
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
@@ -23,6 +25,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import significant, told
+from piezoid.records.comparison import counted_in
 from piezoid.records.recording import Quantity, Recording
 
 AS_IT_WAS = Structure(operator=False)
@@ -52,6 +55,7 @@ class Change:
     gain_ratio      sensitivity now over then, with its 95 % interval
     noise_then_m    of the sensor, when the model was fitted
     noise_m         of the sensor in the new recordings
+    counted         as ``AxisModel.counted``
     """
 
     axis: str
@@ -65,6 +69,7 @@ class Change:
     gain_ratio: tuple[float, float, float]
     noise_then_m: float
     noise_m: float
+    counted: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -74,7 +79,7 @@ class Change:
     @property
     def sentence(self) -> str:
         """Return what changed in words."""
-        return f"axis {self.axis}: {self._verdict()}"
+        return in_counts(f"axis {self.axis}: {self._verdict()}", self.counted)
 
     def _verdict(self) -> str:
         if self.against_then:
@@ -179,6 +184,13 @@ def change_since(
 
     What goes wrong: recordings that begin with a memory nobody can tell leave room for it.
     """
+    if counted_in(recordings) != model.counted:
+        told = [" and ".join(c) or "nothing" for c in (model.counted, counted_in(recordings))]
+        raise RecordingError(
+            f"the model has {told[0]} in counts of the converter, the recordings {told[1]}",
+            needed="recordings in the units of the model",
+            remedy="Write scale = { ... } into lab.toml as at the fit.",
+        )
     progress("simulating the model as it was")
     asked = recordings
     kept = tuple(e for e in model.extensions if not isinstance(e, PASSING))
@@ -193,6 +205,7 @@ def change_since(
     return Change(
         axis=model.axis,
         digest=digest,
+        counted=model.counted,
         against_then="" if model.verdict.applies else model.verdict.reason,
         held_out_then_m=model.quality.held_out_rms_m,
         motion_m=_motion_m(recordings, model.axis),

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import attributed
@@ -31,6 +32,7 @@ from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
+from piezoid.records.comparison import counted_in
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.rest import is_at_rest
@@ -64,12 +66,25 @@ def diagnose(
     coordinate; where it lives in several, it may be given to the effect that resembles it most.
     ``unexplained`` tells how much is left.
     """
+    counted = counted_in(recordings)
+    with refusing_in_counts(counted):
+        found = _diagnosed(recordings, axis, lab or Lab(), model, progress, threads)
+        return found.told_in_counts(counted)
+
+
+def _diagnosed(
+    recordings: Sequence[Recording],
+    axis: str | None,
+    declared: Lab,
+    model: AxisModel | None,
+    progress: Progress,
+    threads: int,
+) -> Diagnosis:
     axes = axes_of(recordings)
     wanted = next(iter(axes), "") if axis is None else axis
     if wanted not in axes:
         what = f" of axis {wanted}" if wanted else " of the same axis"
         raise lacking(recordings, f"a drive voltage and a displacement{what}")
-    declared = lab or Lab()
     resting = recorded_of(recordings, wanted)
     if resting and all(is_at_rest(recording, wanted) for recording in resting):
         progress("looking at a stage at rest")

@@ -1,10 +1,11 @@
 """Diagnosis: what was found, what was not, and how small a thing these recordings could show."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from piezoid.counts import record_in_counts
 from piezoid.identification.model import AxisModel
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
@@ -20,6 +21,14 @@ class Size:
     value: float
     unit: str
     ci95: tuple[float, float]
+
+
+def _without_prefix(size: Size) -> Size:
+    """Return a size in nanometres in metres, or in what stands in their place."""
+    if not size.unit.startswith("nm"):
+        return size
+    low, high = size.ci95
+    return Size(value=1e-9 * size.value, unit=size.unit[1:], ci95=(1e-9 * low, 1e-9 * high))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +150,7 @@ class Diagnosis:
                         that is left beside it. Not in diagnosis.json
     model               the axis with everything found in it, as it ships; None where no model was
                         at hand. It stands in model.json, not here
+    counted             as ``AxisModel.counted``
     """
 
     axis: str
@@ -155,6 +165,22 @@ class Diagnosis:
     unexplained: Unexplained | None = None
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
+    counted: tuple[str, ...] = ()
+
+    def told_in_counts(self, counted: tuple[str, ...]) -> "Diagnosis":
+        """Return the diagnosis with its sizes and sentences in counts."""
+        if not counted:
+            return self
+        findings = self.findings
+        if "displacement" in counted:
+            findings = tuple(replace(one, size=_without_prefix(one.size)) for one in findings)
+        return replace(
+            self,
+            counted=counted,
+            findings=record_in_counts(findings, counted),
+            not_detected=record_in_counts(self.not_detected, counted),
+            unexplained=record_in_counts(self.unexplained, counted),
+        )
 
     @property
     def names(self) -> tuple[str, ...]:

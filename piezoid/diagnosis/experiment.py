@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from piezoid.counts import VOLTAGE
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.planning.bench import Bench, bench_of
 from piezoid.diagnosis.planning.forbids import what_forbids
@@ -89,10 +90,12 @@ def plan(
     clock_Hz    of the converters, where neither lab.toml nor the model say
     seed        of what is left to chance in a drive
 
-    Raises ``ExcitationError`` where no drive shows any of it. What goes wrong: an effect whose
+    Raises ``ExcitationError`` where no drive shows any of it, ``LabFileError`` where the drive was
+    recorded in counts. What goes wrong: an effect whose
     real shape differs much from its tangent is told apart more or less well than is promised.
     """
     axis = model[diagnosis.axis]
+    axis.refuse_counts(of=(VOLTAGE,))
     bench = bench_of(model, axis, lab or Lab(), recordings, clock_Hz)
     recorded = [driven_recording(axis, one) for one in recordings if drives_axis(one, axis)]
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from msgspec import UNSET, Struct, UnsetType, ValidationError, convert, to_builtins
 
+from piezoid.counts import in_counts
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     Finding,
@@ -88,6 +89,7 @@ class _Axis(Struct, frozen=True, kw_only=True):
     final: _HeldOut
     explained_fraction: float
     unexplained: _Unexplained | UnsetType = UNSET
+    counted: tuple[str, ...] | UnsetType = UNSET
 
 
 def write_diagnosis(
@@ -140,10 +142,14 @@ def _record_of(diagnosis: Diagnosis) -> dict[str, Any]:
         noise_floor_rms_m=diagnosis.noise_floor_rms_m,
         envelope_rms_m=diagnosis.envelope_rms_m,
         findings=tuple(_finding_entry(finding) for finding in diagnosis.findings),
-        not_detected=tuple(_absent_entry(absent) for absent in diagnosis.not_detected),
+        not_detected=tuple(
+            _absent_entry(absent, in_counts("m, rms", diagnosis.counted))
+            for absent in diagnosis.not_detected
+        ),
         final=_held_out_entry(diagnosis.final),
         explained_fraction=diagnosis.explained_fraction,
         unexplained=_unexplained_entry(diagnosis.unexplained),
+        counted=diagnosis.counted or UNSET,
     )
     record: dict[str, Any] = to_builtins(axis)
     return record
@@ -199,11 +205,11 @@ def _unexplained_entry(unexplained: Unexplained | None) -> _Unexplained | UnsetT
     )
 
 
-def _absent_entry(absent: NotDetected) -> _Absent:
+def _absent_entry(absent: NotDetected, unit: str) -> _Absent:
     return _Absent(
         effect=absent.effect,
         upper_bound=absent.upper_bound_m,
-        unit="m, rms",
+        unit=unit,
         detection_limit=absent.detection_limit_m,
         reason=absent.reason,
         next_experiment=absent.next_experiment,
@@ -222,6 +228,7 @@ def _diagnosis(axis: _Axis) -> Diagnosis:
         unexplained=_unexplained(axis.unexplained),
         findings=tuple(_finding(entry) for entry in axis.findings),
         not_detected=tuple(_absent(entry) for entry in axis.not_detected),
+        counted=() if isinstance(axis.counted, UnsetType) else axis.counted,
     )
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import ArrayLike
 
+from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.model import TunnellingModel
@@ -69,6 +70,11 @@ class ActuatorModel:
 
     def _repr_html_(self) -> str:
         return shown(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """What was recorded in counts, of ``displacement`` and ``voltage``."""
+        return tuple(sorted({one for axis in self.axes.values() for one in axis.counted}))
 
     @property
     def applies(self) -> bool:
@@ -257,9 +263,9 @@ def _shown(axis: AxisModel) -> tuple[str, str]:
     held, quality = axis.hysteresis, axis.quality
     if not axis.verdict.applies:
         return f"axis {axis.axis}", f"the model class does not apply: {axis.verdict.reason}"
-    return (
-        f"axis {axis.axis}",
+    said = (
         f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
         f"error {told(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} % "
-        f"of the range; noise {told(quality.noise_rms_m, 'm')} rms",
+        f"of the range; noise {told(quality.noise_rms_m, 'm')} rms"
     )
+    return f"axis {axis.axis}", in_counts(said, axis.counted)

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from piezoid.counts import record_in_counts, refusing_in_counts
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.discrepancy import with_discrepancy
@@ -17,7 +18,13 @@ from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
-from piezoid.records.comparison import STILL, copies, refuse_misfits, remarks_on_set
+from piezoid.records.comparison import (
+    STILL,
+    copies,
+    counted_in,
+    refuse_misfits,
+    remarks_on_set,
+)
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.plausibility import is_held_throughout
@@ -75,7 +82,7 @@ def unfitted(
     refuse_one_name_twice(recordings, sweeps, responses)
     refuse_responses_alone(recordings, responses)
     refuse_misfits(recordings)
-    remarks = remarks_on_set(recordings)
+    remarks = record_in_counts(remarks_on_set(recordings), counted_in(recordings))
     if not axes_of(recordings) and not sweeps and not any(map(is_loop, recordings)):
         raise lacking(
             recordings,
@@ -182,13 +189,14 @@ def fit_axis(
 
     Raises ``ExcitationError`` where drive or displacement does not move.
     """
-    rig = rig_of(lab, axis)
-    calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
-    fitted = estimate_axis(calm, axis, rig, elsewhere=elsewhere, progress=progress)
-    found = with_dynamics(
-        fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
-    )
-    return with_discrepancy(_remarked(found, shaped), calm)
+    rig, counted = rig_of(lab, axis), counted_in(recordings)
+    with refusing_in_counts(counted):
+        calm, shaped = quasi_static(moving(recordings, axis), axis, rig)
+        fitted = estimate_axis(calm, axis, rig, elsewhere=elsewhere, progress=progress)
+        found = with_dynamics(
+            fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
+        )
+        return with_discrepancy(_remarked(found, shaped), calm).told_in_counts(counted)
 
 
 def refined(
@@ -206,7 +214,8 @@ def refined(
     if axis.dynamics is None:
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
         found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    return with_discrepancy(found, moving(recordings, axis.axis))
+    told = with_discrepancy(found, moving(recordings, axis.axis))
+    return told.told_in_counts(counted_in(recordings))
 
 
 def trials_of(recordings: Sequence[Recording], axis: str, lab: Lab) -> tuple[Trial, ...]:

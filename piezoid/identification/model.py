@@ -1,12 +1,13 @@
 """AxisModel: what is known of one axis, with how well it is known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from piezoid.errors import IdentificationError, NotInvertibleError, RecordingError
+from piezoid.counts import DISPLACEMENT, VOLTAGE, record_in_counts
+from piezoid.errors import IdentificationError, LabFileError, NotInvertibleError, RecordingError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -17,7 +18,7 @@ from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Quantity, Recording
 from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
@@ -110,6 +111,8 @@ class AxisModel:
     extensions   what a diagnosis added, in the order in which they act
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
+    counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
+                 its numbers are counts where names say metres or volts, and nothing can ship
     """
 
     axis: str
@@ -130,6 +133,28 @@ class AxisModel:
     extensions: tuple[Extension, ...] = ()
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
+    counted: tuple[str, ...] = ()
+
+    def told_in_counts(self, counted: tuple[str, ...]) -> "AxisModel":
+        """Return the axis with its sentences in counts, where it was recorded in counts."""
+        return replace(
+            self,
+            counted=counted,
+            verdict=record_in_counts(self.verdict, counted),
+            quality=record_in_counts(self.quality, counted),
+            dynamics_remarks=record_in_counts(self.dynamics_remarks, counted),
+        )
+
+    def refuse_counts(self, *, of: tuple[str, ...] = (DISPLACEMENT, VOLTAGE)) -> None:
+        """Raise ``LabFileError`` where one of these is in counts: what leaves here is in units."""
+        for one in (quantity for quantity in of if quantity in self.counted):
+            si = Quantity[one.upper()].value
+            raise LabFileError(
+                f"axis {self.axis}: its {one} is recorded in counts of the converter",
+                needed=f"how many {si} one count is: nothing can be played or shipped in counts",
+                remedy="Write into the [[recording]] of each file in lab.toml, and fit again:\n\n"
+                f"scale = {{ {one} = ... }}\n",
+            )
 
     @property
     def virgin_memory_V(self) -> Array:

@@ -1,10 +1,11 @@
 """Every number of a fitted axis in one table, with its unit and its 95 % interval."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from piezoid.counts import in_counts
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.quantiles import NORMAL_95
@@ -37,6 +38,7 @@ def parameters_of(axis: AxisModel) -> "DataFrame":
     from pandas import DataFrame
 
     rows = [*_hysteresis(axis), *_dynamics(axis), *_extensions(axis)]
+    rows = [replace(row, unit=in_counts(row.unit, axis.counted)) for row in rows]
     return DataFrame(
         {name: [getattr(row, name) for row in rows] for name in ("value", "unit", "low", "high")},
         index=[row.name for row in rows],

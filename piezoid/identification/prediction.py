@@ -35,6 +35,7 @@ class Comparison:
     time_s                   (samples,)  s from the first sample
     voltage_V                (samples,)
     measured_m, predicted_m  (samples,)
+    counted                  as ``AxisModel.counted``
     """
 
     recording: str
@@ -43,6 +44,7 @@ class Comparison:
     voltage_V: Array
     measured_m: Array
     predicted_m: Array
+    counted: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         names = ("time_s", "voltage_V", "measured_m", "predicted_m")
@@ -135,6 +137,7 @@ def compare(model: AxisModel, recording: Recording) -> Comparison:
         voltage_V=recording.voltage_V(model.axis),
         measured_m=measured_m,
         predicted_m=predict(model, recording),
+        counted=model.counted,
     )
 
 

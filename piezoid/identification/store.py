@@ -53,7 +53,9 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     )  # fmt: skip
     held = fields_of(axis)
     held["valid_range"] = {"voltage_V": held.pop("voltage_V")}
-    return {name: held[name] for name in names}
+    # An entry that most stages lack: files of theirs stay as they are.
+    counted = {"counted": held["counted"]} if axis.counted else {}
+    return {name: held[name] for name in names} | counted
 
 
 def _axis(entry: Mapping[str, Any]) -> AxisModel:

@@ -1,11 +1,12 @@
 """Which column is which: from lab.toml where it says so, else from the headings; never a guess."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.errors import LabFileError
 from piezoid.records.conversion import Assigned, converted
+from piezoid.records.counters import unwrapped
 from piezoid.records.lab import Lab, RecordingEntry
 from piezoid.records.meaning import Meaning, Role, meaning_of
 from piezoid.records.recording import Problem, Quantity
@@ -53,11 +54,25 @@ def assign(table: RawTable, lab: Lab, entry: RecordingEntry) -> Assignment:
     time = [converted(table, lab, entry, column, None, "") for column, _ in clocks]
     given = [converted(table, lab, entry, c, quantity, axis) for c, quantity, axis in channels]
     assumed = [p for _, problems in (*time, *given) for p in problems]
+    clock, wraps = _going_on(table, time[0][0]) if time else (None, ())
     return Assignment(
-        time=time[0][0] if time else None,
+        time=clock,
         channels=tuple(assigned for assigned, _ in given),
-        problems=tuple(assumed),
+        problems=(*assumed, *wraps),
     )
+
+
+def _going_on(table: RawTable, time: Assigned) -> tuple[Assigned, tuple[Problem, ...]]:
+    """Return a clock without the steps back of a counter that began anew."""
+    values, rows, bits = unwrapped(time.values, time.unit.factor)
+    if not len(rows):
+        return time, ()
+    first = table.place_of_row(int(rows[0]))
+    text = (
+        f"the clock is a counter of {bits} bits that begins anew {len(rows)} times, first at "
+        f"{first}; the time goes on there"
+    )
+    return replace(time, values=values), (Problem(kind="wrapped_clock", place=first, text=text),)
 
 
 def _has_values(column: Column) -> bool:

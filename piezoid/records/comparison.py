@@ -12,6 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
+from piezoid.counts import record_in_counts
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
@@ -96,7 +97,17 @@ def misfits(recordings: Sequence[Recording]) -> tuple[Misfit, ...]:
 
 def refuse_misfits(recordings: Sequence[Recording]) -> None:
     """Refuse recordings that do not fit each other: one model of them would be of no stage."""
-    found = misfits(recordings)
+    counts = counts_beside_units(recordings)
+    if counts:
+        blocks = "\n\n".join(
+            f"[[recording]]\nfile = {_file(name)}\nscale = {{ ... }}" for name in counts
+        )
+        raise RecordingError(
+            "the recordings do not fit each other: " + "; ".join(counts.values()),
+            needed="one unit in all recordings of a stage",
+            remedy=f"Write into lab.toml:\n\n{blocks}\n",
+        )
+    found = record_in_counts(misfits(recordings), counted_in(recordings))
     if not found:
         return
     blocks = "\n\n".join(f"[[recording]]\nfile = {_file(m.name)}\n{m.lines}" for m in found)
@@ -107,6 +118,30 @@ def refuse_misfits(recordings: Sequence[Recording]) -> None:
         "for the others, if it is they that are wrong); leave a file of another stage out:\n\n"
         f"{blocks}\n",
     )
+
+
+def counted_in(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return what is in counts in any recording, of ``displacement`` and ``voltage``."""
+    return tuple(sorted({quantity for recording in recordings for quantity in recording.counted}))
+
+
+def counts_beside_units(recordings: Sequence[Recording]) -> dict[str, str]:
+    """Return what is in counts of a converter beside metres or volts: nothing compares the two.
+
+    returned  a sentence by the name of the recording in counts
+    """
+    found: dict[str, str] = {}
+    for quantity in (Quantity.VOLTAGE, Quantity.DISPLACEMENT):
+        held = {r.name: c for r in recordings for c in r.channels if c.quantity is quantity}
+        known = sorted(name for name, channel in held.items() if not channel.is_counted)
+        what, si = quantity.name.lower(), quantity.value
+        for name, channel in held.items():
+            if channel.is_counted and known:
+                found[name] = (
+                    f"the {what} of {name} is in counts, that of {', '.join(known[:_NAMED])} in "
+                    f"{si} (scale = {{ {what} = ... }} says how many {si} one count is)"
+                )
+    return found
 
 
 def copies(recordings: Sequence[Recording]) -> dict[str, str]:

@@ -21,7 +21,7 @@ class Assigned:
     quantity  None for the time column
     axis      empty for the time column
     unit      it was converted from, of the heading or of lab.toml
-    values    (rows,)  SI units, NaN kept
+    values    (rows,)  SI units, NaN kept; counts where the unit is counted and has no scale
     """
 
     column: Column
@@ -61,7 +61,7 @@ def converted(
     values = column.values * unit.factor + unit.offset
     if unit.is_counted:
         if _said(entry.scale, quantity, axis) is None:
-            raise _counts_without_scale(table, lab, column, quantity)
+            problems = (*problems, _in_counts(table, lab, column, quantity, axis))
     elif quantity is Quantity.DISPLACEMENT and unit.dimension is Dimension.VOLTAGE:
         gain_V_per_m = lab.sensor_of(axis).gain_V_per_m
         if gain_V_per_m is None:
@@ -71,6 +71,8 @@ def converted(
                 remedy="Write into lab.toml:\n\n[sensor]\ngain_V_per_m = ...\n",
             )
         values = values / gain_V_per_m
+    elif quantity is Quantity.VOLTAGE and unit.dimension is Dimension.LENGTH:
+        _check_nominal(table, entry, column, unit, axis)
     elif unit.dimension is not wanted:
         raise refuse(
             table, f"{column.place} is a {_name_of(quantity)} by name but in {unit.symbol}"
@@ -79,26 +81,59 @@ def converted(
     return _scaled(entry, assigned), problems
 
 
-def _counts_without_scale(
-    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None
-) -> UnitError:
-    """Return the refusal of counts, with the scale where lab.toml tells it."""
-    name = _name_of(quantity)
-    si = "s" if quantity is None else quantity.value
-    example, because = "...", f"with the {si} of one count"
-    acquisition = lab.acquisition
-    if quantity is Quantity.VOLTAGE and acquisition.dac_bits and acquisition.input_range_V:
-        low_V, high_V = acquisition.input_range_V
-        example = f"{(high_V - low_V) / 2**acquisition.dac_bits:.9g}"
-        because = (
-            f"if the {high_V - low_V:g} V of input_range_V are the {acquisition.dac_bits} bits of "
-            f"the converter; offset = {{ {name} = ... }} adds the volts of count 0"
+def _check_nominal(
+    table: RawTable, entry: RecordingEntry, column: Column, unit: Unit, axis: str
+) -> None:
+    """Refuse a drive that a program tells as a height, unless its volts per metre are said."""
+    if _said(entry.scale, Quantity.VOLTAGE, axis) is None:
+        raise UnitError(
+            f"{table.name}: {column.place} is a drive of axis {axis} in {unit.symbol}: volts "
+            "times a sensitivity, as programs of microscopes tell it",
+            needed="the drive in volts, or how many volts one metre of it is",
+            remedy="Write into its [[recording]] of lab.toml:\n\nscale = { voltage = ... }\n",
         )
-    return UnitError(
-        f"{table.name}: {column.place} is a {name} in counts",
-        needed=f"what one count is in {si}: nothing that is shipped can be in counts",
-        remedy=f"Write into lab.toml, {because}:\n\n[[recording]]\n"
-        f"file = {json.dumps(table.name)}\nscale = {{ {name} = {example} }}\n",
+
+
+def _in_counts(
+    table: RawTable, lab: Lab, column: Column, quantity: Quantity | None, axis: str
+) -> Problem:
+    """Return what counts without a scale come to, and the scale where lab.toml tells it.
+
+    Raises ``UnitError`` for what may not be in counts.
+    """
+    name = _name_of(quantity)
+    if quantity not in (Quantity.VOLTAGE, Quantity.DISPLACEMENT):
+        si = "s" if quantity is None else quantity.value
+        raise UnitError(
+            f"{table.name}: {column.place} is a {name} in counts",
+            needed=f"how many {si} one count is: only drive and displacement may be in counts",
+            remedy=f"Write into lab.toml:\n\n[[recording]]\nfile = {json.dumps(table.name)}\n"
+            f"scale = {{ {name} = ... }}\n",
+        )
+    example, because = _step_of(lab, quantity, axis)
+    text = (
+        f"{column.place} is a {name} in counts, and stays in them: everything about it is told in "
+        "counts, and nothing that depends on it can be shipped. Once it is known how many "
+        f"{quantity.value} one count is, write scale = {{ {name} = {example} }} into its "
+        f"[[recording]] of lab.toml{because}"
+    )
+    return Problem(kind="counts", place=column.place, text=text)
+
+
+def _step_of(lab: Lab, quantity: Quantity, axis: str) -> tuple[str, str]:
+    """Return the size of a count where lab.toml tells it, and by what."""
+    acquisition, range_V = lab.acquisition, lab.acquisition.input_range_V
+    is_drive = quantity is Quantity.VOLTAGE
+    bits = acquisition.dac_bits if is_drive else acquisition.adc_bits
+    gain_V_per_m = 1.0 if is_drive else lab.sensor_of(axis).gain_V_per_m
+    if range_V is None or bits is None or gain_V_per_m is None:
+        return "...", ""
+    span_V = range_V[1] - range_V[0]
+    name = _name_of(quantity)
+    return (
+        f"{span_V / 2**bits / gain_V_per_m:.9g}",
+        f", if the {span_V:g} V of input_range_V are the {bits} bits of the converter; "
+        f"offset = {{ {name} = ... }} adds the {quantity.value} of count 0",
     )
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piezoid.counts import COUNTS
 from piezoid.errors import RecordingError, UnitError
 from piezoid.numerics.arrays import Array
 from piezoid.provenance import digest_of_bytes
@@ -132,6 +133,8 @@ def to_frame(recording: Recording) -> "DataFrame":
         label, values = f"{channel.quantity.name.lower()}_{channel.axis}", channel.values
         if channel.quantity is Quantity.HUMIDITY:
             held[f"{label} [%]"] = _PERCENT * values
+        elif channel.is_counted:
+            held[f"{label} [{COUNTS}]"] = values
         else:
             symbol = _SYMBOL[channel.quantity]
             held[f"{label}_{symbol}" if symbol else label] = values

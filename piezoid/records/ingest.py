@@ -10,6 +10,7 @@ import numpy as np
 from msgspec import structs
 from numpy.typing import NDArray
 
+from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.assignment import Assignment, assign
 from piezoid.records.clock import (
@@ -34,6 +35,7 @@ from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import refused_as_recording
 from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
+from piezoid.records.units import Dimension
 from piezoid.records.which_voltage import beyond_the_controller
 
 Rows = NDArray[np.intp]
@@ -157,7 +159,8 @@ def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEn
 def with_remarks(recording: Recording, lab: Lab) -> Recording:
     """Return a recording with what is remarkable about drive and response together."""
     said = (*remarks_on(recording), *beyond_the_controller(recording, lab))
-    return replace(recording, problems=(*recording.problems, *said))
+    problems = (*recording.problems, *record_in_counts(said, recording.counted))
+    return replace(recording, problems=problems)
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:
@@ -408,4 +411,5 @@ def _channel(assigned: Assigned, rows: SampleRows, number: int, lost: LeftOut) -
         axis=assigned.axis,
         values=lost.of(number, rows.values(assigned.values)),
         label=column.label or f"column {column.number}",
+        is_counted=assigned.unit.is_counted and assigned.unit.dimension is Dimension.OTHER,
     )

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from piezoid.counts import record_in_counts
 from piezoid.errors import PiezoidError
 from piezoid.numerics.arrays import Array
 from piezoid.records.assignment import Assignment, assign
-from piezoid.records.comparison import misfits, remarks_on_set
+from piezoid.records.comparison import counts_beside_units, misfits, remarks_on_set
 from piezoid.records.faults import clipped_share, faults_of, is_dead, noise_rms, step_size
 from piezoid.records.ingest import ingest_table, parts_of, with_remarks
 from piezoid.records.lab import Lab, RecordingEntry
@@ -73,6 +74,7 @@ class Inspection:
     axis_is_named     whether a heading or lab.toml says so; it is called x here otherwise
     sampling_rate_Hz, duration_s, breaks, reversals, levels_V
                       of the recording; levels are the voltages the drive turns at
+    counted           what is in counts of a converter, of ``displacement`` and ``voltage``
     response          of a frequency response, which has no rate and no duration
     problems          everything odd, each with its place
     refusal           why it is no recording, None where it is one
@@ -90,6 +92,7 @@ class Inspection:
     breaks: int = 0
     reversals: int | None = None
     levels_V: tuple[float, ...] = ()
+    counted: tuple[str, ...] = ()
     response: ResponseSummary | None = None
     problems: tuple[Problem, ...] = ()
     refusal: str | None = None
@@ -112,8 +115,13 @@ def inspect_files(paths: Iterable[Path], lab: Lab | None = None) -> tuple[Inspec
     lab.check_files(paths)
     found = [one for path in paths for one in _inspected(path, lab)]
     recordings = [recording for _, recording in found if recording is not None]
-    said = [(misfit.name, "does_not_fit", misfit.reason) for misfit in misfits(recordings)]
-    said += [(name, "beside_the_others", text) for name, text in remarks_on_set(recordings)]
+    said: list[tuple[str, str, str]] = []
+    for counted in sorted({recording.counted for recording in recordings}):
+        alike = [recording for recording in recordings if recording.counted == counted]
+        told = [(misfit.name, "does_not_fit", misfit.reason) for misfit in misfits(alike)]
+        told += [(name, "beside_the_others", text) for name, text in remarks_on_set(alike)]
+        said += record_in_counts(tuple(told), counted)
+    said += [(n, "does_not_fit", text) for n, text in counts_beside_units(recordings).items()]
     return tuple(
         replace(
             inspection,
@@ -214,6 +222,7 @@ def _inspect_table(
         breaks=len(recording.breaks),
         reversals=None if reversals is None else len(reversals),
         levels_V=() if drive is None or not reversals else _levels(drive.values, reversals),
+        counted=recording.counted,
         problems=recording.problems,
     )
     return found, recording

@@ -14,6 +14,7 @@ from textwrap import fill
 
 import numpy as np
 
+from piezoid.counts import COUNTS
 from piezoid.errors import PiezoidError
 from piezoid.records.assignment import assign
 from piezoid.records.collection import is_over_height
@@ -179,7 +180,8 @@ def _summary(recording: Recording) -> str:
         f"{recording.duration_s:.6g} s"
     ]
     for channel in recording.channels:
-        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {channel.quantity.value}"
+        symbol = COUNTS if channel.is_counted else channel.quantity.value
+        unit = "" if channel.quantity is Quantity.HUMIDITY else f" {symbol}"
         low, high = float(np.min(channel.values)), float(np.max(channel.values))
         lines.append(
             f"  {channel.quantity.name.lower()} of {channel.axis}: {low:.4g} to {high:.4g}{unit}"

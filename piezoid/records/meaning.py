@@ -50,6 +50,7 @@ _TIME_WORDS = frozenset(
         "temps",
         "timestamp",
         "timestamps",
+        "stamp",
         "elapsed",
         "date",
         "datetime",

@@ -43,12 +43,14 @@ class Channel:
     axis      the axis it belongs to, ``x`` where the file names none
     values    (samples,)  SI units, finite, read-only
     label     the column's own name, for messages and the report
+    is_counted  whether the values are counts of a converter, in place of metres or volts
     """
 
     quantity: Quantity
     axis: str
     values: Array
     label: str
+    is_counted: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", frozen(self.values, self.label))
@@ -248,6 +250,12 @@ class Recording:
     def axes(self) -> tuple[str, ...]:
         """Names of all axes any channel belongs to, sorted."""
         return tuple(sorted({channel.axis for channel in self.channels}))
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """What is in counts of its converter, of ``displacement`` and ``voltage``."""
+        counted = {c.quantity.name.lower() for c in self.channels if c.is_counted}
+        return tuple(sorted(counted))
 
     @property
     def pieces(self) -> tuple[slice, ...]:

@@ -137,7 +137,8 @@ def heading_of(label: str) -> Heading:
 
 def _bracketed(label: str) -> Heading | None:
     for match in reversed(list(_BRACKETS.finditer(label))):
-        unit = unit_of(match.group(1) or match.group(2) or "")
+        held = match.group(1) or match.group(2) or ""
+        unit = unit_of(held) or unit_of(held.partition(",")[0])  # ``[um, filtered]``
         if unit is not None:
             rest = label[: match.start()] + " " + label[match.end() :]
             return Heading(stem=" ".join(rest.split()), unit=unit)

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid_reports.chart import decades_over
-from piezoid_reports.page import NANO, Ladder, Page, Part, Rung, Section
+from piezoid_reports.page import Ladder, Page, Part, Rung, Section, scale_of_errors
 from piezoid_reports.traces import Trace
 
 LEAST_m = 1e-13
@@ -28,9 +28,11 @@ def render(page: Page) -> Section | None:
 
 def _ladder(page: Page, axis: AxisModel) -> Ladder:
     rungs = tuple(sorted(_rungs(page, axis), key=lambda rung: rung.value_m))
-    places = np.array([math.log10(rung.value_m / NANO) for rung in rungs])
-    scale = decades_over("error", [np.array([places.min() - 0.3, places.max() + 0.3])], "nm")
-    return Ladder(title=f"Axis {axis.axis}", axis=scale, rungs=rungs)
+    unit = scale_of_errors(axis)
+    places = np.array([math.log10(rung.value_m / unit.factor) for rung in rungs])
+    ends = np.array([places.min() - 0.3, places.max() + 0.3])
+    scale = decades_over("error", [ends], unit.unit)
+    return Ladder(title=f"Axis {axis.axis}", axis=scale, unit=unit, rungs=rungs)
 
 
 def _rungs(page: Page, axis: AxisModel) -> list[Rung]:

@@ -8,7 +8,14 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
 from piezoid_reports.folding import first_open
-from piezoid_reports.page import NANO, Figure, Page, Part, Section, axis_heading
+from piezoid_reports.page import (
+    Figure,
+    Page,
+    Part,
+    Section,
+    axis_heading,
+    scale_of_errors,
+)
 from piezoid_reports.quantities import told
 from piezoid_reports.traces import Trace, rms
 
@@ -63,10 +70,11 @@ def _envelope(trace: Trace, axis: AxisModel) -> Figure:
     noise_m = axis.quality.noise_rms_m
     time_s, before_m = _running_rms(trace.time_s, trace.line_residual_m)
     _, after_m = _running_rms(trace.time_s, trace.residual_m)
-    level = [np.log10(np.maximum(v, LEAST_m) / NANO) for v in (before_m, after_m)]
-    noise = np.full(2, np.log10(max(noise_m, LEAST_m) / NANO))
+    unit = scale_of_errors(axis)
+    level = [np.log10(np.maximum(v, LEAST_m) / unit.factor) for v in (before_m, after_m)]
+    noise = np.full(2, np.log10(max(noise_m, LEAST_m) / unit.factor))
     x = axis_over("time", [trace.time_s], "s")
-    y = decades_over("rms of the residual", [*level, noise], "nm")
+    y = decades_over("rms of the residual", [*level, noise], unit.unit)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     window_s = float(trace.time_s[-1]) / WINDOWS
     return Figure(

@@ -22,8 +22,8 @@ def table(folder: Path, headings: str, *columns: np.ndarray, name: str = "run.cs
     return path
 
 
-def lab_with(**entry: object) -> Lab:
-    return Lab(recordings=(RecordingEntry(file="run.csv", **entry),))  # type: ignore[arg-type]
+def lab_with(file: str = "run.csv", **entry: object) -> Lab:
+    return Lab(recordings=(RecordingEntry(file=file, **entry),))  # type: ignore[arg-type]
 
 
 def said(path: Path) -> str:

@@ -12,9 +12,11 @@ from piezoid.records.comparison import copies, refuse_misfits
 from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
+from piezoid.records.lab_draft import draft_lab
 from piezoid.records.recording import Channel, Quantity, Recording
 from tests.records.messy.outcomes import FILES, inspected, table
 from tests.records.messy.writers import (
+    NAMES,
     SAMPLES,
     VOLTAGE_V,
     Messy,
@@ -245,8 +247,37 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
         "[amplifier]\ngain_V_per_V = 15\n[acquisition]\ndac_bits = 16\ninput_range_V = [-10, 10]\n"
     )
     text(lines(names=("time [s]", "drive [counts]", "position [um]")))(tmp_path / "run.csv")
-    with pytest.raises(RecordingError, match=r"scale = \{ voltage = 0\.000305175781 \}"):
-        ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
+    read = ingest(tmp_path / "run.csv", read_lab(_lab(tmp_path, above)))
+    (problem,) = read.problems
+    assert "scale = { voltage = 0.000305175781 }" in problem.text
+    np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
+    assert read.counted == ("voltage",)
+    frame = read.to_frame()
+    assert list(frame) == ["time_s", "voltage_x [counts]", "displacement_x_m"]
+    assert Recording.from_frame(frame).counted == ("voltage",)
+    assert "voltage of x: 10 to 90 counts" in draft_lab([tmp_path / "run.csv"], tmp_path).text
+
+
+def test_counts_beside_metres_are_refused_with_the_line(tmp_path: Path) -> None:
+    text(lines())(tmp_path / "known.csv")
+    text(lines(names=(*NAMES[:2], "position [LSB]")))(tmp_path / "raw.csv")
+    paths = [tmp_path / "known.csv", tmp_path / "raw.csv"]
+    with pytest.raises(RecordingError, match=r"displacement of raw.csv is in counts") as caught:
+        refuse_misfits(ingest_all(paths))
+    assert 'file = "raw.csv"\nscale = {' in caught.value.remedy
+    (said,) = (p.text for p in inspect_files(paths)[1].problems if p.kind == "does_not_fit")
+    assert "how many m one count is" in said
+
+
+def test_a_clock_in_counts_is_refused(tmp_path: Path) -> None:
+    text(lines(names=("time [ticks]", *NAMES[1:])))(tmp_path / "run.csv")
+    with pytest.raises(RecordingError, match="only drive and displacement may be in counts"):
+        ingest(
+            tmp_path / "run.csv",
+            lab_with(
+                columns={"time": 1, "voltage": 2, "displacement": 3}, units={"time": "ticks"}
+            ),
+        )
 
 
 def _lab(folder: Path, content: str) -> Path:

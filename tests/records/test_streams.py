@@ -247,3 +247,34 @@ def test_a_copy_and_a_file_that_hardly_moves_are_told_in_blocks_too(tmp_path: Pa
     assert found.remarks[0].startswith("again.csv holds the same samples as first.csv")
     assert found.remarks[1].startswith("rest.csv: the drive of axis x moves by 160 mV")
     assert len(found.remarks) == 2
+
+
+def test_headings_among_the_rows_cut_or_end_a_file_in_blocks_too(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join([*rows[:2000], HEADINGS, *rows[2000:]]) + "\n")
+    assert_as_a_whole(path, ROWS)
+    other = HEADINGS.replace("[V]", "[mV]")
+    path.write_text("\n".join([*rows[:2000], other, *rows[2000:]]) + "\n")
+    with pytest.raises(UnreadableFileError, match="line 2001 heads the columns anew"):
+        refused([path], rows=ROWS)
+
+
+@pytest.mark.parametrize("before", [1024, 1025, 2047, 2500])
+def test_a_counter_that_begins_anew_goes_on_in_blocks_too(before: int, tmp_path: Path) -> None:
+    counts = (2**16 - before + np.arange(SAMPLES)) % 2**16
+    path = table(tmp_path, "t [ms],voltage [V],position [um]", counts, VOLTAGE_V, RESPONSE)
+    assert_as_a_whole(path, ROWS)
+    with spooled([path], rows=ROWS) as spool:
+        assert [problem.kind for _, problem in spool.problems] == ["wrapped_clock"]
+
+
+def test_counts_stay_counts_in_blocks(tmp_path: Path) -> None:
+    counts = np.round(1e3 * RESPONSE)
+    raw = table(tmp_path, HEADINGS.replace("um", "LSB"), TIME_s, VOLTAGE_V, counts)
+    assert_as_a_whole(raw, ROWS)
+    known = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE, name="known.csv")
+    with spooled([raw], rows=ROWS) as spool:
+        assert spool.counted == ("displacement",)
+    with pytest.raises(RecordingError, match="one unit in all recordings"):
+        refused([raw, known], rows=ROWS)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.counts import in_counts, refusing_in_counts
 from piezoid.errors import ExcitationError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.fit import rig_of
@@ -67,25 +68,30 @@ def fit_streamed(
             remedy="Name the columns in lab.toml, or fit without --stream.",
         )
     progress("comparing the recordings")
-    beside = {axis: compared(pieces, axis) for axis, pieces in spool.pieces.items()}
-    return ActuatorModel(
-        stage=declared.name or next(iter(spool.sources)).partition(".")[0],
-        axes={
-            axis: _fit_axis(
-                _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders)),
-                found.pieces,
-                lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
-            )
-            for axis, found in beside.items()
-        },
-        sources=spool.sources,
-        lab=declared.digest or None,
-        remarks=(
-            *(f"{name}: {problem.text}" for name, problem in spool.problems),
-            *(text for found in beside.values() for text in found.remarks),
-        ),
-        controller_rate_Hz=declared.acquisition.sampling_rate_Hz,
-    )
+    with refusing_in_counts(spool.counted):
+        beside = {axis: compared(pieces, axis) for axis, pieces in spool.pieces.items()}
+        return ActuatorModel(
+            stage=declared.name or next(iter(spool.sources)).partition(".")[0],
+            axes={
+                axis: _fit_axis(
+                    _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders)),
+                    found.pieces,
+                    lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
+                ).told_in_counts(spool.counted)
+                for axis, found in beside.items()
+            },
+            sources=spool.sources,
+            lab=declared.digest or None,
+            remarks=(
+                *(f"{name}: {problem.text}" for name, problem in spool.problems),
+                *(
+                    in_counts(text, spool.counted)
+                    for found in beside.values()
+                    for text in found.remarks
+                ),
+            ),
+            controller_rate_Hz=declared.acquisition.sampling_rate_Hz,
+        )
 
 
 @dataclass(frozen=True)

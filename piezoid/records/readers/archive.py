@@ -11,8 +11,8 @@ ZIP = b"PK\x03\x04"
 _OLE = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
 _EXPORT = "Export the recording as CSV."
 _AFM = (
-    "Export it as text from the microscope's program, or write its columns with the Python "
-    "package afmformats as CSV, the drive in volts beside the measured height."
+    "Export it as text from the microscope's program, the drive in volts beside the measured "
+    "height."
 )
 _SHOWN = 3
 # By the first bytes, which these formats define, and by the suffix where the bytes alone are weak.
@@ -24,8 +24,6 @@ _OTHERS: tuple[tuple[re.Pattern[bytes], str, str, str], ...] = (
     (re.compile(rb"%PDF-"), "", "it is a PDF", "Ask for the numbers behind the plot."),
     (re.compile(rb"\{\\rtf"), "", "it is a text with formats (RTF)", "Save it as plain text."),
     (re.compile(rb"SQLite format 3\x00"), "", "it is an SQLite data base", _EXPORT),
-    (re.compile(rb"[\x01\x02\x03\x05]\x00|\x00[\x01\x02\x03\x05]"), ".ibw",
-     "it is a wave of Igor", _AFM),
     (re.compile(rb"\x01\xb0\x93\xff"), "", "it is an image or curve of NT-MDT", _AFM),
     (re.compile(rb".", re.DOTALL), ".wfm", "it is a waveform as an oscilloscope stores it",
      "Store the waveform as CSV on the oscilloscope."),
@@ -73,14 +71,6 @@ def read(source: Source) -> RawTable:
             remedy="Save it as .xlsx or CSV.",
         )
     names = members(source)
-    if any(name.rsplit("/", 1)[-1] == "header.properties" for name in names):
-        raise unreadable(
-            source.name,
-            f"it is a JPK archive of {len(names)} parts, force curves or maps of segments",
-            needed="columns over time: the height as it was driven, and as it was measured",
-            remedy="Export the segments as text from the JPK data processing, or write their "
-            "columns with the Python package afmformats as CSV.",
-        )
     shown = ", ".join(map(repr, names[:_SHOWN])) + (", ..." if len(names) > _SHOWN else "")
     raise unreadable(
         source.name,

@@ -15,6 +15,8 @@ from piezoid.records.readers.text_table import read_text
 from piezoid.records.recording import Problem
 from piezoid.records.table import RawTable
 
+_LOOKED_AT = 100  # rows in which a formula is looked for
+
 if TYPE_CHECKING:
     from pandas import DataFrame
 
@@ -48,7 +50,10 @@ def read(source: Source) -> RawTable:
             remedy="Save the workbook again, or export the recording as CSV.",
         )
     held = [name for name, text in texts.items() if _has_rows(source, text)]
-    table = read_text(source, texts[held[0] if held else next(iter(texts))], "Excel")
+    sheet = held[0] if held else next(iter(texts))
+    with reading(source, "Excel"):
+        _refuse_formulas(source, sheet, sheets[sheet])
+    table = read_text(source, texts[sheet], "Excel")
     return replace(table, problems=(*_unread(held), *table.problems))
 
 
@@ -61,6 +66,29 @@ def _refuse_damaged(source: Source) -> None:
                 needed="a whole workbook",
                 remedy="Copy the file again from where it was written, or export it as CSV.",
             )
+
+
+def _refuse_formulas(source: Source, sheet: str, frame: "DataFrame") -> None:
+    """Refuse a column of formulas that a program wrote and nobody computed: it reads as empty."""
+    empty = [k for k, held in enumerate(frame.notna().sum()) if held <= 1]
+    if not empty:
+        return
+    import openpyxl
+
+    with source.open() as stream:
+        book = openpyxl.load_workbook(stream, read_only=True)
+        rows = book[sheet].iter_rows(max_row=_LOOKED_AT)
+        cells = [row[k] for row in rows for k in empty if k < len(row)]
+        formula = next((cell for cell in cells if cell.data_type == "f"), None)
+        book.close()
+    if formula is not None:
+        raise unreadable(
+            source.name,
+            f"cell {formula.coordinate} of sheet {sheet!r} holds the formula "
+            f"{str(formula.value)[:60]!r}, whose value was never computed",
+            needed="numbers in the cells",
+            remedy="Open the workbook in Excel or LibreOffice, save it, and read it again.",
+        )
 
 
 def _unread(held: list[str]) -> tuple[Problem, ...]:

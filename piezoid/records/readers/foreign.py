@@ -18,7 +18,7 @@ _MOST_PATHS = 3  # axes of a stage: outputs and inputs of its response
 
 
 @contextmanager
-def reading(source: Source, format_name: str) -> Iterator[None]:
+def reading(source: Source, format_name: str, *, extra: str = "io") -> Iterator[None]:
     """Turn whatever a reader raises on a damaged file into the house's error.
 
     These libraries document no exceptions for damaged input (KeyError, struct.error, zlib.error,
@@ -34,8 +34,8 @@ def reading(source: Source, format_name: str) -> Iterator[None]:
         raise unreadable(
             source.name,
             f"reading {format_name} needs the Python package {error.name!r}, which is not here",
-            needed="the readers of the extra 'io'",
-            remedy="Run: pip install 'piezoid[io]'",
+            needed=f"the readers of the extra {extra!r}",
+            remedy=f"Run: pip install 'piezoid[{extra}]'",
         ) from error
     except (Exception, MemoryError) as error:
         reason = f": {str(error)[:200]}" if str(error) else ""  # short of memory, it says nothing
@@ -60,7 +60,7 @@ def table_of(
     Arrays of another length than most are left out and named among the problems; scalars and text
     become metadata.
     """
-    units = units or {}
+    arrays, units = _in_seconds(arrays, units or {})
     vectors, metadata, problems = _sorted_out(source, arrays)
     if not vectors:
         raise unreadable(
@@ -90,6 +90,23 @@ def table_of(
         metadata=metadata,
         problems=tuple(problems),
     )
+
+
+def _in_seconds(
+    arrays: Mapping[str, object], units: Mapping[str, str]
+) -> tuple[dict[str, object], dict[str, str]]:
+    """Return arrays with dates and durations as seconds, dates from the first of them."""
+    found, known = dict(arrays), dict(units)
+    for key, value in arrays.items():
+        array = np.asarray(value)
+        if array.dtype.kind not in "mM" or not array.size:
+            continue
+        if array.dtype.kind == "M":
+            array = array - array.reshape(-1)[0]
+        seconds = array / np.timedelta64(1, "ns") * 1e-9
+        # Nanoseconds at most are stamped; more digits are the noise of the product.
+        found[key], known[key] = np.where(np.isnat(array), np.nan, seconds.round(9)), "s"
+    return found, known
 
 
 def _sorted_out(

@@ -30,6 +30,7 @@ _LAYOUTS = tuple(
 # What may be a decimal comma with three decimals, or a thousand: ``1,234``.
 _THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+")
 _BELOW_THOUSAND = re.compile(r"[+-]?[1-9]\d{0,2}")
+_HEXADECIMAL = re.compile(r"\b0[xX][0-9a-fA-F]{1,16}\b")
 _COMMENT = re.compile(r"^\s*(?:#|%|//)+\s?")
 # No opening bracket inside: a line of those alone would be searched to its end from each of them.
 _NAME_AND_BRACKET = re.compile(r"[^\s\[(]+(?:\s*(?:\[[^\[\]]*\]|\([^()]*\)))?")
@@ -73,9 +74,10 @@ def find_start(lines: list[str], name: str, declared: TextFormat | None = None) 
         raise unreadable(
             name,
             f"its first {len(lines)} lines hold no row of numbers{_as_declared(declared)}; line 1 "
-            f"is {lines[0][:60]!r}",
+            f"is {lines[0][:60]!r}{_hexadecimal(tried)}",
             needed="a table of numbers separated by tabs, semicolons, bars, commas or blanks",
-            remedy="Export the recording as CSV, without units or other words in the cells.",
+            remedy="Export the recording as CSV, in decimal numbers, without units or other words "
+            "in the cells.",
             line=1,
         )
     if not any(best.labels) and best.above and not _COMMENT.match(best.above[-1]):
@@ -85,6 +87,11 @@ def find_start(lines: list[str], name: str, declared: TextFormat | None = None) 
     if not declared.decimal:
         _refuse_possible_thousands(tried, best, name)
     return best
+
+
+def _hexadecimal(lines: list[str]) -> str:
+    found = next((match for line in lines if (match := _HEXADECIMAL.search(line))), None)
+    return "" if found is None else f", and {found[0]!r} is a hexadecimal number"
 
 
 def _as_declared(declared: TextFormat) -> str:
@@ -269,6 +276,9 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
     if not layout.separator:
         cuts += [_NAME_AND_BRACKET.findall(bare), re.split(r"\s{2,}|\t", bare.strip())]
     cuts += [split(bare, separator) for separator in ("\t", ";", ",")]
+    if layout.separator:  # ``position [um, filtered]``
+        outside = rf"{re.escape(layout.separator)}(?![^\[\](){{}}]*[\])}}])"
+        cuts.append(re.split(outside, bare))
     for cells in cuts:
         cells = [cell.strip().strip('"').strip() for cell in cells]
         if len(cells) > layout.fields and not any(cells[layout.fields :]):
@@ -278,6 +288,57 @@ def _cells(line: str, layout: Layout, is_open: bool = False) -> tuple[str, ...] 
         if is_open and len(cells) + 1 == layout.fields:
             return (*cells, "")
     return None
+
+
+def without_headings(
+    text: str, start: Start, name: str, line: int
+) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
+    """Return rows without the headings that stand again among them.
+
+    line      of the first row
+    returned  the rows, which of them come behind such a heading, and the lines of the headings
+
+    Raises ``UnreadableFileError`` where other headings stand there.
+    """
+    kept: list[str] = []
+    begins: list[int] = []
+    at: list[int] = []
+    rows = 0
+    for number, content in enumerate(text.split("\n"), start=line):
+        cells = _heading_cells(content, start)
+        if cells in (start.labels, start.units) and any(cells):
+            if cells == start.labels:
+                at.append(number)
+                begins.append(rows)
+            continue
+        if cells and sum(_is_named(cell) for cell in cells) > 1:
+            raise unreadable(
+                name,
+                f"line {number} heads the columns anew, {' | '.join(cells)[:200]!r}, which were "
+                f"{' | '.join(start.labels)[:200]!r} above",
+                needed="columns that mean the same from the first row to the last",
+                remedy="Cut the file in front of that line.",
+                line=number,
+            )
+        kept.append(content)
+        rows += bool(content.strip())
+    return "\n".join(kept), tuple(row for row in begins if row), tuple(at)
+
+
+def _heading_cells(line: str, start: Start) -> tuple[str, ...]:
+    """Return the cells of a line of as many words as there are columns, none where it is none."""
+    if len(line) > _LONGEST_LINE or not re.search(r"[^\W\d_]", line):
+        return ()
+    cells = _cells(line, start.layout) or ()
+    held = [cell for cell in cells if cell]
+    is_heading = held and all(number_of(cell, start.layout.decimal) is None for cell in held)
+    return cells if is_heading else ()
+
+
+def _is_named(cell: str) -> bool:
+    """Tell whether a cell heads a column: it says what it is, and in which unit."""
+    heading = heading_of(cell)
+    return heading.unit is not None and bool(heading.stem)
 
 
 def _are_units(cells: tuple[str, ...]) -> bool:

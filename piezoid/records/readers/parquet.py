@@ -9,7 +9,7 @@ from piezoid.records.table import RawTable
 
 
 def read(source: Source) -> RawTable:
-    """Read every numeric column."""
+    """Read every column of numbers or times."""
     with reading(source, "Parquet"), source.open() as stream:
         import pyarrow.types as types
         from pyarrow.parquet import ParquetFile
@@ -18,7 +18,10 @@ def read(source: Source) -> RawTable:
         numeric = [
             field
             for field in file.schema_arrow
-            if types.is_floating(field.type) or types.is_integer(field.type)
+            if types.is_floating(field.type)
+            or types.is_integer(field.type)
+            or types.is_timestamp(field.type)
+            or types.is_duration(field.type)
         ]
         check_footer(source, file.metadata, len(numeric))
         # Only these: a text of a megabyte that every row repeats is a small file as well.

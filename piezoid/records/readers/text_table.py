@@ -18,6 +18,7 @@ from piezoid.records.readers.heading_lines import (
     find_start,
     names_but_first,
     unit_cell,
+    without_headings,
 )
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, encoding_of, text_of
@@ -47,7 +48,7 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
     start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
     rows, remarks = without_comments(body, start.row + 1)
-    block = parse_block(rows, start.layout, source.name, start.row + 1)
+    block, begins, cuts = parsed(rows, start, source.name, start.row + 1)
     named = names_but_first(start)
     if named is not None and are_row_numbers(block.columns[0]):
         start = replace(start, labels=named, above=start.above[:-1])
@@ -57,15 +58,42 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
         format=format_name,
         columns=columns_of(start, block),
         # With other lines between the rows a row's line is not known; its number still is.
-        first_line=start.row + 1 if lines_are_rows(body) else 0,
+        first_line=start.row + 1 if lines_are_rows(body) and not begins else 0,
+        segment_starts=begins,
         metadata=metadata_of(start.above),
         problems=(
             *stray_problems(start),
             *remarks,
+            *cuts,
             *block.problems,
             *textual_problems(start, block),
         ),
     )
+
+
+def parsed(
+    rows: str, start: Start, name: str, line: int
+) -> tuple[Block, tuple[int, ...], tuple[Problem, ...]]:
+    """Return the numbers of rows, where the headings stand again among them, and what says so.
+
+    line      of the first row
+    returned  block, first rows behind each heading, problems
+
+    Raises ``UnreadableFileError`` for other headings among the rows: the columns mean other
+    things from there on.
+    """
+    block = parse_block(rows, start.layout, name, line)
+    if not any(problem.kind == "not_a_number" for problem in block.problems):
+        return block, (), ()
+    kept, begins, at = without_headings(rows, start, name, line)
+    if not at:
+        return block, (), ()
+    text = (
+        f"the headings stand again at {len(at)} places, as where runs were put into one file: "
+        "each begins with a memory of its own"
+    )
+    problem = Problem(kind="repeated_heading", place=f"line {at[0]}", text=text)
+    return parse_block(kept, start.layout, name, line), begins, (problem,)
 
 
 def columns_of(start: Start, block: Block) -> tuple[Column, ...]:

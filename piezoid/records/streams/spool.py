@@ -28,11 +28,13 @@ class Spool:
     pieces    by axis; only axes with a drive and a displacement
     sources   digest by file
     problems  of all files
+    counted   what is in counts of a converter in all of them, as ``Recording.counted``
     """
 
     pieces: dict[str, tuple[Piece, ...]]
     sources: dict[str, str]
     problems: tuple[tuple[str, Problem], ...]
+    counted: tuple[str, ...] = ()
 
 
 @contextmanager
@@ -56,6 +58,7 @@ def spooled(
     held: dict[str, list[Piece]] = {}
     problems: list[tuple[str, Problem]] = []
     sources: dict[str, str] = {}
+    counted: dict[str, tuple[str, ...]] = {}
     number = 0
     with ExitStack() as files:
         for path in paths:
@@ -69,11 +72,13 @@ def spooled(
                     held.setdefault(axis, []).extend(found)
                     _refuse_many(source, len(held[axis]))
                 number += 1
+                counted[source.name] = heard.counted
                 problems += [(source.name, problem) for problem in heard.problems]
         yield Spool(
             pieces={axis: tuple(held[axis]) for axis in sorted(held)},
             sources=sources,
             problems=tuple(problems),
+            counted=_same_counted(counted),
         )
 
 
@@ -116,6 +121,19 @@ def _axes(stretch: Stretch) -> tuple[str, ...]:
     return tuple(
         sorted(a for a in axes if {(Quantity.VOLTAGE, a), (Quantity.DISPLACEMENT, a)} <= held)
     )
+
+
+def _same_counted(counted: dict[str, tuple[str, ...]]) -> tuple[str, ...]:
+    """Return what is in counts in every file, or refuse files of which some are in counts."""
+    found = set(counted.values())
+    if len(found) > 1:
+        told = "; ".join(f"{name}: {' and '.join(c) or 'neither'}" for name, c in counted.items())
+        raise RecordingError(
+            f"drive or displacement are in counts in some files alone ({told})",
+            needed="one unit in all recordings of a stage",
+            remedy="Write scale = { ... } for those in counts into lab.toml.",
+        )
+    return found.pop() if found else ()
 
 
 def _refuse_twice(source: Source, sources: dict[str, str]) -> None:

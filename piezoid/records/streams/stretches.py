@@ -27,7 +27,7 @@ ROWS = 1 << 17  # of a block: some megabytes a column
 _LEAST_ROWS = 1024  # fewer stamps with a gap among them do not tell their clock
 _SAME_RATE = 1e-3
 # What a whole file must be to be called so; a block of it often is.
-_THROUGHOUT = frozenset({"dead", "empty", "saturated", "equal_columns", "jitter"})
+_THROUGHOUT = frozenset({"dead", "empty", "saturated", "equal_columns", "jitter", "counts"})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,11 +50,13 @@ class Heard:
     def __init__(self) -> None:
         """Begin with nothing heard."""
         self._blocks = 0
+        self.counted: tuple[str, ...] = ()
         self._found: dict[tuple[str, str], tuple[Problem, int]] = {}
 
     def hear(self, recording: Recording) -> None:
         """Take in the problems of one more block."""
         self._blocks += 1
+        self.counted = tuple(sorted({*self.counted, *recording.counted}))
         for problem in recording.problems:
             key = (problem.kind, problem.place if problem.kind in _THROUGHOUT else "")
             first, times = self._found.get(key, (problem, 0))

@@ -13,7 +13,6 @@ from piezoid.records.readers import text_table
 from piezoid.records.readers.block import (
     Block,
     lines_are_rows,
-    parse_block,
     without_comments,
 )
 from piezoid.records.readers.foreign import reading
@@ -45,7 +44,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
         line, ahead = start.row + 1, 0
         for text in _pieces(stream, rows, source.name):
             rows_only, remarks = without_comments(text, line)
-            block = parse_block(rows_only, start.layout, source.name, line)
+            block, begins, cuts = text_table.parsed(rows_only, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
                 start, first = _settled(start, block), block
@@ -55,10 +54,11 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
                 digest=source.digest,
                 format="text table",
                 columns=text_table.columns_of(start, _like(first, block)),
-                first_line=line if lines_are_rows(text) else 0,
+                first_line=line if lines_are_rows(text) and not begins else 0,
+                segment_starts=begins,
                 first_row=ahead,
                 metadata=text_table.metadata_of(start.above),
-                problems=(*beside, *remarks, *block.problems),
+                problems=(*beside, *remarks, *cuts, *block.problems),
             )
             line += text.rstrip("\n").count("\n")
             ahead += len(block.columns[0]) - 1

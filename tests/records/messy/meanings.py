@@ -20,8 +20,10 @@ from tests.records.messy.writers import (
     clock_of_day,
     columns,
     cut_excel,
+    empty_jpk,
     excel,
     held,
+    igor,
     iso,
     jpk,
     lines,
@@ -37,6 +39,7 @@ from tests.records.messy.writers import (
     with_rows,
     zipped_csv,
 )
+from tests.records.microscopes import write_ibw
 
 MEANINGS: tuple[Messy, ...] = (
     Messy(
@@ -194,7 +197,13 @@ MEANINGS: tuple[Messy, ...] = (
         name="curve.jpk-force",
         wrong="a force curve of JPK, which is a zip archive",
         write=jpk,
-        refused="it is a JPK archive",
+        kept=np.zeros(0, dtype=int),
+    ),
+    Messy(
+        name="empty.jpk-force",
+        wrong="a JPK archive of which most parts are missing",
+        write=empty_jpk,
+        refused="without its folders of segments",
     ),
     Messy(
         name="run.zip",
@@ -213,9 +222,15 @@ MEANINGS: tuple[Messy, ...] = (
     ),
     Messy(
         name="wave.ibw",
-        wrong="a wave of Igor",
-        write=lambda path: path.write_bytes(b"\x05\x00" + bytes(382)) and None,
-        refused="it is a wave of Igor",
+        wrong="a wave of Igor, with its labels and its clock",
+        write=igor,
+        kept=EVERY,
+    ),
+    Messy(
+        name="one_quantity.ibw",
+        wrong="a wave of Igor that holds the position alone",
+        write=lambda path: write_ibw(path, POSITION_um, unit="um", step=1e-3, step_unit="s"),
+        refused="one quantity, an image or text",
     ),
     Messy(
         name="scope.wfm",
@@ -246,8 +261,9 @@ MEANINGS: tuple[Messy, ...] = (
         name="counts.csv",
         wrong="a sensor in counts",
         write=text(lines(table=columns() * [1, 1, 1e4], names=(*NAMES[:2], "position [counts]"))),
-        refused="is a displacement in counts",
         lines=COUNTS,
+        kept=np.zeros(0, dtype=int),
+        problems=frozenset({"counts"}),
     ),
     Messy(
         name="codes.csv",
@@ -274,8 +290,9 @@ MEANINGS: tuple[Messy, ...] = (
                 names=("time [s]", "drive [counts]", "position [um]"),
             )
         ),
-        refused="is a voltage in counts",
         lines="scale = { voltage = 0.001 }\n",
+        kept=np.zeros(0, dtype=int),
+        problems=frozenset({"counts"}),
     ),
     Messy(
         name="tube.csv",

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.records.microscopes import write_ibw, write_jpk
+
 SAMPLES = 400
 RATE_Hz = 1000.0
 EVERY = np.arange(SAMPLES)
@@ -126,6 +128,27 @@ def held(path: Path) -> None:
     text(lines(table=table, written="{:.6f}".format))(path)
 
 
+def across_noon() -> list[str]:
+    at = [datetime(2026, 5, 4, 11, 59, 59, 800000) + timedelta(seconds=float(t)) for t in TIME_s]
+    return [f"{t:%m/%d/%Y %I:%M:%S.%f %p}" for t in at]
+
+
+def dated_array(path: Path) -> None:
+    kinds = [("stamp", "M8[us]"), ("voltage_V", "f8"), ("position_um", "f8"), ("note", "U8")]
+    table = np.zeros(SAMPLES, dtype=kinds)
+    table["stamp"] = np.datetime64("2026-01-02T03:04:05") + (1e6 * TIME_s).astype("m8[us]")
+    table["voltage_V"], table["position_um"], table["note"] = VOLTAGE_V, POSITION_um, "ok"
+    np.save(path, table)
+
+
+def dated_parquet(path: Path) -> None:
+    import pandas as pd
+
+    index = pd.to_datetime("2026-01-02") + pd.to_timedelta(TIME_s, unit="s")
+    frame = pd.DataFrame(dict(zip(NAMES[1:], columns()[:, 1:].T, strict=True)), index=index)
+    frame.rename_axis("time").to_parquet(path)
+
+
 def excel(cells: Callable[[object], None]) -> Write:
     def write(path: Path) -> None:
         import openpyxl
@@ -142,6 +165,22 @@ def plain_sheet(book: object) -> None:
     sheet.append(NAMES)
     for row in columns().tolist():
         sheet.append(row)
+
+
+def merged_cells(book: object) -> None:
+    sheet = book.active  # type: ignore[attr-defined]
+    sheet["A1"] = "Stage 42, after lunch"
+    sheet.merge_cells("A1:C1")
+    for row in ([], ["Zeit", "Spannung", "Weg"], ["s", "V", "µm"], *columns().tolist()):
+        sheet.append(row)
+    sheet.append(["mean", float(VOLTAGE_V.mean()), float(POSITION_um.mean())])
+
+
+def computed_cells(book: object) -> None:
+    sheet = book.active  # type: ignore[attr-defined]
+    sheet.append(NAMES)
+    for k, row in enumerate(columns().tolist()):
+        sheet.append([*row[:2], f"=0.2*B{k + 2}"])
 
 
 def second_sheet(book: object) -> None:
@@ -162,7 +201,15 @@ def cut_excel(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:4000])
 
 
+def igor(path: Path) -> None:
+    write_ibw(path, columns()[:, 1:], labels=NAMES[1:], step=1e3 / RATE_Hz, step_unit="ms")
+
+
 def jpk(path: Path) -> None:
+    write_jpk(path, [(SAMPLES / RATE_Hz, VOLTAGE_V, 1e-6 * POSITION_um)])
+
+
+def empty_jpk(path: Path) -> None:
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("header.properties", "jpk-data-file=spm-forcefile\n")
         archive.writestr("segments/0/segment-header.properties", "")

@@ -1,0 +1,133 @@
+"""Sensors without calibration, and drives as the converter has them: a file in, words out."""
+
+import html
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid
+from piezoid.counts import in_counts
+from piezoid.identification.store import read_model
+from piezoid_cli.stage_task import StageTask, run_stage
+from tests.journeys.test_strangers import piezoid as run
+from tests.laws import RATE_Hz, swept_um
+
+# Units in what people read: a number or a label with metres or volts, prefix or not.
+METRES = re.compile(
+    r"(?:\d[ \u202f\xa0]|[\[(])[pnuµmk]?m(?:/[A-Za-z]+)?(?![\w])|\bmetre|\b[nuµ]m\b"
+)
+VOLTS = re.compile(r"(?:\d[ \u202f\xa0]|[\[(]|m/)[nuµmk]?V(?![\w])|\bvolts?\b")
+OURS = re.compile(r"voltage offset|'?DAC voltage|a voltage in|voltage =|the voltage")
+
+
+def shown(page: Path) -> str:
+    """Return what a reader sees of a page, labels of figures included."""
+    content = re.sub(r"<(style|script).*?</\1>", "", page.read_text(), flags=re.DOTALL)
+    labels = re.findall(r'(?:aria-label|title|data-[xy]-unit)="([^"]*)"', content)
+    return html.unescape(re.sub(r"<[^>]*>", " ", content) + " ".join(labels))
+
+
+def write_in_counts(path: Path, law: str, *, drive: str, scale: float) -> Path:
+    """Write a sweep with its displacement in counts, and its drive in volts or in counts."""
+    field, reading_um = swept_um(law)
+    time_s = np.arange(len(field)) / RATE_Hz
+    table = np.column_stack([time_s, scale * 5.0 * field, np.round(1e3 * reading_um)])
+    heading = f"time [s],{drive},position [counts]"
+    np.savetxt(path, table, delimiter=",", header=heading, comments="", fmt="%.6g")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("law", "drive", "scale", "counted"),
+    [
+        ("preisach", "voltage [V]", 1.0, ["displacement"]),
+        ("dahl", "DAC voltage [LSB]", 3276.8, ["displacement", "voltage"]),
+    ],
+)
+def test_a_stage_in_counts_is_told_in_counts_everywhere(
+    law: str, drive: str, scale: float, counted: list[str], tmp_path: Path
+) -> None:
+    sweep = write_in_counts(tmp_path / "sweep.csv", law, drive=drive, scale=scale)
+    done = run("fit", sweep, "--out", tmp_path / "stage")
+    assert done.returncode in (0, 1)
+    assert "counts" in done.stdout
+    model = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
+    assert model["counted"] == counted
+    assert 1e4 < model["quality"]["range_m"] < 3e4  # the counts of the file
+    found = json.loads((tmp_path / "stage/diagnosis.json").read_text())
+    assert found["counted"] == counted
+    assert {one["unit"] for one in found["not_detected"]} == {"counts, rms"}
+    assert not (tmp_path / "stage/design.json").exists()
+    assert "how many m one count is" in " ".join(done.stdout.split())
+    run("diagnose", sweep, "--out", tmp_path / "causes")
+    told = (
+        done.stdout,
+        shown(tmp_path / "stage/report.html"),
+        shown(tmp_path / "causes/diagnosis.html"),
+        json.dumps(found["findings"]) + json.dumps(model["verdict"]),
+    )
+    for said in told:
+        assert not METRES.search(said), said[max(METRES.search(said).start() - 60, 0) :][:120]
+        if "voltage" in counted:
+            plain = OURS.sub("", said)
+            assert not VOLTS.search(plain), plain[max(VOLTS.search(plain).start() - 60, 0) :][:120]
+
+
+def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> None:
+    sweep = write_in_counts(tmp_path / "sweep.csv", "duhem", drive="voltage [V]", scale=1.0)
+    (tmp_path / "lab.toml").write_text(
+        '[[recording]]\nfile = "sweep.csv"\nscale = { displacement = 1e-9 }\n'
+    )
+    lab = tmp_path / "batch/lab.toml"
+    lab.parent.mkdir()
+    lab.write_text("")
+    (lab.parent / "sweep.csv").write_bytes(sweep.read_bytes())
+    inputs = {"sweep.csv": "", "lab.toml": ""}
+    batch = run_stage(StageTask(name="a", folder=str(lab.parent), inputs=inputs, version=""))
+    raw = read_model(batch.files["model.json"])["x"]
+    # Stages are compared in units: what is in counts is left out there.
+    assert {"lag_s", "held_out_rms_percent"} <= set(batch.stage.axes[0].values)
+    assert not {"noise_rms_m", "sensitivity_m_per_V"} & set(batch.stage.axes[0].values)
+    known = piezoid.fit(piezoid.read(sweep, lab=tmp_path / "lab.toml"))["x"]
+    assert (raw.counted, known.counted) == (("displacement",), ())
+    assert raw.quality.held_out_rms_percent == pytest.approx(
+        known.quality.held_out_rms_percent, rel=1e-3
+    )
+    assert set(raw.parameters()["unit"]) >= {"counts", "counts/V"}
+    assert raw.plot().get_ylabel() == "displacement of x (kcounts)"
+    assert known.plot().get_ylabel() == "displacement of x (µm)"
+
+
+def test_nothing_in_counts_is_played_or_shipped(tmp_path: Path) -> None:
+    sweep = write_in_counts(tmp_path / "sweep.csv", "plays", drive="drive [counts]", scale=3276.8)
+    stage = tmp_path / "stage"
+    done = run("fit", sweep, "--out", stage, "--stream")
+    assert "counts" in done.stdout
+    assert not METRES.search(done.stdout)
+    assert not METRES.search(shown(stage / "report.html"))
+    for verb in (("design", stage), ("learn", stage, "--reference", sweep, "--out", tmp_path)):
+        refused = run(*verb)
+        assert refused.returncode != 0
+        assert not (stage / "design.json").exists()
+    assert "scale = { displacement = ... }" in run("design", stage).stderr
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("33.2 km, noise 9.5 m", "33.2 kcounts, noise 9.5 counts"),
+        ("12 µm/V at 3 V", "12 µcounts/V at 3 V"),
+        ("(5.8 ± 0.1) km", "(5.8 ± 0.1) kcounts"),
+        ("m, rms", "counts, rms"),
+        ("nm/√Hz", "ncounts/√Hz"),
+        ("M12,3l0,1m4", "M12,3l0,1m4"),
+        ("play_weight_m_per_V[0] of I am", "play_weight_m_per_V[0] of I am"),
+        ("2 ms, 5 Hz, 3 mm/s", "2 ms, 5 Hz, 3 mcounts/s"),
+    ],
+)
+def test_units_become_counts_and_words_stay(said: str, told: str) -> None:
+    assert in_counts(said, ("displacement",)) == told
+    assert in_counts(said, ()) == said
