@@ -46,14 +46,17 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
     if later is not None:
         between = response[later:] - response[:-later]
         between = between[np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)]
-        found = _rms((between,)) / sqrt(2.0)
+        found = noise_rms((between,)) / sqrt(2.0)
     else:
-        found = _rms((response, np.where(lost, np.nan, residual[rows])))
+        found = noise_rms((response, np.where(lost, np.nan, residual[rows])))
     return max(found, step / sqrt(12.0))
 
 
-def _rms(signals: Sequence[Array]) -> float:
-    """Return the rms of noise that all signals hold, up to the spacing at which motion shows."""
+def noise_rms(signals: Sequence[Array]) -> float:
+    """Return the rms of noise that all signals hold, up to the spacing at which motion shows.
+
+    signals  each (samples,): one reading with different parts of its motion taken off
+    """
     octaves = max(1, (len(signals[0]) // FEWEST).bit_length())
     levels = np.array(
         [min(white_noise_rms(y, spacing=2**octave) for y in signals) for octave in range(octaves)]
