@@ -228,6 +228,6 @@ def _table(model: "ActuatorModel") -> "Table":
             "loop or lag" if quality.lag_is_open else told(axis.lag.time_s, "s"),
             told(quality.held_out_rms_m, "m") + ("" if quality.is_tested else " in sample"),
             f"{quality.held_out_rms_percent:.3f} %",
-            told(quality.noise_rms_m, "m"),
+            f"{quality.noise_bound}{told(quality.noise_rms_m, 'm')}",
         )
     return table

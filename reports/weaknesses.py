@@ -155,6 +155,19 @@ def _bounds(judged: Judged) -> str:
     return f"; the diagnosis bounds {' and '.join(known)}" if known else ""
 
 
+def _noise_is_not_told(judged: Judged) -> Weakness | None:
+    quality = judged.axis.quality
+    if not quality.noise_is_most:
+        return None
+    return Weakness(
+        what="that the sensor's noise is not known",
+        why="The drive moves the stage from sample to sample and never repeats: the noise told, "
+        f"{told(quality.noise_rms_m, 'm')} rms, is what the model leaves, and the sensor's may be "
+        "far smaller.",
+        remedy="Play the drive twice: what differs between two equal periods is noise.",
+    )
+
+
 def _far_from_noise(judged: Judged) -> Weakness | None:
     quality = judged.axis.quality
     if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
@@ -192,7 +205,7 @@ def _loose_loop(judged: Judged) -> Weakness | None:
 
 def _sensor_limits(judged: Judged) -> Weakness | None:
     quality = judged.axis.quality
-    if quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
+    if quality.noise_is_most or quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
         return None
     return Weakness(
         what="the sensor, which sees no more",
@@ -211,6 +224,7 @@ RULES: tuple[Rule, ...] = (
     _one_excitation,
     _few_blocks,
     _loose_loop,
+    _noise_is_not_told,
     _far_from_noise,
     _wandering_zero,
     _not_converged,
