@@ -230,6 +230,6 @@ def _table(model: "ActuatorModel") -> "Table":
             in_counts(told(quality.held_out_rms_m, "m"), axis.counted)
             + ("" if quality.is_tested else " in sample"),
             f"{quality.held_out_rms_percent:.3f} %",
-            in_counts(told(quality.noise_rms_m, "m"), axis.counted),
+            quality.noise_bound + in_counts(told(quality.noise_rms_m, "m"), axis.counted),
         )
     return table

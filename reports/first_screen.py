@@ -72,7 +72,7 @@ def facts(page: Page, axis: AxisModel) -> tuple[tuple[str, str], ...]:
             f"{told(quality.held_out_rms_m, 'm')} rms, "
             f"{percent(quality.held_out_rms_m / quality.range_m)}",
         ),
-        ("Sensor noise", f"{told(quality.noise_rms_m, 'm')} rms"),
+        ("Sensor noise", f"{quality.noise_bound}{told(quality.noise_rms_m, 'm')} rms"),
         _speed(page, axis.axis, loop),
         ("Guaranteed error", _guarantee(page, loop, quality.range_m)),
         ("Ships", ships(page, axis.axis)),

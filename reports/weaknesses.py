@@ -3,17 +3,14 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.identification.model import AxisModel
+from piezoid.identification.model import AxisModel, wandering_zeros
 from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid_reports.effect_words import words
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 
 NEAR_NOISE = 2.0
-WANDERING = 5e-4  # of the range: a zero that moves further is not sensor noise
 LOOSE = 0.2  # of the loop's width: an interval wider than that leaves the width open
 FEW_BLOCKS = 10
 
@@ -124,11 +121,12 @@ def _not_converged(judged: Judged) -> Weakness | None:
 
 def _wandering_zero(judged: Judged) -> Weakness | None:
     axis = judged.axis
-    moved = [(float(np.ptp(start.zero_m)), start.recording) for start in axis.starts]
-    if not moved or max(moved)[0] <= WANDERING * axis.quality.range_m:
+    quality = axis.quality
+    moved = wandering_zeros(axis.starts, quality.rms_m, quality.range_m)
+    if not moved:
         return None
-    by_m, where = max(moved)
-    moves = f"The zero moves by {told(by_m, 'm')} ({percent(by_m / axis.quality.range_m)} of the "
+    by_m, where = max((by_m, start.recording) for start, by_m in moved)
+    moves = f"The zero moves by {told(by_m, 'm')} ({percent(by_m / quality.range_m)} of the "
     moves += f"range) during {where}; the fit followed this"
     mover = mover_of(judged.diagnosis)
     if mover is not None:
@@ -139,7 +137,7 @@ def _wandering_zero(judged: Judged) -> Weakness | None:
         )
     return Weakness(
         what=f"a zero that moves by {told(by_m, 'm')}, by drift or creep",
-        why=f"{moves}, and no held-out error did. It is {_times(by_m, axis.quality.noise_rms_m)} "
+        why=f"{moves}, and no held-out error did. It is {_times(by_m, quality.noise_rms_m)} "
         f"the sensor noise, and drift and creep are not separable in it{_bounds(judged)}.",
         remedy="Step to mid-range and hold the drive constant for ten minutes after warming up: "
         "creep slows down as it goes, thermal drift does not.",
@@ -155,6 +153,19 @@ def _bounds(judged: Judged) -> str:
         if one.effect in ("creep", "thermal_drift") and one.upper_bound_m is not None
     ]
     return f"; the diagnosis bounds {' and '.join(known)}" if known else ""
+
+
+def _noise_is_not_told(judged: Judged) -> Weakness | None:
+    quality = judged.axis.quality
+    if not quality.noise_is_most:
+        return None
+    return Weakness(
+        what="that the sensor's noise is not known",
+        why="The drive moves the stage from sample to sample and never repeats: the noise told, "
+        f"{told(quality.noise_rms_m, 'm')} rms, is what the model leaves, and the sensor's may be "
+        "far smaller.",
+        remedy="Play the drive twice: what differs between two equal periods is noise.",
+    )
 
 
 def _far_from_noise(judged: Judged) -> Weakness | None:
@@ -194,7 +205,7 @@ def _loose_loop(judged: Judged) -> Weakness | None:
 
 def _sensor_limits(judged: Judged) -> Weakness | None:
     quality = judged.axis.quality
-    if quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
+    if quality.noise_is_most or quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
         return None
     return Weakness(
         what="the sensor, which sees no more",
@@ -213,6 +224,7 @@ RULES: tuple[Rule, ...] = (
     _one_excitation,
     _few_blocks,
     _loose_loop,
+    _noise_is_not_told,
     _far_from_noise,
     _wandering_zero,
     _not_converged,

@@ -49,8 +49,8 @@ from piezoid.diagnosis.rest_columns import (
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.unnamed import NEXT, classes_of
+from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import significant, told
 from piezoid.records.recording import Recording
 
@@ -86,7 +86,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
             rest, chosen = wider, [*chosen, LINE]
             final = held(y, [rest.columns[name] for name in chosen], block)
     baseline = held(y, [], block)
-    noise_m = min(white_noise_rms(reading_m), white_noise_rms(final))
+    noise_m = noise_rms((y, final))
     span_m = max(float(np.ptp(reading_m)), 1e-30)
     findings = [_finding(name, rest, chosen, y, block) for name in chosen]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)

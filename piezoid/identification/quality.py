@@ -89,6 +89,8 @@ class FitQuality:
     converged            whether the last step changed the cost by less than one part in 1e5
     orders               every shape tried, with its held-out error
     limits               what was never measured, the gravest first
+    noise_is_most        whether the drive moves the stage from sample to sample and never repeats,
+                         so that the noise told is no more than what the model leaves
     """
 
     rms_m: float
@@ -102,6 +104,7 @@ class FitQuality:
     converged: bool
     orders: tuple[Order, ...]
     limits: tuple[Limit, ...] = ()
+    noise_is_most: bool = False
 
     def __post_init__(self) -> None:
         for name in ("rms_m", "held_out_rms_m", "range_m", "noise_rms_m"):
@@ -112,6 +115,11 @@ class FitQuality:
     def is_tested(self) -> bool:
         """Whether anything was held out at all."""
         return self.held_out_kind != IN_SAMPLE
+
+    @property
+    def noise_bound(self) -> str:
+        """What to say in front of the noise: "at most " where it is a bound."""
+        return "at most " if self.noise_is_most else ""
 
     @property
     def held_out_words(self) -> str:

@@ -12,6 +12,7 @@ from piezoid_reports.page import Figure, Page, Part, Prose, Section, axis_headin
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import Trace
 
+TICK = 1 / 600  # of the recording: half a pixel
 HEIGHT = 200
 MUCH = 0.05  # of all samples, left out: worth a warning; a run-in seldom takes more
 LOOK_DRIVE = (
@@ -103,11 +104,15 @@ def _over_time(
 
 
 def _marks(canvas: Canvas, time_s: Array, kept: NDArray[np.bool_]) -> Layer:
-    """Draw a bar on the ground under every stretch of samples that was left out."""
+    """Draw a bar on the ground under every stretch of samples that was left out.
+
+    A lost sample is a tick: wider, and one in twenty looks as if all were lost.
+    """
     out = np.concatenate([[False], ~kept, [False]]).astype(int)
     edges = np.flatnonzero(np.diff(out))
     ends = time_s[np.minimum(edges, len(time_s) - 1)].reshape(-1, 2)
+    ends[:, 1] = np.maximum(ends[:, 1], ends[:, 0] + TICK * np.ptp(time_s))
     low = canvas.y.low * canvas.y.scale.factor
     x = np.column_stack([ends, np.full(len(ends), np.nan)]).ravel()
     y = np.where(np.isfinite(x), low, np.nan)
-    return canvas.line("left-out", "left out of the fit", x, y)[0]
+    return canvas.line("missing", "left out of the fit", x, y)[0]

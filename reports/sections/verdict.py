@@ -138,7 +138,7 @@ def _how_well(page: Page, good: list[AxisModel], wrong: list[AxisModel]) -> str:
         f"{told(quality.held_out_rms_m, 'm')} rms, "
         f"{told(quality.held_out_rms_percent, '%')} of "
         f"the {told(quality.range_m, 'm')} range, where the sensor's own noise is "
-        f"{told(quality.noise_rms_m, 'm')} rms{_not_counted(page, good)}."
+        f"{quality.noise_bound}{told(quality.noise_rms_m, 'm')} rms{_not_counted(page, good)}."
     )
 
 
@@ -203,7 +203,7 @@ def _against_line(axis: AxisModel, traces: tuple[Trace, ...]) -> str:
         f"A straight line leaves {told(line_rms_m(traces), 'm')} rms, the model "
         f"{told(held.held_out_rms_m, 'm')} on {held.held_out_words}, "
         f"{percent(held.held_out_rms_m / held.range_m)} of the range; the sensor's noise is "
-        f"{told(held.noise_rms_m, 'm')} rms. "
+        f"{held.noise_bound}{told(held.noise_rms_m, 'm')} rms. "
     )
 
 

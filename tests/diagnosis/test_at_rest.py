@@ -10,6 +10,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest
+from piezoid_datasets.virtual_lab.signals import coloured_noise
 
 RATE_Hz, SAMPLES, NOISE_um = 500.0, 20_000, 0.003
 TIME_s = np.arange(SAMPLES) / RATE_Hz
@@ -68,6 +69,19 @@ def test_a_start_that_creeps_much_and_then_rests_is_seen(tmp_path: Path) -> None
     (finding,) = diagnosed(tmp_path, 0.3 * np.log10(1.0 + TIME_s / 0.3)).findings
     assert finding.effect == "thermal_drift"
     assert finding.not_separable_from == ("creep",)
+
+
+@pytest.mark.parametrize("grid_Hz", [49.9281, 50.2156])
+def test_hum_at_any_frequency_of_the_grid_is_one_line(tmp_path: Path, grid_Hz: float) -> None:
+    found = diagnosed(tmp_path, 0.05 * np.sin(2.0 * np.pi * grid_Hz * TIME_s))
+    assert found.names == ("mains_interference",)
+    assert 1e6 * found.noise_floor_rms_m == pytest.approx(NOISE_um, rel=0.1)
+
+
+def test_noise_at_rest_is_told_with_its_slow_part(tmp_path: Path) -> None:
+    slow_um = 2.0 * NOISE_um * coloured_noise(SAMPLES, RATE_Hz, 1e4, 0.4, np.random.default_rng(8))
+    found = diagnosed(tmp_path, slow_um)
+    assert 1e6 * found.noise_floor_rms_m == pytest.approx(5**0.5 * NOISE_um, rel=0.1)
 
 
 def test_a_jump_is_no_drift_and_told_with_its_instant(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
-from tests.laws import LAWS, RATE_Hz, triangles, write
+from tests.laws import LAWS, RATE_Hz, swept_um, triangles, write
 
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
 
@@ -38,8 +38,9 @@ def verdict_of(page: Path) -> tuple[str, str]:
 
 def calibrated(folder: Path, field: Array, reading_um: Array) -> tuple[str, int, str]:
     """Return the verdict, the score and what the terminal says of one recording."""
+    folder.mkdir(exist_ok=True)
     sweep = write(folder / "sweep.csv", field, reading_um)
-    done = piezoid("fit", sweep, "--out", folder / "stage")
+    done = piezoid("fit", sweep, "--out", folder / "stage", "--force")
     verdict, score = verdict_of(folder / "stage/report.html")
     return verdict, int(score), " ".join(done.stdout.split())
 
@@ -158,6 +159,29 @@ def test_a_model_that_fits_badly_is_no_other_sensitivity(tmp_path: Path) -> None
     model = tmp_path / "stage/model.json"
     again = piezoid("diagnose", model, tmp_path / "sweep.csv", "--out", tmp_path / "again")
     assert "the model still holds" in joined(again)
+
+
+def test_a_zero_that_follows_a_strange_law_is_no_drift(tmp_path: Path) -> None:
+    """Shrinking triangles: what the class leaves of the law moves the zero from size to size."""
+    for law, drift_um in (("dahl", 0.0), ("duhem", 0.0), ("duhem", 2.0)):
+        field, reading_um = swept_um(law)
+        warming_um = drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.5
+        folder = tmp_path / f"{law}{drift_um}"
+        verdict, _, said = calibrated(folder, field, reading_um + warming_um)
+        assert ("zero moves" in verdict + said) == (drift_um > 0.0)
+
+
+def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path) -> None:
+    """Drawn anew at every sample, of a law the class does not follow: noise of 8 nm."""
+    field = np.random.default_rng(5).uniform(-1.0, 1.0, 1500)
+    twice = np.tile(field, 2)
+    verdict, _, said = calibrated(tmp_path, field, 10 * LAWS["duhem"](field) + noise_um(1500))
+    assert "own noise is at most" in verdict
+    assert "at most" in said.partition("noise")[2]
+    verdict, _, said = calibrated(tmp_path, twice, 10 * LAWS["duhem"](twice) + noise_um(3000))
+    assert "own noise is at most" not in verdict
+    quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
+    assert 0.9 < quality["noise_rms_m"] / 8e-9 < 1.1
 
 
 def joined(done: subprocess.CompletedProcess[str]) -> str:

@@ -43,7 +43,7 @@
     document.querySelectorAll("details").forEach((one) => { one.open = true; });
     const sizes = [...document.querySelectorAll("figure.chart")].map((figure) => {
       const frame = figure.querySelector(".frame").getBoundingClientRect();
-      const curves = [...figure.querySelectorAll(".layer:not(.left-out)")].map((layer) => {
+      const curves = [...figure.querySelectorAll(".layer:not(.left-out):not(.missing)")].map((layer) => {
         const box = layer.getBoundingClientRect();
         return [box.width, box.height];
       });

@@ -244,3 +244,16 @@ def test_nothing_is_called_good_of_which_a_loop_or_its_cause_was_not_measured(
         f"as far as can be told, for only one branch was recorded (a score of at most {most})"
         in _verdict(page)
     )
+
+
+def test_samples_left_out_cover_no_more_of_the_picture_than_they_are() -> None:
+    """One in twenty is a row of ticks, not a bar from end to end."""
+    lost = replace(recording(), bridged=tuple(range(0, 3000, 20)))
+    page = render(stage_model(axis_model()), [lost])
+    drawn = re.search(r'<path class="layer line missing"[^>]* d="([^"]+)"', page)
+    ticks = [(int(x), int(w)) for x, w in re.findall(r"M(\d+),\d+l(\d+),0", drawn[1])]
+    assert len(ticks) > 140
+    assert sum(w for _, w in ticks) < 0.4 * (ticks[-1][0] - ticks[0][0])
+    rounded = " ".join(re.findall(r"([^{}]*)\{[^}]*linecap: round", page))
+    assert ".dots" in rounded
+    assert ".missing" not in rounded

@@ -44,7 +44,7 @@ from piezoid.identification.hysteresis.search import (
     search,
     searched_from,
 )
-from piezoid.identification.hysteresis.sensor_noise import sensor_noise
+from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag, PieceStart
@@ -312,16 +312,15 @@ def _quality(
 ) -> FitQuality:
     minimum = fitted.minimum
     height = max(float(np.ptp(piece.response[piece.first : piece.last])) for piece in pieces)
-    noise = [
-        sensor_noise(piece, continued(fitted, index, piece) - piece.response)
-        for index, piece in enumerate(pieces)
-    ]
+    left = [continued(fitted, index, piece) - piece.response for index, piece in enumerate(pieces)]
+    noise = list(map(sensor_noise, pieces, left))
     return FitQuality(
         rms_m=minimum.rms * stroke_m,
         held_out_rms_m=choice.best.held_out_rms * stroke_m,
         held_out_kind=choice.kind,
         range_m=height * stroke_m,
         noise_rms_m=stroke_m * _pooled(noise, [piece.rows for piece in pieces]),
+        noise_is_most=any(map(noise_is_most, pieces, left)),
         rows=sum(piece.rows for piece in pieces),
         kkt_gap=fitted.kkt_gap,
         gradient=minimum.gradient,

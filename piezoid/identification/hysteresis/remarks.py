@@ -2,13 +2,11 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from piezoid.identification.hysteresis.forgetting import Transient
 from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.order import Choice
 from piezoid.identification.hysteresis.search import Fitted
-from piezoid.identification.model import PieceStart
+from piezoid.identification.model import PieceStart, wandering_zeros
 from piezoid.identification.quality import IN_SAMPLE, SECOND_HALF
 from piezoid.operators.play import forgetting_sample
 from piezoid.readable import told
@@ -38,7 +36,7 @@ def remarks_on_numbers(
     return (
         *_about_weights(fitted),
         *_about_lag(fitted),
-        *_about_zero(starts, stroke_m),
+        *_about_zero(starts, fitted.minimum.rms * stroke_m, stroke_m),
         *_about_search(fitted, found),
     )
 
@@ -93,15 +91,13 @@ def _about_lag(fitted: Fitted) -> list[str]:
     return []
 
 
-def _about_zero(starts: Sequence[PieceStart], stroke_m: float) -> list[str]:
-    moved = [(start, float(np.ptp(start.zero_m))) for start in starts]
+def _about_zero(starts: Sequence[PieceStart], rms_m: float, stroke_m: float) -> list[str]:
     return [
         f"{start.recording}: the zero moves by {told(by_m, 'm')} "
-        f"({50.0 * by_m / stroke_m:.2g} % of the range) during the recording, by drift, creep or "
-        "memory that the model has not, which the diagnosis tells apart where it can; the fit "
-        "follows it, the held-out error does not."
-        for start, by_m in moved
-        if by_m > 5e-4 * stroke_m
+        f"({50.0 * by_m / stroke_m:.2g} % of the range, {by_m / rms_m:.2g} times what the fit "
+        "leaves) during the recording, by drift or creep, which the diagnosis tells apart where "
+        "it can; the fit follows it, the held-out error does not."
+        for start, by_m in wandering_zeros(starts, rms_m, 2.0 * stroke_m)
     ]
 
 

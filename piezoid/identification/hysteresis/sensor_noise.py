@@ -29,6 +29,7 @@ MOST = 0.9  # of the samples that must repeat
 GROWTH = 1.1  # from one spacing to its double: between 1.01 of 1/f noise and 8 of a motion
 FEWEST = 64  # samples for each sample of spacing, or the median is itself noise
 POLE = 2  # octaves in which a sensor's pole may let go of its neighbours
+MOTION = 2.0  # times the noise of the residual: the readings' own is mostly motion
 DIGITS = 9  # of half the stroke: a step is the same however it was rounded
 
 
@@ -46,14 +47,29 @@ def sensor_noise(piece: Piece, residual: Array) -> float:
     if later is not None:
         between = response[later:] - response[:-later]
         between = between[np.abs(drive[later:] - drive[:-later]) <= SAME * np.ptp(drive)]
-        found = _rms((between,)) / sqrt(2.0)
+        found = noise_rms((between,)) / sqrt(2.0)
     else:
-        found = _rms((response, np.where(lost, np.nan, residual[rows])))
+        found = noise_rms((response, np.where(lost, np.nan, residual[rows])))
     return max(found, step / sqrt(12.0))
 
 
-def _rms(signals: Sequence[Array]) -> float:
-    """Return the rms of noise that all signals hold, up to the spacing at which motion shows."""
+def noise_is_most(piece: Piece, residual: Array) -> bool:
+    """Tell whether noise is not told from what a model leaves: the readings alone do not show it.
+
+    Where a drive that never repeats moves the stage from sample to sample, the readings' own
+    differences are motion, and those of the residual are whatever the model got wrong as well.
+    """
+    rows = slice(piece.first, piece.last)
+    if _one_period_later(piece.drive[rows]) is not None:
+        return False
+    return white_noise_rms(piece.response[rows]) > MOTION * white_noise_rms(residual[rows])
+
+
+def noise_rms(signals: Sequence[Array]) -> float:
+    """Return the rms of noise that all signals hold, up to the spacing at which motion shows.
+
+    signals  each (samples,): one reading with different parts of its motion taken off
+    """
     octaves = max(1, (len(signals[0]) // FEWEST).bit_length())
     levels = np.array(
         [min(white_noise_rms(y, spacing=2**octave) for y in signals) for octave in range(octaves)]
