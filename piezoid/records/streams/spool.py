@@ -42,12 +42,14 @@ def spooled(
     *,
     folder: Path | None = None,
     rows: int = ROWS,
+    workers: int = 2,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Spool]:
     """Read files of any size, each once; what is on disk is there until the context ends.
 
     folder  where the scratch files go, 16 bytes for each sample and axis; None: the system's own
-    rows    of a block: what is in memory at one time
+    rows    of a block, of which a few are in memory at one time
+    workers blocks that are judged side by side; what is written is the same
 
     Raises what ``ingest`` raises.
     """
@@ -64,7 +66,7 @@ def spooled(
             _refuse_twice(source, sources)
             for entry in lab.entries_of(path) or (None,):
                 heard = Heard()
-                passing = stretches(source, lab, entry, heard, rows=rows)
+                passing = stretches(source, lab, entry, heard, rows=rows, workers=workers)
                 for axis, found in _written(passing, source, number, folder, files).items():
                     held.setdefault(axis, []).extend(found)
                     _refuse_many(source, len(held[axis]))
