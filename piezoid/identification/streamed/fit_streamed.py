@@ -6,6 +6,7 @@ out and said so: dynamics, envelopes, kinds of lag, transients, diagnosis.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +26,19 @@ from piezoid.identification.streamed.convex import choose, grid_of, halves, star
 from piezoid.identification.streamed.descent import Reached, descend
 from piezoid.identification.streamed.passes import Task
 from piezoid.identification.streamed.stream import CHUNK, Stream, streams_of
-from piezoid.identification.streamed.survey import Survey, lag_s_of, longest_lag_s, survey
+from piezoid.identification.streamed.survey import (
+    Survey,
+    lag_s_of,
+    longest_lag_s,
+    survey,
+    tried_lags_s,
+)
+from piezoid.identification.streamed.thinned import (
+    lags_beside,
+    thinned,
+    window_of,
+    worth_thinning,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 from piezoid.records.streams.excerpts import compared
@@ -153,14 +166,36 @@ def _searched(
         longest_lag_s=longest_s,
         workers=asked.workers,
     )
-    held = replace(task, held=THRESHOLDS)
+    short = _thinned(task, asked.rig, starts[0].operator.lag_s)
+    held = replace(short, held=THRESHOLDS)
     begun = [descend(_vector_of(start, task), held, passes=SETTLING) for start in starts]
     best = min(range(len(starts)), key=lambda k: begun[k].rms)
-    reached = descend(begun[best].theta, task, passes=SEARCHING)
+    reached = descend(begun[best].theta, short, passes=SEARCHING)
+    lag_s = float(reached.theta[task.coordinates.slices["lag"]][0])
+    if lag_s in short.lag_s:  # it wants to go further than what was kept
+        reached = descend(reached.theta, task, passes=SEARCHING)
     fine = replace(task, stride=max(1, total // asked.rows))
     if fine.stride < task.stride:
         return descend(reached.theta, fine, passes=POLISHING), fine, starts[best]
     return reached, task, starts[best]
+
+
+def _thinned(task: Task, rig: Rig, lag_s: float) -> Task:
+    """Return the task on what is left of its streams, where that is worth a pass."""
+    limits_s = lags_beside(
+        lag_s, tried_lags_s(task.streams, task.longest_lag_s), max(s.rate_Hz for s in task.streams)
+    )
+    windows = [window_of(rig, stream.rate_Hz, limits_s) for stream in task.streams]
+    if not worth_thinning(windows, task.stride):
+        return task
+    with ThreadPoolExecutor(task.workers) as side_by_side:
+        left = list(
+            side_by_side.map(
+                lambda pair: thinned(pair[0], task.stride, pair[1]),
+                zip(task.streams, windows, strict=True),
+            )
+        )
+    return replace(task, thinned=left, lag_s=limits_s)
 
 
 def _vector_of(start: Start, task: Task) -> Array:

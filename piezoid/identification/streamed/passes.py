@@ -16,6 +16,7 @@ from piezoid.identification.hysteresis.coordinates import Coordinates
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.rows import chain_of, column_places, empty_block, finished
 from piezoid.identification.streamed.stream import Stream
+from piezoid.identification.streamed.thinned import Thinned
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.chain import Following, Samples
@@ -36,6 +37,8 @@ class Task:
     longest_lag_s  upper bound of the lag
     workers        pieces that are run side by side
     held           names of shared numbers that may not move, such as ``gap``
+    thinned        of each stream what its rows need, or nothing: then all of it is passed over
+    lag_s          limits of the lag for which what is thinned suffices
     """
 
     streams: Sequence[Stream]
@@ -47,10 +50,14 @@ class Task:
     longest_lag_s: float
     workers: int = 1
     held: tuple[str, ...] = ()
+    thinned: Sequence[Thinned] = ()
+    lag_s: tuple[float, float] = (0.0, np.inf)
 
     def bounds(self) -> tuple[Array, Array]:
         """Return lower and upper bounds of every number."""
-        return self.coordinates.bounds(self.longest_lag_s)
+        lower, upper = self.coordinates.bounds(min(self.longest_lag_s, self.lag_s[1]))
+        lower[self.coordinates.slices["lag"]] = self.lag_s[0]
+        return lower, upper
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +139,9 @@ def _piece_blocks(theta: Array, task: Task, index: int) -> list[Block]:
 
 def rows_of_stream(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Array]]:
     """Yield the samples of the rows that count, and [tangents | residual], chunk by chunk."""
+    if task.thinned:
+        yield from _thinned_rows(theta, task, index)
+        return
     coordinates, piece, stride = task.coordinates, task.pieces[index], task.stride
     chain, late = chain_of(theta, coordinates, index, piece, task.sensor_pole_Hz)
     following = Following(chain, float(piece.drive[0]))
@@ -153,3 +163,20 @@ def rows_of_stream(theta: Array, task: Task, index: int) -> Iterator[tuple[Sampl
         rows = finished(block[:count], sample, measured, coordinates, knots, piece)
         yield rows.sample, rows.block
         first = end
+
+
+def _thinned_rows(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Array]]:
+    """Yield what ``rows_of_stream`` yields, from what is left of the stream."""
+    coordinates, piece, left = task.coordinates, task.pieces[index], task.thinned[index]
+    chain, late = chain_of(theta, coordinates, index, piece, task.sensor_pole_Hz)
+    following = Following(chain, float(piece.drive[0]))
+    knots = theta[coordinates.offset_slice(index)]
+    source, before = left.source(late), 0
+    for first in range(0, len(source), BATCH):
+        part = slice(first, first + BATCH)
+        block = empty_block(chain, len(source[part]), len(knots))
+        end = int(source[part][-1]) + 1
+        following.rows(left.drive[before:end], source[part] - before, block)
+        before = end
+        rows = finished(block, left.sample[part], left.response[part], coordinates, knots, piece)
+        yield rows.sample, rows.block
