@@ -109,17 +109,15 @@ def gathered(blocks: Sequence[Block], coordinates: Coordinates) -> Array:
 def _piece_blocks(theta: Array, task: Task, index: int) -> list[Block]:
     inner = np.asarray(task.edges[index][1:-1])
     width = len(column_places(task.coordinates, index)) + 1
-    triangle, rows, now = empty_triangle(width), 0, 0
-    waiting: list[Array] = []
+    gathering, now = _Gathering(width), 0
     found: list[Block] = []
 
     def close() -> None:
-        nonlocal triangle, rows
-        whole = gather(triangle, np.vstack(waiting)) if waiting else triangle
-        if rows:
-            found.append(Block(piece=index, triangle=whole, rows=rows))
-        waiting.clear()
-        triangle, rows = empty_triangle(width), 0
+        nonlocal gathering
+        if gathering.rows:
+            triangle = gathering.triangle()
+            found.append(Block(piece=index, triangle=triangle, rows=gathering.rows))
+        gathering = _Gathering(width)
 
     for sample, values in rows_of_stream(theta, task, index):
         owner = np.searchsorted(inner, sample, side="right")
@@ -127,14 +125,56 @@ def _piece_blocks(theta: Array, task: Task, index: int) -> list[Block]:
             if block != now:
                 close()
                 now = int(block)
-            part = values[owner == block]
-            waiting.append(part)
-            rows += len(part)
-            if sum(map(len, waiting)) >= BATCH:
-                triangle = gather(triangle, np.vstack(waiting))
-                waiting.clear()
+            gathering.add(values[owner == block])
     close()
     return found
+
+
+class _Gathering:
+    """The triangle of the rows of one block, while they pass.
+
+    Memory that was forgotten and knots that are far away are columns of zeros, which are most of
+    the work: only columns that were ever anything else are reflected.
+    """
+
+    def __init__(self, width: int) -> None:
+        self._width = width
+        self._seen = np.zeros(width, dtype=bool)
+        self._triangle = empty_triangle(0)
+        self._waiting: list[Array] = []
+        self._count = 0
+        self.rows = 0
+
+    def add(self, rows: Array) -> None:
+        self._waiting.append(rows)
+        self._count += len(rows)
+        self.rows += len(rows)
+        if self._count >= BATCH:
+            self._reflect()
+
+    def triangle(self) -> Array:
+        self._reflect()
+        return _among(self._triangle, np.flatnonzero(self._seen), self._width)
+
+    def _reflect(self) -> None:
+        if not self._count:
+            return
+        rows = np.vstack(self._waiting)
+        before, seen = np.flatnonzero(self._seen), self._seen | rows.any(axis=0)
+        if len(before) < np.count_nonzero(seen):
+            places = np.searchsorted(np.flatnonzero(seen), before)
+            self._triangle = _among(self._triangle, places, int(np.count_nonzero(seen)))
+            self._seen = seen
+        used = np.asfortranarray(rows[:, self._seen])
+        self._triangle = gather(self._triangle, used, spend=True)
+        self._waiting, self._count = [], 0
+
+
+def _among(triangle: Array, places: Samples, width: int) -> Array:
+    """Return a triangle with columns, and rows, of zeros between its own."""
+    wide = empty_triangle(width)
+    wide[np.ix_(places, places)] = triangle
+    return wide
 
 
 def rows_of_stream(theta: Array, task: Task, index: int) -> Iterator[tuple[Samples, Array]]:
