@@ -24,7 +24,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.streamed.axis_model import Found, axis_model
 from piezoid.identification.streamed.convex import choose, grid_of, halves, starts_of_program
 from piezoid.identification.streamed.descent import Reached, descend
-from piezoid.identification.streamed.passes import Task
+from piezoid.identification.streamed.passes import Spread, Task
 from piezoid.identification.streamed.stream import CHUNK, Stream, streams_of
 from piezoid.identification.streamed.survey import (
     Survey,
@@ -60,13 +60,16 @@ def fit_streamed(
     chunk: int = CHUNK,
     workers: int = 2,
     orders: Sequence[tuple[int, int]] = ORDERS,
+    spread: Spread | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActuatorModel:
     """Fit every axis of spooled recordings, with memory that does not grow with their length.
 
     rows     that count at most in the last passes; the plays follow every sample
     chunk    samples that are in memory at one time; the numbers agree to rounding
-    workers  pieces that are run side by side; the numbers are the same
+    workers  parts that are followed side by side; the numbers are the same
+    spread   (work, items) -> results in their order, done by other processes or machines that see
+             the scratch files of ``spooled(..., named=True)``; the numbers are the same
     orders   (plays, dead zones per side) to choose from
 
     Raises ``ExcitationError`` where no recording has both a drive and a displacement, and
@@ -85,7 +88,7 @@ def fit_streamed(
         stage=declared.name or next(iter(spool.sources)).partition(".")[0],
         axes={
             axis: _fit_axis(
-                _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders)),
+                _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders), spread),
                 found.pieces,
                 lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
             )
@@ -109,6 +112,7 @@ class _Asked:
     chunk: int
     workers: int
     orders: tuple[tuple[int, int], ...]
+    spread: Spread | None
 
 
 def _fit_axis(asked: _Asked, held: Sequence[Piece], told: Callable[[str], None]) -> AxisModel:
@@ -165,6 +169,7 @@ def _searched(
         stride=max(1, total // THIN_ROWS),
         longest_lag_s=longest_s,
         workers=asked.workers,
+        spread=asked.spread,
     )
     short = _thinned(task, asked.rig, starts[0].operator.lag_s)
     held = replace(short, held=THRESHOLDS)

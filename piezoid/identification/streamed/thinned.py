@@ -12,13 +12,12 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.hysteresis.rows import QUICK
-from piezoid.identification.streamed.stream import Stream
+from piezoid.identification.streamed.stream import SETTLED, Stream
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Samples
 from piezoid.operators.play import LastingExtremes
 
 WORTH = 4  # times as many samples as are kept: else the stream itself is passed over
-SETTLED = 37.0  # time constants after which a filter has forgotten all but rounding
 ROOM = 4  # samples by which the lag may move from a neighbour on the grid of lags
 
 
