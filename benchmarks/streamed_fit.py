@@ -1,11 +1,12 @@
 """A recording of any length fitted in constant memory: peak memory and time against length.
 
-    python benchmarks/streamed_fit.py [SAMPLES ...] [--folder FOLDER]
+    python benchmarks/streamed_fit.py [SAMPLES ...] [--folder FOLDER] [--elsewhere PROCESSES]
 
 Each length is written and fitted in a process of its own, so that each has a peak of its own
 (``ru_maxrss``); times are processor time. The stage has 9 plays and 4 dead zones behind a lag of
 0.2 ms, 10 nm of noise, and a zero that drifts by 300 nm; its drive turns at ever other levels. The
-file is removed again.
+file is removed again. With --elsewhere each file is fitted a second time, the passes of the search
+made by dask workers, and what the two fits have in common to the last bit is said.
 """
 
 import argparse
@@ -14,13 +15,19 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+
+if TYPE_CHECKING:
+    from piezoid.identification.streamed.passes import Spread
 
 RATE_Hz = 20_000.0
 NOISE_m = 10e-9
@@ -38,6 +45,9 @@ HEADINGS = (
     "rows",
     "rms nm",
     "lag us",
+    "elapsed s",
+    "processes elsewhere",
+    "digest of the model",
 )
 PLAYS = PrandtlIshlinskii(
     threshold=np.arange(9) * 0.5,
@@ -88,16 +98,22 @@ def peak_megabytes() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def fit_one(path: Path) -> None:
+def fit_one(path: Path, elsewhere: int = 0) -> None:
     """Fit one file and print what it took."""
+    from piezoid.identification.store import write_model
     from piezoid.identification.streamed.fit_streamed import fit_streamed
+    from piezoid.provenance import digest_of_bytes
     from piezoid.records.streams.spool import spooled
 
-    before, begun_s = peak_megabytes(), time.process_time()
-    with spooled([path], folder=path.parent) as spool:
+    before, begun_s, at_s = peak_megabytes(), time.process_time(), time.monotonic()
+    with (
+        spread_over(elsewhere) as spread,
+        spooled([path], folder=path.parent, named=spread is not None) as spool,
+    ):
         read_s = time.process_time() - begun_s
         samples = spool.pieces["x"][0].samples
-        (axis,) = fit_streamed(spool).axes.values()
+        model = fit_streamed(spool, spread=spread)
+        (axis,) = model.axes.values()
     all_s = time.process_time() - begun_s
     cells = (
         f"{samples:.0e}",
@@ -110,17 +126,38 @@ def fit_one(path: Path) -> None:
         f"{axis.quality.rows}",
         f"{1e9 * axis.quality.rms_m:.2f}",
         f"{1e6 * axis.lag.time_s:.0f}",
+        f"{time.monotonic() - at_s:.0f}",
+        f"{elsewhere or 'none'}",
+        digest_of_bytes(write_model(model))[7:15],
     )
     print(f"| {' | '.join(cells)} |", flush=True)
 
 
-def measure(samples: float, folder: Path) -> None:
+@contextmanager
+def spread_over(processes: int) -> Iterator["Spread | None"]:
+    """Give what makes passes in processes elsewhere; None for none."""
+    if not processes:
+        yield None
+        return
+    from distributed import Client, LocalCluster
+
+    with (
+        LocalCluster(n_workers=processes, threads_per_worker=1, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+    ):
+        yield lambda work, items: client.gather(client.map(work, items, pure=False))
+
+
+def measure(samples: float, folder: Path, elsewhere: int) -> None:
     """Write one length and fit it, each in a process of its own; the file goes again."""
     folder.mkdir(exist_ok=True)
     path = folder / f"long_{samples:.0e}.parquet"
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    steps = [[str(samples), "--write", str(path)], ["--fit", str(path)]]
+    if elsewhere:
+        steps.append(["--fit", str(path), "--elsewhere", str(elsewhere)])
     try:
-        for step in ([str(samples), "--write", str(path)], ["--fit", str(path)]):
+        for step in steps:
             subprocess.run([sys.executable, __file__, *step], check=True, env=environment)
     finally:
         path.unlink(missing_ok=True)
@@ -133,14 +170,15 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("build"))
     parser.add_argument("--fit", type=Path, help="fit this file in this process")
     parser.add_argument("--write", type=Path, help="write one in this process")
+    parser.add_argument("--elsewhere", type=int, default=0, help="processes of dask")
     asked = parser.parse_args()
     if asked.fit:
-        return fit_one(asked.fit)
+        return fit_one(asked.fit, asked.elsewhere)
     if asked.write:
         return write(asked.write, int(asked.samples[0]))
     print(f"| {' | '.join(HEADINGS)} |", flush=True)
     for samples in asked.samples:
-        measure(samples, asked.folder)
+        measure(samples, asked.folder, asked.elsewhere)
     return None
 
 

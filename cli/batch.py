@@ -1,10 +1,9 @@
 """`piezoid batch`: a folder of stages in, every stage's folder and one summary page out."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, BinaryIO
 
 import typer
 
@@ -13,13 +12,24 @@ from piezoid_cli.progress import shown
 from piezoid_cli.terminal import doing, hand_over, one_line, plain
 
 if TYPE_CHECKING:
-    from piezoid_cli.batch_folder import Plan
-    from piezoid_reports.fleet.records import Fleet, FleetStage
+    from distributed import Client
+
+    from piezoid_cli.stage_task import Outcome, StageTask
+    from piezoid_reports.fleet.records import Fleet, StagesOnDisk
+
+MOST_REASONS = 200  # stages that did not pass and are named in the terminal
 
 
 def batch(
     folder: Annotated[Path, typer.Argument(help="One folder below it for each stage.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results; resumed if it is there.")],
+    out: Annotated[
+        str,
+        typer.Option(
+            help="Folder for the results, or a URL that fsspec can write to; resumed if it is "
+            "there.",
+            metavar="FOLDER|URL",
+        ),
+    ],
     scheduler: Annotated[
         str, typer.Option(help="Work there instead of here.", metavar="tcp://HOST:PORT")
     ] = "",
@@ -42,6 +52,9 @@ def batch(
     Writes stages/NAME/ as `piezoid fit` does, summary.html (spread of the parameters, outliers,
     drift over serial numbers, failures with reasons), parameters.parquet and batch.json.
 
+    Workers write the results: they must see --out under the same name, as they must see FOLDER.
+    An --out such as s3://night/results needs the package of that store, here s3fs.
+
     A worker that dies loses nothing. Interrupted or started again, it goes on where it was:
     stages are finished while their files and the version of piezoid are the same.
 
@@ -52,67 +65,108 @@ def batch(
     piezoid batch night/ --out results/
 
     piezoid batch night/ --out results/ --scheduler tcp://10.0.0.5:8786 --json
+
+    piezoid batch night/ --out s3://night/results --scheduler tcp://10.0.0.5:8786
     """
-    from piezoid_cli.batch_folder import keep_summary, plan_batch
-
-    plan = plan_batch(folder, out, force=force)
-    with _bar(plan, quiet=quiet or json) as ended:
-        stages = _all(plan, out, scheduler, workers, retries, ended)
-    fleet = _fleet(folder, stages)
-    keep_summary(out, _summary(fleet))
-    if json:
-        hand_over(fleet.to_json())
-    elif not quiet:
-        _show(fleet, plan, out)
-    if not fleet.passed:
-        raise typer.Exit(1)
-
-
-def _all(
-    plan: "Plan",
-    out: Path,
-    scheduler: str,
-    processes: int | None,
-    retries: int,
-    ended: "Callable[[FleetStage], None]",
-) -> "list[FleetStage]":
-    """Return every stage; each is written as soon as it is done."""
-    from piezoid_cli.batch_cluster import results
     from piezoid_cli.batch_cluster import workers as cluster
-    from piezoid_cli.batch_folder import keep
+    from piezoid_cli.batch_folder import check_ours, stages_of
+    from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
-    stages = list(plan.finished)
-    if not plan.waiting:
-        return stages
-    with cluster(scheduler, processes) as client:
-        for done in results(client, plan.waiting, retries):
-            keep(out, done)
-            stages.append(done.stage)
-            ended(done.stage)
-    return stages
+    tasks = stages_of(folder, out)
+    check_ours(out, force=force)
+    with StagesOnDisk() as stages:
+        with (
+            cluster(scheduler, workers) as client,
+            _bar(len(tasks), quiet=quiet or json) as (before, ended),
+        ):
+            done = done_by(client, tasks, stages, retries, force=force, before=before, ended=ended)
+        fleet = Fleet(name=folder.resolve().name, stages=stages)
+        write_summary(out, fleet, printed=json)
+        if not (quiet or json):
+            _show(fleet, done, out)
+        if not fleet.passed:
+            raise typer.Exit(1)
 
 
-def _fleet(folder: Path, stages: "list[FleetStage]") -> "Fleet":
-    from piezoid_reports.fleet.records import Fleet
+def done_by(
+    client: "Client",
+    tasks: "Sequence[StageTask]",
+    stages: "StagesOnDisk",
+    retries: int = 2,
+    *,
+    force: bool = False,
+    before: Callable[[int], None] = lambda _: None,
+    ended: Callable[[str], None] = lambda _: None,
+    work: "Callable[[Sequence[StageTask]], Sequence[Outcome]] | None" = None,
+) -> int:
+    """Let workers do what is to be done, each stage written by the worker that did it.
 
-    ordered = sorted(stages, key=lambda stage: stage.name)
-    return Fleet(name=folder.resolve().name, stages=tuple(ordered))
+    stages  where the record of every stage goes, those that are finished among them
+    before  told how many are finished already
+    ended   told the name of every other one
+    work    what workers do of some tasks; ``work_off`` if not given
+
+    Returns how many were finished before.
+    """
+    from functools import partial
+
+    from piezoid_cli.batch_cluster import answers
+    from piezoid_cli.batch_folder import waiting_of
+    from piezoid_cli.results_place import RECORD, results_place
+    from piezoid_cli.stage_task import Known, Outcome, StageTask, broken, known_of, work_off
+    from piezoid_reports.fleet.records import CRASHED
+
+    place = results_place(tasks[0].results)
+    unknown = lambda task, _: Known(task.name, None, False)  # noqa: E731
+    waiting = waiting_of(
+        tasks,
+        partial(answers, client, known_of, retries=retries, broken_off=unknown),
+        force=force,
+        finished=stages.add,
+    )
+    finished = len(stages)
+    before(finished)
+    place.begin()
+
+    def broken_off(task: StageTask, reason: str) -> Outcome:
+        record = broken(task, CRASHED, reason)
+        place.write(task.name, {RECORD: record.to_json()})
+        return Outcome(task.name, record.packed())
+
+    for name, packed in answers(client, work or work_off, waiting, retries, broken_off):
+        stages.add(name, packed)
+        ended(name)
+    place.tidy(task.name for task in tasks)
+    return finished
 
 
-def _summary(fleet: "Fleet") -> dict[str, bytes]:
-    from piezoid_cli.batch_folder import RECORD
-    from piezoid_cli.batch_table import parquet_of
+def write_summary(out: str, fleet: "Fleet", *, printed: bool = False) -> None:
+    """Write what is said of all stages, the batch's own record last.
+
+    printed  whether that record is printed as well
+    """
+    from piezoid_cli.batch_table import write_table
+    from piezoid_cli.results_place import RECORD, results_place
     from piezoid_reports.fleet.render import render_fleet
 
-    return {
-        "summary.html": render_fleet(fleet).encode(),
-        "parameters.parquet": parquet_of(fleet),
-        RECORD: fleet.to_json(),
-    }
+    def write_record(stream: BinaryIO) -> None:
+        fleet.write_json(stream)
+        if printed:
+            stream.seek(0)
+            for line in stream:
+                hand_over(line)
+
+    place = results_place(out)
+    place.put("summary.html", lambda stream: stream.write(render_fleet(fleet).encode()))
+    place.put("parameters.parquet", lambda stream: write_table(fleet, stream))
+    place.put(RECORD, write_record)
 
 
 @contextmanager
-def _bar(plan: "Plan", *, quiet: bool) -> "Iterator[Callable[[FleetStage], None]]":
+def _bar(
+    whole: int, *, quiet: bool
+) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
+    """Give what is told how many stages are finished already, and what is told of each other."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -127,35 +181,53 @@ def _bar(plan: "Plan", *, quiet: bool) -> "Iterator[Callable[[FleetStage], None]
         doing(), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
         Remaining(),
     )  # fmt: skip
-    whole = len(plan.waiting) + len(plan.finished)
-    if quiet or not console.is_terminal:
+    done = 0
+
+    def before(finished: int) -> None:
+        nonlocal done
+        done = finished
+        progress.update(task, completed=finished)
+
+    def line(name: str) -> None:
+        nonlocal done
+        done += 1
+        told(f"{done} of {whole} stages done: {name}")
+
+    seen = console.is_terminal and not quiet
+    with Progress(*columns, console=console, transient=True, disable=not seen) as progress:
+        task = progress.add_task("stages", total=whole)
+        if seen:
+            yield before, lambda name: progress.update(task, advance=1, description=one_line(name))
+            return
         with shown(quiet=quiet) as told:
-            numbers = count(len(plan.finished) + 1)
-            yield lambda stage: told(f"{next(numbers)} of {whole} stages done: {stage.name}")
-        return
-    with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("stages", total=whole, completed=len(plan.finished))
-        yield lambda stage: progress.update(task, advance=1, description=one_line(stage.name))
+            yield before, line
 
 
-def _show(fleet: "Fleet", plan: "Plan", out: Path) -> None:
+def _show(fleet: "Fleet", before: int, out: str) -> None:
+    from itertools import islice
+
     from rich.console import Console
     from rich.table import Table
 
-    from piezoid_reports.fleet.records import STATES
+    from piezoid_reports.fleet.records import PASSED, STATES
 
     console = Console()
     table = Table(title=plain(f"batch {fleet.name}: {len(fleet.stages)} stages"))
     for heading in ("stages", "state", "meaning"):
         table.add_column(heading)
     for state, meaning in STATES.items():
-        held = fleet.of_state(state)
-        if held:
-            table.add_row(str(len(held)), state, meaning)
+        if fleet.counts.get(state, 0):
+            table.add_row(str(fleet.counts[state]), state, meaning)
     console.print(table)
-    if plan.finished:
-        console.print(f"{len(plan.finished)} were finished before and were not done again")
-    for stage in fleet.stages:
-        if stage.reason:
-            console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
-    console.print(plain(f"summary: {out / 'summary.html'}, {out / 'parameters.parquet'}"))
+    if before:
+        console.print(f"{before} were finished before and were not done again")
+    for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):
+        console.print(plain(f"{stage.name}: {stage.state}: {stage.reason}", style="dim"))
+    beyond = len(fleet.stages) - fleet.counts.get(PASSED, 0) - MOST_REASONS
+    if beyond > 0:
+        console.print(f"and {beyond} more, with their reasons in parameters.parquet")
+    console.print(plain(f"summary: {_in(out, 'summary.html')}, {_in(out, 'parameters.parquet')}"))
+
+
+def _in(out: str, name: str) -> str:
+    return f"{out.rstrip('/')}/{name}" if "://" in out else str(Path(out) / name)

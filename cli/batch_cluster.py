@@ -1,23 +1,29 @@
 """Many stages at once on dask.distributed: workers may die, the work does not."""
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from itertools import count
+from secrets import token_hex
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
 
-from piezoid_cli.stage_task import StageDone, StageTask, broken, run_stage
-from piezoid_reports.fleet.records import CRASHED
+from piezoid_cli.stage_task import StageTask
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
 ANSWER_s = 20.0  # within which a scheduler, and then a first worker, must answer
+BUNDLE = 32  # stages that are given to a worker at once, at most
+LEAST_WINDOW = 64  # bundles that are given out at one time: more workers may come
+
+Answer = TypeVar("Answer")
 
 
 @contextmanager
-def workers(scheduler: str, count: int | None) -> "Iterator[Client]":
+def workers(scheduler: str, processes: int | None) -> "Iterator[Client]":
     """Give a client of somebody's scheduler, or of processes of our own, one thread each."""
     _check_installed()
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
@@ -31,7 +37,7 @@ def workers(scheduler: str, count: int | None) -> "Iterator[Client]":
             return
         with (
             LocalCluster(
-                n_workers=count,
+                n_workers=processes,
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
@@ -44,34 +50,68 @@ def workers(scheduler: str, count: int | None) -> "Iterator[Client]":
             yield client
 
 
-def results(client: "Client", tasks: Sequence[StageTask], retries: int) -> Iterator[StageDone]:
+def answers(
+    client: "Client",
+    work: Callable[[Sequence[StageTask]], Sequence[Answer]],
+    tasks: Sequence[StageTask],
+    retries: int,
+    broken_off: Callable[[StageTask, str], Answer],
+) -> Iterator[Answer]:
     """Yield what becomes of every task, in the order in which they end.
 
-    A task whose worker dies is given to another one; after it has failed ``retries`` times more,
-    or has taken several workers with it, it is a stage that broke off.
+    work        done by a worker of some tasks; it may leave the last of them for others
+    broken_off  what is said of a task that never came to an end, and why
+
+    A scheduler costs about two milliseconds for whatever it is asked for, so that several tasks
+    are given at once: fewer towards the end, and never more than a window of them. A bundle whose
+    worker dies is given to another one; after it has failed ``retries`` times more, or has taken
+    several workers with it, its tasks are given one by one, and the one that fails again is
+    ``broken_off``.
     """
     from distributed import as_completed
 
-    asked = {
-        client.submit(run_stage, task, retries=retries, pure=False, key=f"stage-{task.name}"): task
-        for task in tasks
-    }
-    for future in as_completed(asked):
-        yield _outcome(future, asked[future])
+    waiting, run = deque(tasks), token_hex(4)
+    threads = max(sum(client.nthreads().values()), 1)
+    window = max(LEAST_WINDOW, 2 * threads)
+    given: dict[Future, list[StageTask]] = {}
+    ended = as_completed(with_results=True, raise_errors=False)
+
+    def give(bundle: list[StageTask]) -> None:
+        key = f"stages-{run}-{next(numbers)}"
+        future = client.submit(work, bundle, retries=retries, pure=False, key=key)
+        given[future] = bundle
+        ended.add(future)
+
+    def refill() -> None:
+        while waiting and len(given) < window:
+            size = min(bundle_size(len(waiting), threads), len(waiting))
+            give([waiting.popleft() for _ in range(size)])
+
+    numbers = count()
+    refill()
+    for future, found in ended:
+        bundle = given.pop(future)
+        if future.status == "finished":
+            yield from found
+            waiting.extendleft(reversed(bundle[len(found) :]))
+        elif len(bundle) > 1:
+            for task in bundle:
+                give([task])
+        else:
+            yield broken_off(bundle[0], _about(found))
         future.release()
+        refill()
 
 
-def _outcome(future: "Future", task: StageTask) -> StageDone:
-    if future.status == "finished":
-        done: StageDone = future.result()
-        return done
-    error = future.exception() if future.status == "error" else None
-    return StageDone(stage=broken(task, CRASHED, _about(error)), files={})
+def bundle_size(waiting: int, threads: int) -> int:
+    """Return how many tasks are given at once: a fair share of what is left, in four rounds."""
+    return min(max(waiting // (4 * threads), 1), BUNDLE)
 
 
-def _about(error: BaseException | None) -> str:
+def _about(failure: object) -> str:
     from distributed.scheduler import KilledWorker
 
+    error = failure[1] if isinstance(failure, tuple) else None
     if error is None:
         return "the scheduler gave the work up"
     if isinstance(error, KilledWorker):

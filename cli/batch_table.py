@@ -1,8 +1,8 @@
 """parameters.parquet: every parameter of every axis of every stage, one row for each axis."""
 
 from collections.abc import Mapping
-from io import BytesIO
-from typing import Any
+from itertools import islice
+from typing import Any, BinaryIO
 
 from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import Fleet, FleetAxis, FleetStage
@@ -10,29 +10,33 @@ from piezoid_reports.fleet.records import Fleet, FleetAxis, FleetStage
 TOGETHER = 5000  # stages that are rows in memory at one time
 
 
-def parquet_of(fleet: Fleet) -> bytes:
-    """Return the bytes of the table; a stage that was refused is a row without an axis."""
+def write_table(fleet: Fleet, stream: BinaryIO) -> None:
+    """Write the table; a stage that was refused is a row without an axis."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    lists = [name for name in _parameter_names(fleet, of=list)]
-    numbers = [name for name in _parameter_names(fleet, of=float)]
+    named = _parameter_names(fleet)
     columns = [
         *(pa.field(name, pa.string()) for name in ("stage", "state", "reason", "axis")),
         pa.field("serial", pa.int64()),
         pa.field("applies", pa.bool_()),
         *(pa.field(quantity.name, pa.float64()) for quantity in QUANTITIES),
-        *(pa.field(name, pa.float64()) for name in numbers),
-        *(pa.field(name, pa.list_(pa.float64())) for name in lists),
+        *(pa.field(name, pa.float64()) for name, of in named.items() if of is float),
+        *(pa.field(name, pa.list_(pa.float64())) for name, of in named.items() if of is list),
         pa.field("model_digest", pa.string()),
     ]
-    schema, stream = pa.schema(columns), BytesIO()
+    schema = pa.schema(columns)
     with pq.ParquetWriter(stream, schema, compression="zstd") as table:
-        for first in range(0, len(fleet.stages), TOGETHER):
-            part = fleet.stages[first : first + TOGETHER]
-            rows = [row for stage in part for row in _rows(stage)]
-            table.write_table(pa.Table.from_pylist(rows, schema=schema))
-    return stream.getvalue()
+        stages = iter(fleet.stages)
+        while part := list(islice(stages, TOGETHER)):
+            table.write_table(_columns([row for stage in part for row in _rows(stage)], schema))
+
+
+def _columns(rows: list[dict[str, Any]], schema: Any) -> Any:
+    import pyarrow as pa
+
+    arrays = [pa.array([row.get(one.name) for row in rows], type=one.type) for one in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _rows(stage: FleetStage) -> list[dict[str, Any]]:
@@ -50,6 +54,11 @@ def _row(axis: FleetAxis) -> Mapping[str, Any]:
     return {"axis": axis.axis, "applies": axis.applies, **axis.values, **axis.parameters}
 
 
-def _parameter_names(fleet: Fleet, *, of: type) -> list[str]:
-    held = [axis.parameters for stage in fleet.stages for axis in stage.axes]
-    return list(dict.fromkeys(n for one in held for n, v in one.items() if isinstance(v, of)))
+def _parameter_names(fleet: Fleet) -> dict[str, type]:
+    """Return the kind of every parameter, in the order in which they are first seen."""
+    found: dict[str, type] = {}
+    for stage in fleet.stages:
+        for axis in stage.axes:
+            if not axis.parameters.keys() <= found.keys():
+                found |= {n: type(v) for n, v in axis.parameters.items() if n not in found}
+    return found

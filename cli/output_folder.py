@@ -5,7 +5,7 @@ import errno
 import os
 import shutil
 import signal
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
@@ -72,18 +72,29 @@ def check_there(files: Iterable[Path]) -> None:
 
 def write_file(place: Path, content: bytes) -> None:
     """Write one file whole or not at all."""
+    write_made(place, lambda stream: stream.write(content))
+
+
+def write_made(place: Path, made: Callable[[BinaryIO], object]) -> None:
+    """Write what ``made`` puts into a stream, of any length, whole or not at all."""
     with _named(place):
         place.parent.mkdir(parents=True, exist_ok=True)
         fresh = _fresh(place)
         try:
-            with fresh.open("xb") as stream:
-                stream.write(content)
+            with fresh.open("x+b") as stream:
+                made(stream)
                 stream.flush()
                 os.fsync(stream.fileno())
             fresh.chmod(0o644)
             fresh.replace(place)
         finally:
             fresh.unlink(missing_ok=True)
+
+
+def make_folder(place: Path) -> None:
+    """Make a folder that others write into."""
+    with _named(place):
+        place.mkdir(parents=True, exist_ok=True)
 
 
 def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = True) -> None:
@@ -99,11 +110,32 @@ def write_folder(folder: Path, contents: Mapping[str, bytes], *, force: bool = T
         target.parent.mkdir(parents=True, exist_ok=True)
         with _alone_in(target.parent):
             check_free(target, force=force)
+            _clear_away(target)
             _write(target, contents)
 
 
+def write_folder_of_many(folder: Path, contents: Mapping[str, bytes]) -> None:
+    """Write a folder as ``write_folder`` does, one of very many that lie beside each other.
+
+    Nobody is waited for, and nothing is looked for beside it, which would take longer the more
+    there are: ``clear_away_below`` removes what killed runs left.
+    """
+    target = Path(os.path.realpath(folder))
+    with _named(folder):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        check_free(target, force=True)
+        _write(target, contents)
+
+
+def clear_away_below(folders: Iterable[Path]) -> None:
+    """Remove what killed runs left in these folders; while nobody writes there."""
+    for folder in folders:
+        for place in folder.iterdir() if folder.is_dir() else ():
+            if place.name[0] == "." and place.name.endswith(_UNFINISHED):
+                shutil.rmtree(place, ignore_errors=True)
+
+
 def _write(target: Path, contents: Mapping[str, bytes | Path]) -> None:
-    _clear_away(target)
     fresh = _fresh(target)
     try:
         fresh.mkdir(mode=0o700)
@@ -195,6 +227,7 @@ def add_to_folder(
             and not {place.relative_to(target).as_posix(), place.relative_to(target).parts[0]}
             & set(gone)
         }
+        _clear_away(target)
         _write(target, {**held, **contents})
 
 

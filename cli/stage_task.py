@@ -1,11 +1,21 @@
-"""One stage of a batch, as it is done on any worker: paths in, record and files out."""
+"""One stage of a batch, as it is done on any worker: names in, files written, a record back."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from time import monotonic
+from typing import TYPE_CHECKING, NamedTuple
 
-from piezoid_reports.fleet.records import CRASHED, FAILED, PASSED, REFUSED, FleetAxis, FleetStage
+from piezoid_cli.results_place import RECORD, results_place
+from piezoid_reports.fleet.records import (
+    CRASHED,
+    FAILED,
+    PASSED,
+    REFUSED,
+    FleetAxis,
+    FleetStage,
+    stage_from_json,
+)
 
 if TYPE_CHECKING:
     from piezoid.calibration.calibrate import Calibration
@@ -13,6 +23,8 @@ if TYPE_CHECKING:
     from piezoid.identification.model import AxisModel
 
 LAB = "lab.toml"
+NO_RECORDING = {".toml", ".md", ".json", ".html"}
+SPELL_s = 20.0  # after which a worker hands back what it has not begun, so that others help
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,54 +33,152 @@ class StageTask:
 
     name     of the stage
     folder   where its files lie, as every worker sees it
-    inputs   digest of every file by name, ``lab.toml`` among them
+    results  folder or URL of the results, as every worker sees it
     version  of piezoid
     """
 
     name: str
     folder: str
-    inputs: Mapping[str, str]
+    results: str
     version: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class StageDone:
-    """What comes back: the record, and the files of the stage's folder."""
+class Outcome(NamedTuple):
+    """What the client is told: whose it is, and the packed record; the files are written."""
 
-    stage: FleetStage
-    files: Mapping[str, bytes]
+    name: str
+    packed: bytes
 
 
-def run_stage(task: StageTask) -> StageDone:
+class Known(NamedTuple):
+    """What is kept of a stage before anything is done.
+
+    packed   the record, where it is of the same inputs and version; None: the stage is to be done
+    changed  whether results of other inputs or of another version would be replaced
+    """
+
+    name: str
+    packed: bytes | None
+    changed: bool
+
+
+def known_of(tasks: Sequence[StageTask]) -> list[Known]:
+    """Compare what is kept of stages with the files they would be made from."""
+    found = []
+    for task in tasks:
+        kept = _kept(task)
+        same = kept is not None and _is_of(kept, task, inputs_of(task))
+        record = kept.packed() if kept is not None and same else None
+        found.append(Known(task.name, record, kept is not None and not same))
+    return found
+
+
+def work_off(tasks: Sequence[StageTask], run: "Run | None" = None) -> list[Outcome]:
+    """Do stages one after the other, those that are done already left as they are.
+
+    run  what is done of one; ``run_stage`` if not given
+
+    Returns the outcomes of the first, and of the second and so on while less than ``SPELL_s`` have
+    passed. Raises what ``run_stage`` raises.
+    """
+    begun_s, found = monotonic(), []
+    for task in tasks:
+        found.append(_worked(task, run or run_stage))
+        if monotonic() - begun_s > SPELL_s:
+            break
+    return found
+
+
+def _worked(task: StageTask, run: "Run") -> Outcome:
+    place, inputs = results_place(task.results), inputs_of(task)
+    place.check_seen()
+    kept = _kept(task)
+    if kept is not None and _is_of(kept, task, inputs):
+        return Outcome(task.name, kept.packed())
+    stage, files = run(task, inputs)
+    place.write(task.name, {**files, RECORD: stage.to_json()})
+    return Outcome(task.name, stage.packed())
+
+
+def inputs_of(task: StageTask) -> dict[str, str]:
+    """Return the digest of every file of a stage by name, ``lab.toml`` among them."""
+    from piezoid.provenance import digest_of_file
+
+    folder = Path(task.folder)
+    return {name: digest_of_file(folder / name) for name in (LAB, *_recordings(folder))}
+
+
+def _recordings(folder: Path) -> Sequence[str]:
+    """Return the files a lab.toml names, or else every file beside it that may be one."""
+    from piezoid.errors import PiezoidError
+    from piezoid.records.lab import read_lab
+
+    try:
+        declared = [entry.file for entry in read_lab(folder / LAB).recordings]
+    except PiezoidError:
+        declared = []  # it is read again, and its refusal becomes the stage's reason
+    there = [name for name in dict.fromkeys(declared) if (folder / name).is_file()]
+    return there or sorted(
+        place.name
+        for place in folder.iterdir()
+        if place.is_file() and place.suffix not in NO_RECORDING and place.name[0] != "."
+    )
+
+
+def _kept(task: StageTask) -> FleetStage | None:
+    """Return what is kept of a stage; None where nothing usable is, or its work broke off."""
+    from piezoid.errors import PiezoidError
+
+    try:
+        content = results_place(task.results).record_of(task.name)
+        kept = stage_from_json(content, f"{task.name}/{RECORD}")
+    except (OSError, PiezoidError):
+        return None
+    return None if kept.state == CRASHED else kept
+
+
+def _is_of(stage: FleetStage, task: StageTask, inputs: Mapping[str, str]) -> bool:
+    return dict(stage.inputs) == dict(inputs) and stage.version == task.version
+
+
+def run_stage(
+    task: StageTask, inputs: Mapping[str, str]
+) -> tuple[FleetStage, Mapping[str, bytes]]:
     """Calibrate one stage; data that cannot be used is an outcome, and so is a mistake of ours.
 
-    Raises only what may be gone the next time: a file that cannot be read, memory that is full.
+    Returns the record, and the files of the stage's folder. Raises only what may be gone the next
+    time: a file that cannot be read, memory that is full.
     """
     from piezoid.errors import PiezoidError
     from piezoid_cli.calibration import calibrate
 
     folder = Path(task.folder)
-    files = [folder / name for name in task.inputs if name != LAB]
+    files = [folder / name for name in inputs if name != LAB]
     try:
         found = calibrate(files, folder / LAB, lambda _: None)
+        return _record(task, inputs, found), found.files
     except (OSError, MemoryError):
         raise
     except PiezoidError as error:
-        return StageDone(stage=broken(task, REFUSED, str(error)), files={})
+        return broken(task, REFUSED, str(error), inputs), {}
     except Exception as error:
         reason = f"a mistake of ours, {type(error).__name__}: {error}"
-        return StageDone(stage=broken(task, CRASHED, reason), files={})
-    return StageDone(stage=_record(task, found), files=found.files)
+        return broken(task, CRASHED, reason, inputs), {}
 
 
-def broken(task: StageTask, state: str, reason: str) -> FleetStage:
+Run = Callable[[StageTask, Mapping[str, str]], tuple[FleetStage, Mapping[str, bytes]]]
+
+
+def broken(
+    task: StageTask, state: str, reason: str, inputs: Mapping[str, str] | None = None
+) -> FleetStage:
     """Return the record of a stage of which there are no results."""
     return FleetStage(
-        name=task.name, state=state, reason=reason, version=task.version, inputs=task.inputs
+        name=task.name, state=state, reason=reason, version=task.version, inputs=inputs or {}
     )
 
 
-def _record(task: StageTask, found: "Calibration") -> FleetStage:
+def _record(task: StageTask, inputs: Mapping[str, str], found: "Calibration") -> FleetStage:
     from json import loads
 
     sealed = {name: text for name, text in found.files.items() if name.endswith(".json")}
@@ -77,7 +187,7 @@ def _record(task: StageTask, found: "Calibration") -> FleetStage:
         state=PASSED if found.passed else FAILED,
         reason=_reason(found),
         version=task.version,
-        inputs=task.inputs,
+        inputs=inputs,
         outputs={name: loads(text)["digest"] for name, text in sealed.items()},
         axes=tuple(_axis(axis, found) for axis in found.model.axes.values()),
     )

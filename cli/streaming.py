@@ -19,7 +19,7 @@ def calibrate_streamed(
     """Fit in blocks, design, export, verify and report one stage.
 
     folder     where the scratch files go, 16 bytes a sample; they have no names and leave nothing
-    processes  at most so many recordings are followed side by side, in threads of this one
+    processes  at most so many blocks are read and followed side by side, in threads of this one
 
     The report has no loops and no residuals: they would take the recordings at once.
     """
@@ -31,7 +31,7 @@ def calibrate_streamed(
 
     declared = None if lab is None else read_lab(lab)
     folder.mkdir(parents=True, exist_ok=True)
-    with spooled(files, declared, folder=folder, progress=told) as spool:
+    with spooled(files, declared, folder=folder, workers=processes, progress=told) as spool:
         model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
     done = finished(FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told)
     told("writing the report")

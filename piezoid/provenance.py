@@ -7,9 +7,9 @@ place filled by zeros. Any changed bit, white space included, breaks the seal.
 import hashlib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from piezoid.errors import ParameterFileError
 
@@ -38,6 +38,34 @@ def seal(schema: str, content: Mapping[str, Any]) -> bytes:
     text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     digest = hashlib.sha256(text.encode()).hexdigest()
     return text.replace(_ZEROS, digest, 1).encode()
+
+
+def seal_stream(
+    schema: str, content: Mapping[str, Any], lines: Iterable[bytes], stream: BinaryIO
+) -> None:
+    """Write sealed JSON whose last entry, a list, may be longer than memory.
+
+    content  its last value is the empty list that ``lines`` fill
+    lines    one JSON value each, without line breaks
+    stream   empty, binary, can be read and written at any place
+    """
+    record = {"schema": schema, "digest": f"sha256:{_ZEROS}", **content}
+    head = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False).encode()
+    head, tail = head.removesuffix(b"]\n}"), b"\n ]\n}\n"
+    place = head.index(_ZEROS.encode())
+    hasher = hashlib.sha256()
+
+    def write(part: bytes) -> None:
+        hasher.update(part)
+        stream.write(part)
+
+    write(head)
+    for number, line in enumerate(lines):
+        write((b"" if number == 0 else b",") + b"\n  " + line)
+    write(tail)
+    stream.seek(place)
+    stream.write(hasher.hexdigest().encode())
+    stream.seek(0, 2)
 
 
 def unseal(content: bytes, schema: str, place: str) -> dict[str, Any]:

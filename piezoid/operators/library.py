@@ -39,6 +39,7 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
     ),
     "pk_ladder": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 5),
     "pk_filter": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
+    "pk_lasting_extremes": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 2),
     "pk_slew": (_SIZE, _POINTER, _DOUBLE, _POINTER),
     "pk_bouc_wen": (_SIZE, _POINTER, *[_DOUBLE] * 4, *[_POINTER] * 2),
     "pk_hysteretic_mode": (

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -74,15 +75,19 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
     """
     if len(values) < 20 or np.ptp(values) == 0.0:
         return ()
-    noise = max(white_noise_rms(values), 0.5 * step_size(values))
-    moved = _moved(values, drive)
-    clipped = _clipped(values, drive, noise)
-    stuck = _stuck(values, drive, noise) & ~clipped
+    step = step_size(values)
+    noise = max(white_noise_rms(values), 0.5 * step)
+    travel = _range(values)
+    moved = _moved(values, drive, travel)
+    # Else a sensor that stands reads the same.
+    scatters = drive is not None and _scatters(values, noise, step)
+    clipped = _clipped(values, drive if scatters else None)
+    stuck = _stuck(values, drive if scatters else None) & ~clipped
     standing = clipped | stuck
     gone: Mask = standing.copy()
     found: dict[float, Mask] = {}
     for _ in range(PASSES):
-        fresh = _written(values, gone, noise, moved)
+        fresh = _written(values, gone, noise, moved, step)
         if not fresh:
             break
         for value, here in fresh.items():
@@ -90,7 +95,7 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
             gone |= here
     spikes = np.zeros_like(gone)
     for _ in range(PASSES):
-        fresh_spikes = _spikes(values, gone, noise, moved)
+        fresh_spikes = _spikes(values, gone, noise, moved, travel)
         if not fresh_spikes.any():
             break
         spikes |= fresh_spikes
@@ -104,10 +109,10 @@ def lost_readings(values: Array, drive: Array | None = None) -> tuple[Lost, ...]
     return tuple(one for one in said if len(one.samples))
 
 
-def _clipped(values: Array, drive: Array | None, noise: float) -> Mask:
+def _clipped(values: Array, drive: Array | None) -> Mask:
     """Return where the sensor stands at the end of its range, and the drive does not rest."""
     none: Mask = np.zeros(len(values), dtype=bool)
-    if drive is None or not _scatters(values, noise):
+    if drive is None:
         return none
     moves = MOVES * np.ptp(drive)
     levels = {
@@ -120,10 +125,10 @@ def _clipped(values: Array, drive: Array | None, noise: float) -> Mask:
     return standing if standing.mean() < MOST_CLIPPED else none
 
 
-def _stuck(values: Array, drive: Array | None, noise: float) -> Mask:
+def _stuck(values: Array, drive: Array | None) -> Mask:
     """Return where a sensor that scatters reads one value for long and the drive does not rest."""
     stuck: Mask = np.zeros(len(values), dtype=bool)
-    if drive is None or not _scatters(values, noise):
+    if drive is None:
         return stuck
     edges = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
     ends = (values.min(), values.max())
@@ -136,9 +141,9 @@ def _stuck(values: Array, drive: Array | None, noise: float) -> Mask:
     return stuck if stuck.mean() < MOST_CLIPPED else np.zeros_like(stuck)
 
 
-def _scatters(values: Array, noise: float) -> bool:
-    """Tell whether readings scatter by more than a step: else one that stands reads the same."""
-    if noise <= max(step_size(values), SCATTERS * float(np.ptp(values))):
+def _scatters(values: Array, noise: float, step: float) -> bool:
+    """Tell whether readings scatter by more than a step."""
+    if noise <= max(step, SCATTERS * float(np.ptp(values))):
         return False
     return white_noise_rms(values, spacing=2) < GROWS * noise
 
@@ -153,8 +158,11 @@ def _lost(kind: str, here: Mask, value: float | None = None) -> Lost:
     return Lost(kind=kind, value=value, samples=np.flatnonzero(here))
 
 
-def _moved(values: Array, drive: Array | None) -> Array:
-    """Return how far the drive moves the stage off a straight line within a few samples."""
+def _moved(values: Array, drive: Array | None, travel: float) -> Array:
+    """Return how far the drive moves the stage off a straight line within a few samples.
+
+    travel  range of the values
+    """
     if drive is None or np.ptp(drive) == 0.0:
         return np.zeros(len(values))
     bend = np.abs(np.diff(drive, 2, prepend=drive[0], append=drive[-1]))
@@ -164,12 +172,12 @@ def _moved(values: Array, drive: Array | None) -> Array:
     largest, moves = near.max(axis=1), _range(drive)
     if moves == 0.0:  # pulses alone: nothing tells what they move
         return np.where(largest > 0.0, np.inf, 0.0)
-    return np.asarray(largest * _range(values) / moves)
+    return np.asarray(largest * travel / moves)
 
 
 def _range(values: Array) -> float:
     """Return the range of the motion: of medians of nine, which lost readings do not reach."""
-    middle = np.median(np.lib.stride_tricks.sliding_window_view(values, 9), axis=1)
+    middle = median_filter(values, 9)[4:-4]
     low, high = np.quantile(middle, (0.002, 0.998))
     return float(high - low)
 
@@ -199,14 +207,17 @@ def _apart(kept: Array, begins: Places, ends: Places) -> tuple[Array, Array]:
     return np.abs(kept[begins] - middle), np.asarray(np.abs(misses).max(axis=0))
 
 
-def _written(values: Array, gone: Mask, noise: float, moved: Array) -> dict[float, Mask]:
+def _written(
+    values: Array, gone: Mask, noise: float, moved: Array, step: float
+) -> dict[float, Mask]:
     """Return the samples of every value that stands far off its neighbours again and again."""
     place = np.flatnonzero(~gone)
     kept = values[place]
     begins, ends = _runs(kept)
     away, differ = _apart(kept, begins, ends)
     off = away > np.maximum(FAR * noise, OFF * np.maximum(differ, moved[place[begins]]))
-    coarse = step_size(kept) > 0.0  # there a value comes again by itself
+    # Of a coarse column a value comes again by itself.
+    coarse = (step_size(kept) if gone.any() else step) > 0.0
     value, times = np.unique(kept[begins[off]], return_counts=True)
     found = {}
     for one in value[times >= AGAIN].tolist():
@@ -233,20 +244,21 @@ def _stretches(here: Mask) -> list[tuple[int, int]]:
     return list(zip(edges[::2], edges[1::2], strict=True))
 
 
-def _spikes(values: Array, gone: Mask, noise: float, moved: Array) -> Mask:
+def _spikes(values: Array, gone: Mask, noise: float, moved: Array, travel: float) -> Mask:
     place = np.flatnonzero(~gone)
     kept = values[place]
-    least = max(20.0 * noise, SPIKE * _range(kept))
+    least = max(20.0 * noise, SPIKE * (_range(kept) if gone.any() else travel))
     wrong: Mask = np.zeros(len(values), dtype=bool)
     rough = np.abs(np.diff(kept, 2, prepend=kept[0], append=kept[-1])) / 2.0
     for width in (1, 2):
-        begins = np.arange(2, len(kept) - width - 1)
-        away, differ = _apart(kept, begins, begins + width)
+        middle = 0.5 * (kept[1 : -width - 2] + kept[2 + width : -1])
+        away = np.abs(kept[2 : -width - 1] - middle)
         if width == 2:  # and the second of the two as well, from the same middle
-            middle = 0.5 * (kept[begins - 1] + kept[begins + 2])
-            away = np.minimum(away, np.abs(kept[begins + 1] - middle))
-        off = away > np.maximum(least, SPIKE_OFF * np.maximum(differ, moved[place[begins]]))
-        for begin in begins[off].tolist():
+            away = np.minimum(away, np.abs(kept[3:-2] - middle))
+        begins = 2 + np.flatnonzero(away > least)
+        _, differ = _apart(kept, begins, begins + width)
+        far = away[begins - 2] > SPIKE_OFF * np.maximum(differ, moved[place[begins]])
+        for begin in begins[far].tolist():
             near = rough[max(begin - AROUND, 0) : begin + AROUND]
             if away[begin - 2] > SPIKE_OFF * np.quantile(near, RINGING):
                 wrong[place[begin : begin + width]] = True

@@ -53,6 +53,8 @@ def _intervals_s(time_s: Array, steps: Array, blocks: int, resolution_s: float) 
 def _edges(levels: Array) -> list[int]:
     """Return the first block of each further stretch whose level is another one, and holds."""
     edges: list[int] = []
+    if np.ptp(levels) <= np.log(_CHANGE):
+        return edges
     begin = 0
     for block in range(1, len(levels) - _LEAST_BLOCKS + 1):
         before = np.median(levels[begin:block])

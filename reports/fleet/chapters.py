@@ -1,5 +1,7 @@
 """The chapters of a batch that name stages: verdict, failures, what stands out, all of them."""
 
+from heapq import nsmallest
+from itertools import islice
 from urllib.parse import quote
 
 from piezoid_reports.fleet.findings import FALSE_ALARMS, FEWEST, Distribution
@@ -8,6 +10,7 @@ from piezoid_reports.fleet.records import (
     FAILED,
     PASSED,
     REFUSED,
+    STAGES,
     STATES,
     Fleet,
     FleetStage,
@@ -16,13 +19,12 @@ from piezoid_reports.page import Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told, told_between
 
 HALF_95 = 1.96  # standard errors
-PLACE = "stages"  # folder of the stages beside the page
 WORST = 200  # rows of a table, so that the page of any batch opens at once
 
 
 def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
     """Return what must be known if nothing else is read."""
-    good, whole = len(fleet.of_state(PASSED)), len(fleet.stages)
+    good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
     tone = "good" if fleet.passed else "middling" if good >= 0.9 * whole else "bad"
     return Section(
         anchor="verdict",
@@ -33,11 +35,11 @@ def verdict(fleet: Fleet, found: tuple[Distribution, ...]) -> Section:
 
 
 def _counted(fleet: Fleet) -> str:
-    good, whole = len(fleet.of_state(PASSED)), len(fleet.stages)
+    good, whole = fleet.counts.get(PASSED, 0), len(fleet.stages)
     if fleet.passed:
         return f"All {whole} stages passed."
     kinds = ((FAILED, "failed a verdict"), (REFUSED, "could not be used"), (CRASHED, "broke off"))
-    rest = [f"{n} {word}" for state, word in kinds if (n := len(fleet.of_state(state)))]
+    rest = [f"{n} {word}" for state, word in kinds if (n := fleet.counts.get(state, 0))]
     return f"{good} of {whole} stages passed; {', '.join(rest)}."
 
 
@@ -69,15 +71,16 @@ def _drifting(found: tuple[Distribution, ...]) -> str:
 
 def failures(fleet: Fleet) -> Section:
     """Return every stage that did not pass, with the reason as it was given."""
-    rows = [stage for stage in fleet.stages if stage.state != PASSED]
+    rows = list(islice((s for s in fleet.stages if s.state != PASSED), WORST))
     parts: tuple[Part, ...] = (Prose(text="Every stage passed.", tone="good"),)
     if rows:
         parts = (
             Table(
-                caption="Stages that did not pass." + _beyond(len(rows)),
+                caption="Stages that did not pass."
+                + _beyond(len(fleet.stages) - fleet.counts.get(PASSED, 0)),
                 columns=("stage", "what happened", "reason"),
-                rows=tuple((s.name, s.state, s.reason) for s in rows[:WORST]),
-                links=tuple(_link(s) for s in rows[:WORST]),
+                rows=tuple((s.name, s.state, s.reason) for s in rows),
+                links=tuple(_link(s) for s in rows),
             ),
         )
     lead = "; ".join(f"{state}: {meaning}" for state, meaning in STATES.items())
@@ -146,7 +149,7 @@ def stages(fleet: Fleet) -> Section:
     """Return all stages with what they were made from and became, or the worst of very many."""
     shown, title = fleet.stages, "All stages, and where their numbers come from"
     if len(shown) > WORST:
-        shown = tuple(sorted(shown, key=_badness)[:WORST])
+        shown = nsmallest(WORST, shown, key=_badness)
         title = f"The worst {WORST} stages, and where their numbers come from"
     return Section(
         anchor="stages",
@@ -192,4 +195,4 @@ def _link(stage: FleetStage) -> str:
 
 def _place(name: str) -> str:
     """Return where a stage's report lies; a name can be no scheme and no other place."""
-    return f"./{PLACE}/{quote(name)}/report.html"
+    return f"./{STAGES}/{quote(name)}/report.html"

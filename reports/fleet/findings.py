@@ -3,6 +3,8 @@
 Every look at a stage is a chance to be wrong, so the thresholds know how often was looked.
 """
 
+from array import array
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,12 +75,7 @@ class Distribution:
 
 def distributions(fleet: Fleet) -> tuple[Distribution, ...]:
     """Return every quantity that at least ``FEWEST`` stages have, axis by axis."""
-    held = [
-        found
-        for axis in fleet.axes
-        for quantity in QUANTITIES
-        if len((found := _held(fleet, axis, quantity)).stages) >= FEWEST
-    ]
+    held = _held(fleet)
     looks = sum(len(one.values) for one in held)
     limit = float(-normal_quantile(FALSE_ALARMS / max(looks, 1) / 2))
     trends = [trend_of(one.serials, one.values) for one in held]
@@ -99,23 +96,50 @@ class _Held:
     serials: Array
 
 
-def _held(fleet: Fleet, axis: str, quantity: Quantity) -> _Held:
-    """Return name, value, error and serial of every stage that has a quantity."""
-    name = quantity.name
-    rows = [
-        (stage.name, found.values[name], found.errors.get(name, 0.0), stage.serial)
-        for stage in fleet.stages
-        for found in stage.axes
-        if found.axis == axis and found.applies and name in found.values
-    ]
-    return _Held(
-        axis=axis,
-        quantity=quantity,
-        stages=tuple(stage for stage, *_ in rows),
-        values=np.array([value for _, value, _, _ in rows], dtype=float),
-        errors=np.array([error for _, _, error, _ in rows], dtype=float),
-        serials=np.array([np.nan if serial is None else float(serial) for *_, serial in rows]),
-    )
+class _Column:
+    """One quantity of one axis, while the stages pass: 20 bytes a stage."""
+
+    def __init__(self) -> None:
+        self.place, self.value, self.error = array("l"), array("d"), array("d")
+
+    def add(self, place: int, value: float, error: float) -> None:
+        self.place.append(place)
+        self.value.append(value)
+        self.error.append(error)
+
+
+def _held(fleet: Fleet) -> list[_Held]:
+    """Return names, values, errors and serials of all that is compared, in one pass."""
+    names: list[str] = []
+    numbers = array("d")
+    columns: defaultdict[tuple[str, str], _Column] = defaultdict(_Column)
+    for place, stage in enumerate(fleet.stages):
+        serial = stage.serial
+        names.append(stage.name)
+        numbers.append(np.nan if serial is None else float(serial))
+        for axis in stage.axes:
+            if axis.applies:
+                for name, value in axis.values.items():
+                    columns[axis.axis, name].add(place, value, axis.errors.get(name, 0.0))
+    every, serials = tuple(names), np.array(numbers)
+    found = []
+    for axis_name in sorted({axis for axis, _ in columns}):
+        for quantity in QUANTITIES:
+            column = columns.pop((axis_name, quantity.name), None)
+            if column is None or len(column.place) < FEWEST:
+                continue
+            whole = column.place == array("l", range(len(every)))
+            found.append(
+                _Held(
+                    axis=axis_name,
+                    quantity=quantity,
+                    stages=every if whole else tuple(every[k] for k in column.place),
+                    values=np.array(column.value),
+                    errors=np.array(column.error),
+                    serials=serials if whole else serials[np.array(column.place)],
+                )
+            )
+    return found
 
 
 def _distribution(held: _Held, limit: float, trend: Trend | None, p_value: float) -> Distribution:

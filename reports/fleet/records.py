@@ -1,18 +1,27 @@
-"""What is kept of each stage of a batch, and the batch as a whole; both as sealed JSON."""
+"""What is kept of each stage of a batch, and the batch as a whole; both as sealed JSON.
+
+A batch may have more stages than memory holds: ``StagesOnDisk`` gives them one at a time.
+"""
 
 import dataclasses
+import os
 import re
-from collections.abc import Mapping
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import BinaryIO, Protocol, Self
+from zlib import compress, decompress
 
-from msgspec import ValidationError, convert
+from msgspec import ValidationError, convert, json, msgpack
 
 from piezoid.errors import ParameterFileError
-from piezoid.provenance import seal, unseal
+from piezoid.provenance import seal, seal_stream, unseal
 
 STAGE_SCHEMA = "piezoid.batch_stage/1"
 FLEET_SCHEMA = "piezoid.batch/1"
+STAGES = "stages"  # folder of the stages beside the page
 
 PASSED, FAILED, REFUSED, CRASHED = "passed", "failed", "refused", "crashed"
 STATES = {
@@ -73,41 +82,92 @@ class FleetStage:
         """Return the sealed bytes that are kept beside the stage's results."""
         return seal(STAGE_SCHEMA, dataclasses.asdict(self))
 
+    def packed(self) -> bytes:
+        """Return the record as it travels from a worker: about 1 kB for an axis."""
+        return compress(msgpack.encode(self), level=1)
+
+
+class Stages(Protocol):
+    """Stages in the order of their names, as often as they are asked for."""
+
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[FleetStage]: ...
+
+
+class StagesOnDisk:
+    """Stages by name, read back one at a time from an unnamed scratch file.
+
+    Of each, memory holds its name and its place: about 200 bytes. The file is gone at the end of
+    the ``with`` block.
+    """
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self._scratch = tempfile.TemporaryFile()  # noqa: SIM115 -- __exit__ closes it
+        self.size = 0  # bytes
+        self._places: dict[str, tuple[int, int]] = {}
+        self._decoder = msgpack.Decoder(FleetStage)
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Remove the file."""
+        self._scratch.close()
+
+    def add(self, name: str, packed: bytes) -> None:
+        """Take in what ``FleetStage.packed`` made of a stage; a later one of a name counts."""
+        self._scratch.write(packed)
+        self._places[name] = self.size, len(packed)
+        self.size += len(packed)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[FleetStage]:
+        """Yield them in the order of their names."""
+        self._scratch.flush()
+        for _, (place, size) in sorted(self._places.items()):
+            content = os.pread(self._scratch.fileno(), size, place)
+            yield self._decoder.decode(decompress(content))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Fleet:
-    """A whole batch, by name of the stage."""
+    """A whole batch, by name of the stage; its stages may lie on disk."""
 
     name: str
-    stages: tuple[FleetStage, ...]
+    stages: Stages
 
-    def of_state(self, state: str) -> tuple[FleetStage, ...]:
-        """Return the stages that ended this way."""
-        return tuple(stage for stage in self.stages if stage.state == state)
+    @cached_property
+    def counts(self) -> Mapping[str, int]:
+        """How many stages ended in which state."""
+        return Counter(stage.state for stage in self.stages)
 
     @property
     def passed(self) -> bool:
         """Whether every stage passed."""
-        return len(self.of_state(PASSED)) == len(self.stages)
+        return self.counts.get(PASSED, 0) == len(self.stages)
 
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Names of all axes of all stages, sorted."""
-        return tuple(sorted({axis.axis for stage in self.stages for axis in stage.axes}))
+    def write_json(self, stream: BinaryIO) -> None:
+        """Write the sealed batch.json, a stage a line; all parameters stand in the Parquet file.
 
-    def to_json(self) -> bytes:
-        """Return the sealed bytes of batch.json; all parameters stand in the Parquet file."""
-        stages = [_without_parameters(stage) for stage in self.stages]
-        return seal(FLEET_SCHEMA, {"name": self.name, "passed": self.passed, "stages": stages})
+        stream  can be read and written at any place
+        """
+        head = {"name": self.name, "passed": self.passed, "stages": []}
+        seal_stream(FLEET_SCHEMA, head, (_without_parameters(s) for s in self.stages), stream)
 
 
-def _without_parameters(stage: FleetStage) -> dict[str, Any]:
-    """Return a stage as a mapping, of which the parameters are never copied."""
-    bare = tuple(dataclasses.replace(axis, parameters={}) for axis in stage.axes)
-    record = dataclasses.asdict(dataclasses.replace(stage, axes=bare))
-    for axis in record["axes"]:
-        del axis["parameters"]
-    return record
+def _without_parameters(stage: FleetStage) -> bytes:
+    """Return a stage as one line of JSON."""
+    axes = [
+        {"axis": a.axis, "applies": a.applies, "values": a.values, "errors": a.errors}
+        for a in stage.axes
+    ]
+    record = {f.name: getattr(stage, f.name) for f in dataclasses.fields(stage)}
+    return json.encode({**record, "axes": axes})
 
 
 def stage_from_json(content: bytes, place: str) -> FleetStage:

@@ -13,8 +13,9 @@ import pytest
 
 import piezoid_cli
 from piezoid.identification.store import write_model
-from piezoid_cli import batch_folder, calibration
+from piezoid_cli import calibration
 from piezoid_cli.main import main
+from piezoid_cli.results_place import results_place
 from piezoid_datasets.virtual_lab import junction_campaign
 from tests.reports.known_stage import axis_model, stage_model
 
@@ -106,12 +107,12 @@ def test_a_verb_that_cannot_write_says_so_once_and_leaves_what_was_there(
 def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    done = SimpleNamespace(
-        files={"model.json": b"new"}, stage=SimpleNamespace(name="unit", to_json=lambda: b"{}")
-    )
     monkeypatch.setattr(os, "fsync", fails(errno.ENOSPC))
+    results = results_place(str(place / "results"))
     with pytest.raises(OSError, match="No space"):
-        batch_folder.keep(place / "results", done)  # type: ignore[arg-type]
+        results.write("unit", {"model.json": b"new", "batch.json": b"{}"})
+    with pytest.raises(OSError, match="No space"):
+        results.put("parameters.parquet", lambda stream: stream.write(b"new"))
     assert not held(place / "results")
 
 

@@ -6,6 +6,7 @@ out and said so: dynamics, envelopes, kinds of lag, transients, diagnosis.
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,9 +25,21 @@ from piezoid.identification.model import AxisModel
 from piezoid.identification.streamed.axis_model import Found, axis_model
 from piezoid.identification.streamed.convex import choose, grid_of, halves, starts_of_program
 from piezoid.identification.streamed.descent import Reached, descend
-from piezoid.identification.streamed.passes import Task
+from piezoid.identification.streamed.passes import Spread, Task
 from piezoid.identification.streamed.stream import CHUNK, Stream, streams_of
-from piezoid.identification.streamed.survey import Survey, lag_s_of, longest_lag_s, survey
+from piezoid.identification.streamed.survey import (
+    Survey,
+    lag_s_of,
+    longest_lag_s,
+    survey,
+    tried_lags_s,
+)
+from piezoid.identification.streamed.thinned import (
+    lags_beside,
+    thinned,
+    window_of,
+    worth_thinning,
+)
 from piezoid.numerics.arrays import Array
 from piezoid.records.lab import Lab
 from piezoid.records.streams.excerpts import compared
@@ -48,13 +61,16 @@ def fit_streamed(
     chunk: int = CHUNK,
     workers: int = 2,
     orders: Sequence[tuple[int, int]] = ORDERS,
+    spread: Spread | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> ActuatorModel:
     """Fit every axis of spooled recordings, with memory that does not grow with their length.
 
     rows     that count at most in the last passes; the plays follow every sample
     chunk    samples that are in memory at one time; the numbers agree to rounding
-    workers  pieces that are run side by side; the numbers are the same
+    workers  parts that are followed side by side; the numbers are the same
+    spread   (work, items) -> results in their order, done by other processes or machines that see
+             the scratch files of ``spooled(..., named=True)``; the numbers are the same
     orders   (plays, dead zones per side) to choose from
 
     Raises ``ExcitationError`` where no recording has both a drive and a displacement, and
@@ -74,7 +90,7 @@ def fit_streamed(
             stage=declared.name or next(iter(spool.sources)).partition(".")[0],
             axes={
                 axis: _fit_axis(
-                    _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders)),
+                    _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders), spread),
                     found.pieces,
                     lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
                 ).told_in_counts(spool.counted)
@@ -102,6 +118,7 @@ class _Asked:
     chunk: int
     workers: int
     orders: tuple[tuple[int, int], ...]
+    spread: Spread | None
 
 
 def _fit_axis(asked: _Asked, held: Sequence[Piece], told: Callable[[str], None]) -> AxisModel:
@@ -158,15 +175,38 @@ def _searched(
         stride=max(1, total // THIN_ROWS),
         longest_lag_s=longest_s,
         workers=asked.workers,
+        spread=asked.spread,
     )
-    held = replace(task, held=THRESHOLDS)
+    short = _thinned(task, asked.rig, starts[0].operator.lag_s)
+    held = replace(short, held=THRESHOLDS)
     begun = [descend(_vector_of(start, task), held, passes=SETTLING) for start in starts]
     best = min(range(len(starts)), key=lambda k: begun[k].rms)
-    reached = descend(begun[best].theta, task, passes=SEARCHING)
+    reached = descend(begun[best].theta, short, passes=SEARCHING)
+    lag_s = float(reached.theta[task.coordinates.slices["lag"]][0])
+    if lag_s in short.lag_s:  # it wants to go further than what was kept
+        reached = descend(reached.theta, task, passes=SEARCHING)
     fine = replace(task, stride=max(1, total // asked.rows))
     if fine.stride < task.stride:
         return descend(reached.theta, fine, passes=POLISHING), fine, starts[best]
     return reached, task, starts[best]
+
+
+def _thinned(task: Task, rig: Rig, lag_s: float) -> Task:
+    """Return the task on what is left of its streams, where that is worth a pass."""
+    limits_s = lags_beside(
+        lag_s, tried_lags_s(task.streams, task.longest_lag_s), max(s.rate_Hz for s in task.streams)
+    )
+    windows = [window_of(rig, stream.rate_Hz, limits_s) for stream in task.streams]
+    if not worth_thinning(windows, task.stride):
+        return task
+    with ThreadPoolExecutor(task.workers) as side_by_side:
+        left = list(
+            side_by_side.map(
+                lambda pair: thinned(pair[0], task.stride, pair[1]),
+                zip(task.streams, windows, strict=True),
+            )
+        )
+    return replace(task, thinned=left, lag_s=limits_s)
 
 
 def _vector_of(start: Start, task: Task) -> Array:

@@ -12,6 +12,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.streams.piece import Piece as Spooled
 
 CHUNK = 8192
+SETTLED = 37.0  # time constants after which a filter has forgotten all but rounding
 STILL = 0.01  # of the widest drive: a piece that moves less says nothing of hysteresis
 MOST = 24  # pieces: each has a zero and a memory of its own
 
@@ -40,18 +41,27 @@ class Stream:
         """The sampling rate."""
         return self.held.sampling_rate_Hz
 
-    def chunks(self) -> Iterator[tuple[Array, Array]]:
-        """Yield scaled drive, behind the declared amplifier, and scaled response."""
-        state: Array | None = None
-        for voltage_V, displacement_m in self.held.read(self.chunk):
+    def chunks(self, begin: int = 0, stop: int | None = None) -> Iterator[tuple[Array, Array]]:
+        """Yield scaled drive, behind the declared amplifier, and scaled response.
+
+        begin, stop  samples between which they lie; the amplifier has then been followed for as
+                     long as it remembers
+        """
+        bandwidth_Hz = self.rig.amplifier_bandwidth_Hz
+        time_s = None if bandwidth_Hz is None else 1.0 / (2 * np.pi * bandwidth_Hz)
+        warm = 0 if time_s is None else int(np.ceil(SETTLED * time_s * self.rate_Hz))
+        first, state = max(begin - warm, 0), None
+        for voltage_V, displacement_m in self.held.read(self.chunk, first, stop):
             drive = (voltage_V - self.scales.voltage_offset_V) / self.scales.voltage_V
             response = (displacement_m - self.centre_m) / self.scales.displacement_m
-            if self.rig.amplifier_bandwidth_Hz is not None:
+            if time_s is not None:
                 column = drive[:, None]
                 state = np.repeat(column[:1], 2, axis=0) if state is None else state
-                time_s = 1.0 / (2 * np.pi * self.rig.amplifier_bandwidth_Hz)
                 drive = filter_columns(column, first_order(time_s, self.rate_Hz), state)[:, 0]
-            yield drive, response
+            early = max(begin - first, 0)
+            first += len(drive)
+            if early < len(drive):
+                yield drive[early:], response[early:]
 
     def described(self) -> Piece:
         """Return the piece as the fit's formulas know it: its first sample and its length."""

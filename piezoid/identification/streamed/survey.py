@@ -110,13 +110,15 @@ def longest_lag_s(streams: Sequence[Stream], surveys: Sequence[Survey]) -> float
     return max(10.0 / min(s.rate_Hz for s in streams), 0.25 * duration_s / branches)
 
 
-def lag_s_of(streams: Sequence[Stream], surveys: Sequence[Survey], longest_s: float) -> float:
-    """Return the lag, of those that were tried, at which the quick model leaves least.
-
-    Pieces of different rates are compared at the shifts of the fastest.
-    """
+def tried_lags_s(streams: Sequence[Stream], longest_s: float) -> list[float]:
+    """Return the lags that are tried: the shifts of the fastest piece."""
     fastest_Hz = max(stream.rate_Hz for stream in streams)
-    tried_s = [shift / fastest_Hz for shift in SHIFTS if shift / fastest_Hz <= longest_s]
+    return [shift / fastest_Hz for shift in SHIFTS if shift / fastest_Hz <= longest_s]
+
+
+def lag_s_of(streams: Sequence[Stream], surveys: Sequence[Survey], longest_s: float) -> float:
+    """Return the lag, of those that were tried, at which the quick model leaves least."""
+    tried_s = tried_lags_s(streams, longest_s)
     errors = [
         sum(_error(s, found, tau_s) for s, found in zip(streams, surveys, strict=True))
         for tau_s in tried_s

@@ -15,6 +15,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import Rows
 
 KEPT = 200_000  # residuals, for their quantiles
+HARDLY = 0.01  # of what all rows know of a number: the square of its column
 SURE = 1e-8  # damping: directions that the rest of the data hardly sees keep the fit's values
 
 
@@ -47,12 +48,21 @@ def _is_late(block: Block, blocks: Sequence[Block]) -> bool:
 
 def _refit(reached: Reached, task: Task, blocks: Sequence[Block]) -> Array:
     triangle = gathered(blocks, task.coordinates)
-    return _step(triangle, reached.theta, task.bounds())
+    whole = gathered(reached.blocks, task.coordinates)
+    return _step(triangle, whole, reached.theta, task.bounds())
 
 
-def _step(triangle: Array, theta: Array, bounds: tuple[Array, Array]) -> Array:
+def _step(triangle: Array, whole: Array, theta: Array, bounds: tuple[Array, Array]) -> Array:
+    """Return the step to the least error of some rows, which leaves alone what they hardly know.
+
+    A knot of the zero that the last of them just touch would go anywhere for their sake.
+    """
+    lower, upper = (bound - theta for bound in bounds)
+    known, all_of_it = (np.linalg.norm(rows[:, :-1], axis=0) ** 2 for rows in (triangle, whole))
+    hardly = known <= HARDLY * all_of_it
+    lower[hardly] = upper[hardly] = 0.0
     rows = Rows(factor=triangle[:, :-1], residual=triangle[:, -1])
-    return rows.step(bounds[0] - theta, bounds[1] - theta, SURE)
+    return rows.step(lower, upper, SURE)
 
 
 def _settled(reached: Reached, task: Task, step: Array, tested: set[int]) -> Array:
@@ -66,7 +76,7 @@ def _settled(reached: Reached, task: Task, step: Array, tested: set[int]) -> Arr
         own = gathered([b for b in reached.blocks if b.piece == piece], task.coordinates)
         error = own[:, -1] + own[:, :shared] @ step[:shared]
         triangle = np.column_stack([own[:, local], error])
-        theta[local] += _step(triangle, theta[local], (lower[local], upper[local]))
+        theta[local] += _step(triangle, triangle, theta[local], (lower[local], upper[local]))
     return np.asarray(np.clip(theta, lower, upper))
 
 

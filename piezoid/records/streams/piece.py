@@ -3,7 +3,8 @@
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import IO
+from functools import lru_cache
+from typing import IO, Any
 
 import numpy as np
 
@@ -41,21 +42,53 @@ class Piece:
     step_V: float
     noise_m: float
 
-    def read(self, rows: int) -> Iterator[tuple[Array, Array]]:
-        """Yield drive and displacement in blocks of ``rows`` samples, the last one shorter."""
+    def read(
+        self, rows: int, begin: int = 0, stop: int | None = None
+    ) -> Iterator[tuple[Array, Array]]:
+        """Yield drive and displacement in blocks of ``rows`` samples, the last one shorter.
+
+        begin, stop  samples between which they lie
+        """
+        end = self.samples if stop is None else min(stop, self.samples)
         held = np.empty((2, 0))
-        self.scratch.flush()
-        number = self.scratch.fileno()
+        number = self._number()
+        first = 0
         for place, count in self.blocks:
+            low, high = max(begin - first, 0), min(end - first, count)
+            first += count
+            if low >= high:
+                continue
             # Without a place of its own in the file: pieces may be read side by side.
             content = np.frombuffer(os.pread(number, 16 * count, place)).reshape(2, count)
+            content = content[:, low:high]
             held = np.hstack([held, content]) if held.size else content
             whole = held.shape[1] // rows * rows
-            for first in range(0, whole, rows):
-                yield held[0, first : first + rows], held[1, first : first + rows]
+            for row in range(0, whole, rows):
+                yield held[0, row : row + rows], held[1, row : row + rows]
             held = held[:, whole:]
         if held.size:
             yield held[0], held[1]
+
+    def _number(self) -> int:
+        if self.scratch.writable():
+            self.scratch.flush()
+        return self.scratch.fileno()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what another process needs; raises ``TypeError`` for a file without a name."""
+        if not isinstance(self.scratch.name, str):
+            raise TypeError(f"{self.name}: only a scratch file with a name is seen elsewhere")
+        self.scratch.flush()
+        return {**self.__dict__, "scratch": os.path.abspath(self.scratch.name)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take up a piece where the scratch file is seen under the same name."""
+        self.__dict__.update({**state, "scratch": _opened(state["scratch"])})
+
+
+@lru_cache(maxsize=64)
+def _opened(place: str) -> IO[bytes]:
+    return open(place, "rb")
 
 
 class PieceWriter:

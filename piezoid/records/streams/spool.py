@@ -8,8 +8,9 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from piezoid.errors import RecordingError
 from piezoid.records.lab import Lab
@@ -44,12 +45,17 @@ def spooled(
     *,
     folder: Path | None = None,
     rows: int = ROWS,
+    workers: int = 2,
+    named: bool = False,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Spool]:
     """Read files of any size, each once; what is on disk is there until the context ends.
 
     folder  where the scratch files go, 16 bytes for each sample and axis; None: the system's own
-    rows    of a block: what is in memory at one time
+    rows    of a block, of which a few are in memory at one time
+    workers blocks that are judged side by side; what is written is the same
+    named   whether the scratch files have names, so that processes elsewhere can read them; they
+            are removed at the end, unless this process is killed
 
     Raises what ``ingest`` raises.
     """
@@ -60,6 +66,8 @@ def spooled(
     sources: dict[str, str] = {}
     counted: dict[str, tuple[str, ...]] = {}
     number = 0
+    make = tempfile.NamedTemporaryFile if named else tempfile.TemporaryFile
+    scratch = partial(make, dir=folder)
     with ExitStack() as files:
         for path in paths:
             progress(f"reading {path.name}")
@@ -67,8 +75,8 @@ def spooled(
             _refuse_twice(source, sources)
             for entry in lab.entries_of(path) or (None,):
                 heard = Heard()
-                passing = stretches(source, lab, entry, heard, rows=rows)
-                for axis, found in _written(passing, source, number, folder, files).items():
+                passing = stretches(source, lab, entry, heard, rows=rows, workers=workers)
+                for axis, found in _written(passing, source, number, scratch, files).items():
                     held.setdefault(axis, []).extend(found)
                     _refuse_many(source, len(held[axis]))
                 number += 1
@@ -86,7 +94,7 @@ def _written(
     passing: Iterator[Stretch],
     source: Source,
     number: int,
-    folder: Path | None,
+    fresh: Callable[[], Any],
     files: ExitStack,
 ) -> dict[str, list[Piece]]:
     """Write the stretches of one recording to disk, one scratch file for each axis."""
@@ -95,8 +103,7 @@ def _written(
     for stretch in passing:
         for axis in _axes(stretch):
             if axis not in scratch:
-                unnamed = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 -- the stack closes it
-                scratch[axis] = files.enter_context(unnamed)
+                scratch[axis] = files.enter_context(fresh())
             pieces = found.setdefault(axis, [])
             if stretch.begins or not pieces:
                 _refuse_many(source, len(pieces))

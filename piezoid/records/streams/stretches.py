@@ -5,7 +5,9 @@ a whole file; what is new here is only how blocks are joined.
 """
 
 import itertools
+from collections import deque
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +27,7 @@ from piezoid.records.table import RawTable
 
 ROWS = 1 << 17  # of a block: some megabytes a column
 _LEAST_ROWS = 1024  # fewer stamps with a gap among them do not tell their clock
+_LEAST_NUMBERS = 3  # rows of a block that hold numbers; fewer are a gap
 _SAME_RATE = 1e-3
 # What a whole file must be to be called so; a block of it often is.
 _THROUGHOUT = frozenset({"dead", "empty", "saturated", "equal_columns", "jitter", "counts"})
@@ -79,9 +82,18 @@ def _told(problem: Problem, times: int, blocks: int) -> Problem:
 
 
 def stretches(
-    source: Source, lab: Lab, entry: RecordingEntry | None, heard: Heard, *, rows: int = ROWS
+    source: Source,
+    lab: Lab,
+    entry: RecordingEntry | None,
+    heard: Heard,
+    *,
+    rows: int = ROWS,
+    workers: int = 1,
 ) -> Iterator[Stretch]:
     """Yield what ``ingest`` would make of a file, stretch by stretch.
+
+    workers  blocks that are judged side by side, while the next are read; the stretches are the
+             same
 
     Raises what ``ingest`` raises; also ``RecordingError`` where the clock or the meaning of the
     columns changes on the way.
@@ -94,18 +106,57 @@ def stretches(
             needed="rows in the order in which they were recorded, where a file is read in blocks",
             remedy="Read it without --stream, or write the file the other way round.",
         )
-    for table in _tables(source, rows):
-        assignment = join.meaning(table, lab, whole)
-        numbers = _rows_with_numbers(table, assignment)
-        if numbers.sum() < 3 and join.first is not None:
+    for block in _judged(source, lab, whole, join, rows, workers):
+        if block.numbers.sum() < _LEAST_NUMBERS and join.first is not None:
             join.broken = True
             continue
-        join.check_one_rate(parts_of(table, lab, whole))
-        recording = ingest_table(table, lab, whole)
+        join.check_one_rate(block.parts)
+        recording = block.recording or ingest_table(block.table, lab, whole)
         heard.hear(recording)
-        yield from join.joined(recording, repeats=bool(numbers[0]))
-        join.broken = join.broken or not numbers[-1]
+        yield from join.joined(recording, repeats=bool(block.numbers[0]))
+        join.broken = join.broken or not block.numbers[-1]
     join.check_length()
+
+
+@dataclass(frozen=True)
+class _Block:
+    table: RawTable
+    numbers: np.ndarray
+    parts: Sequence[tuple[RawTable, Lab, RecordingEntry | None]]
+    recording: Recording | None
+
+
+def _judged(
+    source: Source,
+    lab: Lab,
+    whole: RecordingEntry | None,
+    join: "_Join",
+    rows: int,
+    workers: int,
+) -> Iterator[_Block]:
+    """Yield the blocks of a file in their order; some are judged while others are read."""
+    ahead: deque[Future[_Block]] = deque()
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for table in _tables(source, rows):
+                assignment = join.meaning(table, lab, whole)
+                ahead.append(pool.submit(_judge, table, assignment, lab, whole))
+                if len(ahead) > workers:
+                    yield ahead.popleft().result()
+        except Exception:
+            while ahead:  # what is wrong earlier in the file is said first
+                yield ahead.popleft().result()
+            raise
+        while ahead:
+            yield ahead.popleft().result()
+
+
+def _judge(
+    table: RawTable, assignment: Assignment, lab: Lab, whole: RecordingEntry | None
+) -> _Block:
+    numbers, parts = _rows_with_numbers(table, assignment), parts_of(table, lab, whole)
+    fit = numbers.sum() >= _LEAST_NUMBERS and len(parts) == 1
+    return _Block(table, numbers, parts, ingest_table(table, lab, whole) if fit else None)
 
 
 def _tables(source: Source, rows: int) -> Iterator[RawTable]:
