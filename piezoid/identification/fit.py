@@ -2,13 +2,19 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.coupled.from_recordings import (
+    apart,
+    decoupled,
+    identify_coupled,
+    own_responses,
+)
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
@@ -45,7 +51,8 @@ def fit(
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
     declared = lab or Lab()
-    stage = unfitted(recordings, declared, sweeps, responses)
+    parted = unfitted_apart(recordings, declared, sweeps, responses, progress=progress)
+    stage, recordings, responses = parted.stage, parted.recordings, parted.responses
     progress("fitting the tunnelling current, where there is one")
     tunnelling = fit_junction(sweeps, recordings, declared)
     axes = {
@@ -59,6 +66,60 @@ def fit(
         for axis in axes_of(recordings)
     }
     return replace(stage, axes=axes, tunnelling=tunnelling)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parted:
+    """What is to be fitted axis by axis.
+
+    stage       before any fit of an axis; with the model of the coupling, where axes are coupled
+    recordings  that tell single axes, in the coordinates that decouple them
+    responses   that were measured, those of decoupled axes among them
+    """
+
+    stage: ActuatorModel
+    recordings: Sequence[Recording]
+    responses: Sequence[FrequencyResponseRecord]
+
+
+def unfitted_apart(
+    recordings: Sequence[Recording],
+    lab: Lab,
+    sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Parted:
+    """Identify the coupling, where lab.toml names coupled axes, and part what single axes tell.
+
+    Raises as ``unfitted`` and ``identify_coupled`` do.
+    """
+    coupled = identify_coupled(recordings, lab, progress=progress)
+    if coupled is None:
+        stage = unfitted(recordings, lab, sweeps, responses)
+        return Parted(stage=stage, recordings=recordings, responses=responses)
+    alone = apart(decoupled(recordings, coupled), coupled)
+    told = alone if axes_of(alone) or sweeps else recordings
+    stage = unfitted(told, lab, sweeps, responses)
+    if told is not alone:  # nothing is fitted to them: what is odd about them as loops is no news
+        stage = replace(stage, remarks=())
+    untold = [axis for axis in coupled.outputs if axis not in axes_of(alone)]
+    remarks = tuple(
+        f"axis {axis}: every recording of it drives all coupled axes at once by a repeating "
+        "drive, which tells their coupling and no loop. Record a slow sweep of it over its range, "
+        "the other axes at rest, to have its hysteresis and a controller."
+        for axis in untold
+    )
+    return Parted(
+        stage=replace(
+            stage,
+            coupled=coupled,
+            sources={one.name: one.digest for one in recordings} | dict(stage.sources),
+            remarks=(*stage.remarks, *remarks),
+        ),
+        recordings=alone,
+        responses=(*responses, *own_responses(recordings, coupled, lab.coupled)),
+    )
 
 
 def unfitted(

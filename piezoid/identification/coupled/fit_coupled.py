@@ -83,8 +83,15 @@ def fit_coupled(
         numbers, residue = fitted(problem, numbers, WITH_TERMS)
     shapes = [numbers]
     count = min(one.voltage_V.shape[2] for one in data)
-    if intervals and count > problem.inputs + 1:
-        shapes = [fitted(_without(problem, r), numbers, LEFT_OUT)[0] for r in range(count)]
+    models = [(numbers, residue)] * count
+    is_left_out = intervals and count > problem.inputs + 1
+    if is_left_out:
+        models = [fitted(_without(problem, r), numbers, LEFT_OUT) for r in range(count)]
+        shapes = [one for one, _ in models]
+    error = [
+        np.stack([_error(problem, k, *model, r) for r, model in enumerate(models)])
+        for k in range(len(data))
+    ]
     return CoupledStage(
         inputs=data[0].inputs,
         outputs=data[0].outputs,
@@ -104,6 +111,13 @@ def fit_coupled(
         term_V=numbers.term_V,
         linear_V=np.einsum("ick,ik->ci", share, numbers.term_V),
         replicate_frequency=np.stack([one.log_frequency for one in shapes]),
+        equivalent_gain=_equivalent_gains(problem, numbers, residue, elongation),
+        moved_rms_m=np.stack(
+            [_rms(one.displacement_m - one.displacement_m.mean(axis=0)) for one in data]
+        ),
+        noise_rms_m=np.stack([_noise(one) for one in data]),
+        error_rms_m=np.stack([np.sqrt((one**2).mean(axis=0)) for one in error]),
+        error_is_left_out=is_left_out,
     )
 
 
@@ -314,6 +328,63 @@ def _share(
             gathered.append(flat.view(np.float64).T)
     terms, u, s = (np.concatenate(gathered) for gathered in rows)
     return linear_share(terms, u[:, 0], s[:, 0])
+
+
+def _error(
+    problem: Problem, place: int, numbers: Numbers, residue: Array, realisation: int
+) -> Array:
+    """Return the rms of what a model leaves of one realisation of one level, (outputs,), m."""
+    level = problem.levels[place]
+    l = problem.coordinate(level)  # noqa: E741
+    columns = modal_columns(
+        level.frequency_Hz,
+        numbers.log_frequency[0] + l * numbers.log_frequency[1],
+        numbers.log_damping[0] + l * numbers.log_damping[1],
+        problem.lag_Hz,
+    ).value
+    response = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
+    driven = level.drive[..., realisation]
+    if level.terms is not None:
+        driven = driven + np.einsum("ik,kfi->fi", numbers.term_V, level.terms[..., realisation])
+    delayed = np.exp(-2j * np.pi * level.frequency_Hz * numbers.delay_s)[:, None]
+    left = level.moved[..., realisation] - delayed * np.einsum("foi,fi->fo", response, driven)
+    return np.asarray(np.sqrt(2.0 * (np.abs(left) ** 2).sum(axis=0)) / level.samples)
+
+
+def _equivalent_gains(
+    problem: Problem, numbers: Numbers, residue: Array, elongation: Array
+) -> Array:
+    """Return the regression of the terms on drive and elongation, (levels, inputs, 2), V/V."""
+    found = np.zeros((len(problem.levels), problem.inputs, 2))
+    for k, level in enumerate(problem.levels):
+        if level.terms is None:
+            continue
+        signals = [
+            at_lines(one, level.lines)
+            for one in _elongations(problem, level, numbers, residue, elongation)
+        ]
+        added = np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
+        for i in range(problem.inputs):
+            flat = [
+                np.ascontiguousarray(one[:, i].ravel()).view(np.float64)
+                for one in (added, *signals)
+            ]
+            found[k, i] = linear_share(flat[0][:, None], flat[1], flat[2])[:, 0]
+    return found
+
+
+def _rms(moved_m: Array) -> Array:
+    """Return the rms of each output, (outputs,), of (samples, outputs, ...)."""
+    return np.asarray(np.sqrt((moved_m**2).mean(axis=(0, *range(2, moved_m.ndim)))))
+
+
+def _noise(data: PeriodicData) -> Array:
+    """Return the rms of a period about the mean of its realisation, (outputs,), m."""
+    periods = data.displacement_m.shape[3]
+    if periods < 2:
+        return np.zeros(len(data.outputs))
+    apart = data.displacement_m - data.displacement_m.mean(axis=3, keepdims=True)
+    return _rms(apart) * float(np.sqrt(periods / (periods - 1)))
 
 
 def _without(problem: Problem, realisation: int) -> Problem:
