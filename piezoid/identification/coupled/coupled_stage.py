@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.coupled.distortion import distortion_terms
 from piezoid.identification.coupled.hysteresis_terms import (
     TERMS,
     at_lines,
@@ -56,6 +57,8 @@ class CoupledStage:
     noise_rms_m          (levels, outputs)  of one period about the mean of its realisation
     error_rms_m          (levels, outputs)  of the means of the periods
     error_is_left_out    each realisation's error is of a fit without it; otherwise in sample
+    distortion_m         (columns, terms, outputs)  W of ``distortion``, added to Y; None: too few
+                         data tell it
     recordings           names of those it was fitted to; none where it was fitted to arrays
     """
 
@@ -79,6 +82,7 @@ class CoupledStage:
     noise_rms_m: Array
     error_rms_m: Array
     error_is_left_out: bool
+    distortion_m: Array | None = None
     recordings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -88,6 +92,8 @@ class CoupledStage:
         freeze(self, "moved_rms_m", "noise_rms_m", "error_rms_m", ndim=2)
         freeze(self, "replicate_frequency", "equivalent_gain", ndim=3)
         freeze(self, "residue_m_per_V", ndim=4)
+        if self.distortion_m is not None:
+            freeze(self, "distortion_m", ndim=3)
         modes, inputs = self.log_frequency.shape[1], len(self.inputs)
         columns = 2 * modes + len(self.lag_Hz) + 1
         levels = len(self.levels_V)
@@ -162,8 +168,15 @@ class CoupledStage:
         f = np.arange(len(spectrum)) * self.sampling_rate_Hz / len(drive)
         spectrum[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
         linear = self._undelayed(f, coordinate)
-        added = self._hysteresis(spectrum, linear, len(drive), periodic)
+        drives, elongations = self._signals(spectrum, linear, len(drive))
+        added = self._hysteresis(drives, elongations, f, periodic)
         moved = np.einsum("foi,fi->fo", linear, spectrum + added)
+        if self.distortion_m is not None:
+            terms = distortion_terms(drives, elongations, periodic=periodic)
+            lines = at_lines(terms, np.arange(len(f)))
+            lines[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
+            columns = self._columns(f, coordinate)
+            moved += np.einsum("fc,ft,cto->fo", columns, lines, self.distortion_m, optimize=True)
         moved *= np.exp(-2j * np.pi * f * self.delay_s)[:, None]
         return np.asarray(np.fft.irfft(moved, len(drive), axis=0)[:count])
 
@@ -283,29 +296,37 @@ class CoupledStage:
         """Return what the modes' envelopes decay with, in Hz, at the centre of the levels."""
         return np.asarray(np.exp(self.log_frequency[0] + self.log_damping[0]))
 
-    def _undelayed(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
+    def _columns(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
         log_frequency = self.log_frequency[0] + coordinate * self.log_frequency[1]
         log_damping = self.log_damping[0] + coordinate * self.log_damping[1]
-        columns = modal_columns(frequency_Hz, log_frequency, log_damping, self.lag_Hz)
+        return modal_columns(frequency_Hz, log_frequency, log_damping, self.lag_Hz).value
+
+    def _undelayed(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
         residue = self.residue_m_per_V[0] + coordinate * self.residue_m_per_V[1]
-        return np.asarray(np.einsum("fc,coi->foi", columns.value, residue))
+        columns = self._columns(frequency_Hz, coordinate)
+        return np.asarray(np.einsum("fc,coi->foi", columns, residue))
+
+    def _signals(
+        self, spectrum: ComplexArray, linear: ComplexArray, samples: int
+    ) -> tuple[Array, Array]:
+        """Return drives and elongations over their scales, (fine samples, inputs)."""
+        moved = np.einsum("foi,fi->fo", linear, spectrum)
+        both = spectrum, moved @ self.elongation_V_per_m.T
+        drives, elongations = (oversampled(one, samples) for one in both)
+        return drives / self.scale_V[0], elongations / self.scale_V[1]
 
     def _hysteresis(
-        self, spectrum: ComplexArray, linear: ComplexArray, samples: int, periodic: bool
+        self, drives: Array, elongations: Array, frequency_Hz: Array, periodic: bool
     ) -> ComplexArray:
         """Return the lines of phi."""
-        drive = oversampled(spectrum, samples)
-        moved = np.einsum("foi,fi->fo", linear, spectrum)
-        elongation = oversampled(moved @ self.elongation_V_per_m.T, samples)
-        lines = np.arange(samples // 2 + 1)
-        added = np.zeros_like(spectrum)
+        lines = np.arange(len(frequency_Hz))
+        added = np.zeros((len(lines), len(self.inputs)), dtype=np.complex128)
         for i, weight in enumerate(self.term_V):
-            u, s = drive[:, i] / self.scale_V[0, i], elongation[:, i] / self.scale_V[1, i]
+            u, s = drives[:, i], elongations[:, i]
             terms = hysteresis_terms(u, s, periodic=periodic) @ weight
             linear_u, linear_s = self.linear_V[:, i]
             added[:, i] = at_lines(terms - linear_u * u - linear_s * s, lines)
-        f = lines * self.sampling_rate_Hz / samples
-        added[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
+        added[(frequency_Hz < 0.5 * self.band_Hz[0]) | (frequency_Hz > self.band_Hz[1])] = 0.0
         return added
 
 
