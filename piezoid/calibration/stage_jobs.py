@@ -105,14 +105,13 @@ def jobs_of(
 
     Raises what ``fit`` raises where there is nothing to fit.
     """
-    from piezoid.identification.fit import axes_of, recorded_of, response_of, unfitted_apart
+    from piezoid.identification.fit import recorded_of, response_of, unfitted_apart
     from piezoid.identification.tunnelling.loop_files import is_loop
     from piezoid.records.lab import Lab
 
     declared = lab or Lab()
     parted = unfitted_apart(held.recordings, declared, held.sweeps, held.responses, progress=told)
-    stage, alone = parted.stage, parted.recordings
-    axes = axes_of(alone)
+    stage, alone, axes = parted.stage, parted.recordings, parted.axes
     tip = TipJob(
         stage=stage,
         recordings=tuple(filter(is_loop, held.recordings)),

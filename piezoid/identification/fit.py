@@ -12,6 +12,7 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import (
     apart,
     decoupled,
+    driven,
     identify_coupled,
     own_responses,
 )
@@ -60,10 +61,10 @@ def fit(
             recordings,
             axis,
             declared,
-            response=response_of(responses, axis, axes_of(recordings)),
+            response=response_of(responses, axis, parted.axes),
             progress=partial(_of_axis, progress, axis),
         )
-        for axis in axes_of(recordings)
+        for axis in parted.axes
     }
     return replace(stage, axes=axes, tunnelling=tunnelling)
 
@@ -75,11 +76,13 @@ class Parted:
     stage       before any fit of an axis; with the model of the coupling, where axes are coupled
     recordings  that tell single axes, in the coordinates that decouple them
     responses   that were measured, those of decoupled axes among them
+    axes        that are to be fitted: coupled ones that rest in all of these recordings are not
     """
 
     stage: ActuatorModel
     recordings: Sequence[Recording]
     responses: Sequence[FrequencyResponseRecord]
+    axes: tuple[str, ...]
 
 
 def unfitted_apart(
@@ -97,17 +100,20 @@ def unfitted_apart(
     coupled = identify_coupled(recordings, lab, progress=progress)
     if coupled is None:
         stage = unfitted(recordings, lab, sweeps, responses)
-        return Parted(stage=stage, recordings=recordings, responses=responses)
+        axes = axes_of(recordings)
+        return Parted(stage=stage, recordings=recordings, responses=responses, axes=axes)
     alone = apart(decoupled(recordings, coupled), coupled)
     told = alone if axes_of(alone) or sweeps else recordings
     stage = unfitted(told, lab, sweeps, responses)
     if told is not alone:  # nothing is fitted to them: what is odd about them as loops is no news
         stage = replace(stage, remarks=())
-    untold = [axis for axis in coupled.outputs if axis not in axes_of(alone)]
+    moved = {axis for one in alone for axis in driven(one, coupled.inputs)}
+    axes = tuple(a for a in axes_of(alone) if a in moved or a not in coupled.inputs)
+    untold = [axis for axis in coupled.outputs if axis not in axes]
     remarks = tuple(
-        f"axis {axis}: every recording of it drives all coupled axes at once by a repeating "
-        "drive, which tells their coupling and no loop. Record a slow sweep of it over its range, "
-        "the other axes at rest, to have its hysteresis and a controller."
+        f"axis {axis}: it is driven only where all coupled axes are, by drives that repeat, which "
+        "tells their coupling and no loop. Record a slow sweep of it over its range, the other "
+        "axes at rest, to have its hysteresis and a controller."
         for axis in untold
     )
     return Parted(
@@ -119,6 +125,7 @@ def unfitted_apart(
         ),
         recordings=alone,
         responses=(*responses, *own_responses(recordings, coupled, lab.coupled)),
+        axes=axes,
     )
 
 

@@ -99,15 +99,16 @@ def written(path: Path, drives_V: np.ndarray, seed: int) -> Path:
     return path
 
 
-def campaign(folder: Path) -> list[Path]:
-    """Write lab.toml, multisines of all axes at two levels, and loops of each."""
+def campaign(folder: Path, axes: tuple[str, ...] = AXES) -> list[Path]:
+    """Write lab.toml, multisines of all axes at two levels, and loops of some axes alone."""
     (folder / "lab.toml").write_text(LAB)
     files = [
         written(folder / f"all_{level}_{r}.csv", multisine(level_V, 10 * level + r), r)
         for level, level_V in enumerate(LEVELS_V)
         for r in range(REALISATIONS)
     ]
-    for k, axis in enumerate(AXES):
+    for axis in axes:
+        k = AXES.index(axis)
         files.append(written(folder / f"{axis}_loops.csv", sweep((k,), 1), 20 + k))
         files.append(written(folder / f"{axis}_check.csv", sweep((k,), 5), 30 + k))
     return files

@@ -147,10 +147,10 @@ def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
     moved = [channel for channel in held if channel is not None]
     if len(moved) < len(axes):
         missing = [a for a, channel in zip(axes, held, strict=True) if channel is None]
-        driven = _driven(recording, axes)
-        if moved and len(driven) > 1:
+        moving = driven(recording, axes)
+        if moved and len(moving) > 1:
             raise RecordingError(
-                f"{recording.name}: the axes {', '.join(driven)} are driven, and the displacement "
+                f"{recording.name}: the axes {', '.join(moving)} are driven, and the displacement "
                 f"of {', '.join(missing)} is not there",
                 needed=f"the displacements of all coupled axes, {', '.join(axes)}",
                 remedy="Record them together, or drive one axis while the others rest.",
@@ -168,8 +168,8 @@ def _decoupled(recording: Recording, coupled: CoupledStage) -> Recording:
     return replace(recording, channels=channels)
 
 
-def _driven(recording: Recording, axes: Sequence[str]) -> list[str]:
-    """Return which of these axes are driven."""
+def driven(recording: Recording, axes: Sequence[str]) -> list[str]:
+    """Return which of these axes are driven: not those that rest beside a wider drive."""
     found = [(axis, recording.find(Quantity.VOLTAGE, axis)) for axis in axes]
     reach = {axis: float(np.ptp(channel.values)) for axis, channel in found if channel is not None}
     widest = max(reach.values(), default=0.0)
@@ -182,7 +182,7 @@ def _periodic(recording: Recording, declared: Coupled) -> _Periodic | None:
     complete = all(
         recording.find(quantity, axis) is not None for quantity in wanted for axis in axes
     )
-    if recording.breaks or not complete or len(_driven(recording, axes)) < len(axes):
+    if recording.breaks or not complete or len(driven(recording, axes)) < len(axes):
         return None
     found = [find_repetition(recording.voltage_V(a), fewest=settling + FEWEST) for a in axes]
     known = [one for one in found if one is not None]
