@@ -33,7 +33,7 @@ def calibrate(
 
         declared = None if lab is None else read_lab(lab)
         held = collect(files, declared)
-        blank, ways = jobs_of(held, declared, processes)
+        blank, ways = jobs_of(held, declared, processes, told)
         jobs = with_trials_aside(ways, begun)
         found = side_by_side(
             run_job, jobs, told, processes=processes, weight=weight_of, begun=begun

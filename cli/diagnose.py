@@ -60,13 +60,16 @@ def diagnose(
         told("reading recordings")
         from piezoid.diagnosis.diagnose import diagnose as find
         from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+        from piezoid.identification.coupled.from_recordings import as_single_axes
         from piezoid.records.collection import collect
         from piezoid.records.comparison import refuse_misfits
         from piezoid.records.lab import read_lab
 
         declared = None if lab is None else read_lab(lab)
         model, rest = _model_in_front(files)
-        recordings = collect(rest, declared).recordings
+        coupled = None if model is None else model[0].coupled
+        held = collect(rest, declared).recordings
+        recordings = as_single_axes(held, declared, coupled, progress=told)
         refuse_misfits(recordings)
         known = None if model is None else _known(model, axis)
         found = find(

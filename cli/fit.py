@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from piezoid.calibration.calibrate import Calibration
     from piezoid.calibration.controllers import Controllers
     from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
 
@@ -112,6 +113,14 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
             }
             for name, axis in found.model.axes.items()
         },
+        "coupled": None
+        if found.model.coupled is None
+        else {
+            "axes": list(found.model.coupled.outputs),
+            "levels_V": found.model.coupled.levels_V.tolist(),
+            "error_rms_m": found.model.coupled.error_rms_m.tolist(),
+            "moved_rms_m": found.model.coupled.moved_rms_m.tolist(),
+        },
         "diagnosed_axis": None if found.diagnosis is None else found.diagnosis.axis,
         "causes": [finding.effect for finding in causes],
         "remarks": list(found.model.remarks),
@@ -172,10 +181,23 @@ def _show_model(model: "ActuatorModel") -> None:
         console.print(_table(model))
     if model.tunnelling is not None:
         _show_tip(model.tunnelling)
+    if model.coupled is not None:
+        _show_coupled(model.coupled)
     for remark in model.remarks:
         console.print(plain(remark, style="dim"))
     for axis in model.axes.values():
         _show_axis(axis, console)
+
+
+def _show_coupled(coupled: "CoupledStage") -> None:
+    share = 100.0 * coupled.error_rms_m / coupled.moved_rms_m
+    kind = "on realisations left out" if coupled.error_is_left_out else "in sample"
+    levels = "; ".join(
+        f"{level:.3g} V rms: {', '.join(f'{error:.2f} %' for error in row)}"
+        for level, row in zip(coupled.levels_V, share, strict=True)
+    )
+    names = ", ".join(coupled.outputs)
+    say(f"coupled axes {names}: error {kind}, by level and axis, {levels}")
 
 
 def _show_axis(axis: "AxisModel", console: "Console") -> None:

@@ -27,6 +27,7 @@ from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
 from piezoid.identification import fit as identification
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
@@ -133,7 +134,9 @@ def diagnose(
     >>> found.axis, found.model is None
     ('x', True)
     """
-    held, declared = _recordings(recordings).recordings, _lab(lab)
+    declared = _lab(lab)
+    coupled = None if model is None else model.coupled
+    held = as_single_axes(_recordings(recordings).recordings, declared, coupled)
     refuse_misfits(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
     known = None if model is None else _known(model, wanted, held)

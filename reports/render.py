@@ -17,6 +17,7 @@ from piezoid.counts import in_counts
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
@@ -74,9 +75,10 @@ def render(
     lab         what the laboratory declared
     since       an earlier calibration beside this one
     """
+    recordings = as_single_axes(recordings, None, model.coupled)
     page = Page(
         model=model,
-        recordings=tuple(recordings),
+        recordings=recordings,
         traces=all_traces(model, recordings),
         model_digest=_sealed(files) or _digest(model),
         sweeps=tuple(sweeps),

@@ -83,7 +83,7 @@ def calibrate(
     Raises what fitting raises; a stage for which no controller can be designed is a calibration
     without one.
     """
-    blank, jobs = jobs_of(held, lab, threads)
+    blank, jobs = jobs_of(held, lab, threads, told)
     return finished(stage_of(blank, [run_job(job, told) for job in jobs]), lab, told, threads)
 
 

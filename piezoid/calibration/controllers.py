@@ -77,7 +77,12 @@ def controllers_of(
     Whatever stands in their way, model and report are there without them; a controller that could
     not be verified does not ship.
     """
-    from piezoid.design.stage import design_axes, design_of, without_damping
+    from piezoid.design.stage import (
+        design_axes,
+        design_of,
+        nothing_to_design,
+        without_damping,
+    )
     from piezoid.errors import PiezoidError, TemplateError
 
     design = None
@@ -86,13 +91,15 @@ def controllers_of(
         outcomes = (
             design_axes(model, lab=lab, progress=told) if designed is None else _outcomes(designed)
         )
-        design = design_of(outcomes, model_digest=digest, lab=lab)
+        if not outcomes:
+            raise nothing_to_design(model)
+        design = design_of(outcomes, model_digest=digest, lab=lab, coupled=model.coupled)
         made, reasons = _verified(model, design, lab, told, threads)
         slower = without_damping(outcomes, reasons)
         if slower == outcomes:
             return made
         told("trying again below the mode")
-        below = design_of(slower, model_digest=digest, lab=lab)
+        below = design_of(slower, model_digest=digest, lab=lab, coupled=model.coupled)
         below = replace(below, remarks=(*below.remarks, *_not_damped(design, below, reasons)))
         again, _ = _verified(model, below, lab, told, threads)
         return again if len(again.shipped) > len(made.shipped) else made

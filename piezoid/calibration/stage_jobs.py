@@ -94,20 +94,24 @@ class TipFound:
 
 
 def jobs_of(
-    held: "Collection", lab: "Lab | None", processes: int = 1
+    held: "Collection", lab: "Lab | None", processes: int = 1, told: Told = lambda _: None
 ) -> "tuple[ActuatorModel, list[AxisJob | TipJob]]":
-    """Return the stage before any fit, and what is to be done of it: the tip first.
+    """Return the stage before any fit of an axis, and what is to be done of it: the tip first.
+
+    Where lab.toml says that axes are coupled, the stage holds the model of the coupling already,
+    and the axes are fitted in the coordinates that it decouples.
 
     processes  of those that do the jobs; where there are fewer axes, each has threads instead
 
     Raises what ``fit`` raises where there is nothing to fit.
     """
-    from piezoid.identification.fit import axes_of, recorded_of, response_of, unfitted
+    from piezoid.identification.fit import recorded_of, response_of, unfitted_apart
     from piezoid.identification.tunnelling.loop_files import is_loop
     from piezoid.records.lab import Lab
 
-    stage = unfitted(held.recordings, lab or Lab(), held.sweeps, held.responses)
-    axes = axes_of(held.recordings)
+    declared = lab or Lab()
+    parted = unfitted_apart(held.recordings, declared, held.sweeps, held.responses, progress=told)
+    stage, alone, axes = parted.stage, parted.recordings, parted.axes
     tip = TipJob(
         stage=stage,
         recordings=tuple(filter(is_loop, held.recordings)),
@@ -119,9 +123,9 @@ def jobs_of(
         AxisJob(
             stage=stage,
             axis=axis,
-            recordings=recorded_of(held.recordings, axis),
+            recordings=recorded_of(alone, axis),
             lab=lab,
-            response=response_of(held.responses, axis, axes),
+            response=response_of(parted.responses, axis, axes),
             threads=max(processes // len(axes), 1),
         )
         for axis in axes

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from piezoid.design.certificate import Certificate
+from piezoid.design.decoupling import Decoupling
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import PlantFamily
@@ -14,7 +15,7 @@ from piezoid.design.sensitivity import Margins, margins, sensitivities
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.provenance import seal
-from piezoid.record_json import read_sealed, to_json
+from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
 
@@ -212,6 +213,7 @@ class Design:
     rig_digest     of what of it the design took, ``Lab.rig_digest``
     remarks        why too little is known of other axes of the model, whole sentences
     refused        by axis, why no controller of it meets what is asked
+    decoupling     of the axes whose drives act on all of their displacements; None: no such axes
     """
 
     axes: tuple[AxisDesign, ...]
@@ -220,6 +222,7 @@ class Design:
     rig_digest: str = ""
     remarks: tuple[str, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
+    decoupling: Decoupling | None = None
 
     def plot(self, *, axis: str | None = None, ax: "Axes | None" = None) -> "Axes":
         """Draw how much of a disturbance each loop leaves, over frequency.
@@ -258,7 +261,7 @@ class Design:
         >>> design.to_json()[:1]
         b'{'
         """
-        return seal(SCHEMA, to_json(self))
+        return seal(SCHEMA, to_json(self, LAYOUTS))
 
     def axis(self, name: str) -> AxisDesign:
         """Return one axis; ``KeyError`` if it was not designed.
@@ -270,6 +273,18 @@ class Design:
             if axis.axis == name:
                 return axis
         raise KeyError(f"no axis {name!r} in this design")
+
+
+LAYOUTS = (
+    RecordLayout(
+        kind=Design,
+        write=lambda one: {
+            name: value
+            for name, value in fields_of(one).items()
+            if name != "decoupling" or value is not None
+        },
+    ),
+)
 
 
 def design_from_json(content: bytes, place: str = "design.json") -> Design:

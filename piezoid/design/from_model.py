@@ -102,6 +102,9 @@ def lateral_task(
     )
 
 
+_QUICK = 1.0  # sampling rates, of the pole that carries what answers at once behind a delay
+
+
 @dataclass(frozen=True, kw_only=True)
 class Unseen:
     """From where on the response of an axis is not known, and what may be there.
@@ -220,7 +223,10 @@ def _plant(label: str, loop: LoopModel, gain_m_per_V: float, rate_Hz: float) -> 
     """Sample everything quick of an axis behind its converter's hold."""
     stage = cascade(loop.front, loop.behind)
     if stage.D.any():  # a sampled plant answers a sample late
-        stage = cascade(stage, first_order(INSTANTANEOUS * rate_Hz))
+        # Behind a delay the state of an instantaneous pole is the past command once more, which a
+        # delay keeps already: neither could be moved without the other.
+        quick = INSTANTANEOUS if loop.delay_s == 0.0 else _QUICK
+        stage = cascade(stage, first_order(quick * rate_Hz))
     whole = cascade(stage, loop.sensor)
     system = sample(whole.A, whole.B[:, 0] * gain_m_per_V, whole.C[0], 1.0 / rate_Hz, loop.delay_s)
     numerator, denominator = fraction(system)

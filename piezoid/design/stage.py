@@ -6,6 +6,7 @@ from functools import partial
 
 from piezoid.design.converters import converters_of
 from piezoid.design.damping import raised
+from piezoid.design.decoupling import decoupling_of
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.feasibility import at_feasible_bandwidth
 from piezoid.design.from_junction import axis_of, vertical_task
@@ -15,6 +16,7 @@ from piezoid.design.specification import Specification, specifications_from_toml
 from piezoid.design.vertical import design_vertical
 from piezoid.errors import DesignError, LabFileError, PiezoidError, TemplateError
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.records.lab import Lab
 from piezoid.records.which_voltage import passes, scale_of_output
 
@@ -93,8 +95,8 @@ def design_stage(
         progress=progress,
     )
     if not outcomes:
-        raise _nothing(model)
-    found = design_of(outcomes, model_digest=model_digest, lab=lab)
+        raise nothing_to_design(model)
+    found = design_of(outcomes, model_digest=model_digest, lab=lab, coupled=model.coupled)
     if (lab or Lab()).digest == (model.lab or ""):
         return found
     return replace(found, remarks=(*found.remarks, _edited(lab)))
@@ -127,8 +129,16 @@ def design_axes(
     return (*designed, *hindered)
 
 
-def design_of(outcomes: Sequence[Outcome], *, model_digest: str, lab: Lab | None = None) -> Design:
+def design_of(
+    outcomes: Sequence[Outcome],
+    *,
+    model_digest: str,
+    lab: Lab | None = None,
+    coupled: CoupledStage | None = None,
+) -> Design:
     """Put together what came of the axes of a stage, at least one; ``lab`` as for each of them.
+
+    coupled  of the model: how its axes are coupled
 
     Raises as ``design_stage`` does where no axis could be designed.
     """
@@ -137,12 +147,19 @@ def design_of(outcomes: Sequence[Outcome], *, model_digest: str, lab: Lab | None
     designed = tuple(outcome.design for outcome in outcomes if outcome.design is not None)
     if not designed:
         raise next(iter([*refused.values(), *obstacles]))
+    decoupling = None
+    if coupled is not None:
+        own = [one for one in designed if one.axis in coupled.outputs]
+        bandwidths_Hz = [one.recommended.bandwidth_Hz for one in own]
+        decoupling = decoupling_of(coupled, min(bandwidths_Hz, default=coupled.band_Hz[0]))
+    remarks = () if decoupling is None else (decoupling.text,)
     return Design(
         axes=designed,
         model_digest=model_digest,
         lab_digest=(lab or Lab()).digest,
         rig_digest=(lab or Lab()).rig_digest,
-        remarks=tuple(map(str, obstacles)),
+        decoupling=decoupling,
+        remarks=(*remarks, *map(str, obstacles)),
         refused={name: str(refusal) for name, refusal in refused.items()},
     )
 
@@ -264,11 +281,12 @@ def _between_converters(name: str, default: Specification, lab: Lab) -> Specific
     )
 
 
-def _nothing(model: ActuatorModel) -> DesignError:
+def nothing_to_design(model: ActuatorModel) -> DesignError:
+    """Return the refusal of a stage without any axis."""
     return DesignError(
         f"{model.stage}: the model holds no axis",
         needed="an axis with drive and displacement, or a tunnelling loop",
-        remedy="Fit recordings of the stage first.",
+        remedy=" ".join(model.remarks) or "Fit recordings of the stage first.",
     )
 
 

@@ -50,7 +50,7 @@ somebody, and call `pz_reset` from the background when they have looked.
 | axis | index | method | calls per second | plays | dead zones | observer order | states, bytes |
 | --- | --- | --- | --- | --- | --- | --- | --- |
 {axes}
-{unshipped}
+{unshipped}{decoupled}
 Parameters: {digest}
 Runtime source: {source}
 """
@@ -90,6 +90,7 @@ def bundle(file: ParameterFile) -> Bundle:
             which_voltage=fill(WHICH_VOLTAGE, 98),
             axes="\n".join(_row(place, axis) for place, axis in enumerate(file.axes)),
             unshipped=_unshipped(file),
+            decoupled=_decoupled(file),
             digest=digest,
             source=source_digest(),
         ),
@@ -104,6 +105,37 @@ def _unshipped(file: ParameterFile) -> str:
     return "".join(
         f"\nAxis {inert(axis)} is not in here: {inert(reason, length=600)}\n"
         for axis, reason in file.unshipped.items()
+    )
+
+
+_DECOUPLED = """
+The drives of the axes {names} act on all of their displacements. Before `pz_step`, multiply their
+references by the matrix `piezo_decoupling` of `piezo_params.h`, and their readings by the same
+matrix; the controllers then see axes that answer to their own drives, up to what `design.json`
+says is left. References alone are not enough: feedback would bring each reading, coupling
+included, to a reference that is not that of the axis. `golden.csv` and the limits of references
+are of the controllers, behind the matrix.
+
+| | {heads} |
+| --- | {rules} |
+{rows}
+"""
+
+
+def _decoupled(file: ParameterFile) -> str:
+    """Say what stands in front of the controllers, if anything does."""
+    found = file.decoupled
+    if found is None:
+        return ""
+    names = [inert(axis) for axis in found.axes]
+    return _DECOUPLED.format(
+        names=", ".join(names),
+        heads=" | ".join(names),
+        rules=" | ".join("---" for _ in names),
+        rows="\n".join(
+            f"| {name} | {' | '.join(f'{value:.6g}' for value in row)} |"
+            for name, row in zip(names, found.matrix, strict=True)
+        ),
     )
 
 

@@ -47,9 +47,20 @@ static const pz_parameters piezo_params[PIEZO_AXES] = {{
 """
 
 _BOTTOM = """\
-};
-
+}};
+{decoupling}
 #endif
+"""
+
+_DECOUPLING = """
+/* In front of pz_step, for references and for readings alike, in the order {axes}:
+ *     decoupled[i] = sum over k of piezo_decoupling[i][k] * axis[k]
+ */
+#define PIEZO_DECOUPLED {count}
+
+static const pz_real piezo_decoupling[PIEZO_DECOUPLED][PIEZO_DECOUPLED] = {{
+{rows}
+}};
 """
 
 
@@ -68,7 +79,18 @@ def c_header(file: ParameterFile, digest: str) -> str:
         ),
         **{f"sealed_{precision}": _sealed(file, precision) for precision in PRECISIONS},
     )
-    return top + "".join(_axis(axis) for axis in file.axes) + _BOTTOM
+    bottom = _BOTTOM.format(decoupling=_decoupling(file))
+    return top + "".join(_axis(axis) for axis in file.axes) + bottom
+
+
+def _decoupling(file: ParameterFile) -> str:
+    if file.decoupled is None:
+        return ""
+    return _DECOUPLING.format(
+        axes=", ".join(map(inert, file.decoupled.axes)),
+        count=len(file.decoupled.axes),
+        rows="\n".join(f"    {_literal(row)}," for row in file.decoupled.matrix),
+    )
 
 
 def _sealed(file: ParameterFile, precision: str) -> str:

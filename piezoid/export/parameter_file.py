@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import ParameterFileError
-from piezoid.numerics.arrays import Array
+from piezoid.numerics.arrays import Array, expect_shapes, freeze
 from piezoid.provenance import seal, unseal
+from piezoid.record_json import from_json as records_from_json
+from piezoid.record_json import to_json as records_to_json
 from piezoid.runtime.library import PRECISIONS, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 from piezoid.runtime.values import SEALED, Values, complete
@@ -91,6 +93,24 @@ def method_of(values: Values) -> str:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Decoupled:
+    """What references and readings are multiplied by in front of the controllers.
+
+        r' = D r,  y' = D y
+
+    axes    names, in the order of rows and columns; all of these displacements must be read
+    matrix  (axes, axes)  D
+    """
+
+    axes: tuple[str, ...]
+    matrix: Array
+
+    def __post_init__(self) -> None:
+        freeze(self, "matrix", ndim=2)
+        expect_shapes(self, {"matrix": (len(self.axes), len(self.axes))})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ParameterFile:
     """What ships.
 
@@ -98,12 +118,14 @@ class ParameterFile:
     axes       at least one, names all different, each usable by the runtime in both precisions
     sources    digests of the records it was made from, by what they are: ``model``, ``design``
     unshipped  by axis, why the stage's other axes are not among them
+    decoupled  of axes whose drives act on all of their displacements; None: no matrix is in front
     """
 
     name: str
     axes: tuple[AxisParameters, ...]
     sources: Mapping[str, str] = field(default_factory=dict)
     unshipped: Mapping[str, str] = field(default_factory=dict)
+    decoupled: Decoupled | None = None
 
     def __post_init__(self) -> None:
         names = [axis.axis for axis in self.axes]
@@ -141,12 +163,14 @@ class ParameterFile:
 
 def to_json(file: ParameterFile) -> bytes:
     """Return ``params.json``: sealed, one entry per parameter with its unit and meaning."""
+    decoupled = {} if file.decoupled is None else {"decoupled": records_to_json(file.decoupled)}
     return seal(
         SCHEMA,
         {
             "name": file.name,
             "sources": dict(file.sources),
             "unshipped": dict(file.unshipped),
+            **decoupled,
             "axes": [
                 {
                     "axis": a.axis,
@@ -184,6 +208,8 @@ def from_json(content: bytes, place: str) -> ParameterFile:
         ]
         name, sources = str(record["name"]), _texts(record["sources"])
         unshipped = _texts(record.get("unshipped", {}))
+        held = record.get("decoupled")
+        decoupled = None if held is None else records_from_json(Decoupled, held)
     except (KeyError, TypeError, ValueError) as error:
         raise _incomplete(place, f"no {error}") from error
     try:
@@ -199,6 +225,7 @@ def from_json(content: bytes, place: str) -> ParameterFile:
             ),
             sources=sources,
             unshipped=unshipped,
+            decoupled=decoupled,
         )
     except (ArithmeticError, TypeError, ValueError, AttributeError) as error:
         raise _incomplete(place, f"{type(error).__name__}: {error}") from error

@@ -4,7 +4,7 @@ from piezoid.design.design import AxisDesign, Design
 from piezoid.design.from_junction import loop_plant_of
 from piezoid.errors import ParameterFileError, PiezoidError
 from piezoid.export.from_design import lateral_axis, tunnelling_axis
-from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.export.parameter_file import AxisParameters, Decoupled, ParameterFile
 from piezoid.export.tip_guards import tip_guards
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.lab import Lab
@@ -59,7 +59,16 @@ def export_stage(
             "control": declared.control_digest,
         },
         unshipped={**design.refused, **unshipped},
+        decoupled=_decoupled(design, shipped),
     )
+
+
+def _decoupled(design: Design, shipped: list[AxisParameters]) -> Decoupled | None:
+    """Return the matrix in front of the controllers, where one of its axes ships."""
+    found = design.decoupling
+    if found is None or not {axis.axis for axis in shipped} & set(found.axes):
+        return None
+    return Decoupled(axes=found.axes, matrix=found.matrix)
 
 
 def _axis(model: ActuatorModel, design: AxisDesign, lab: Lab) -> AxisParameters:

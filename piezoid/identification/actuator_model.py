@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
+from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
@@ -48,6 +49,8 @@ class ActuatorModel:
     tunnelling  the junction, where its current was recorded
     remarks     what was recorded and could not be used
     controller_rate_Hz  at which a controller will run, as the laboratory declares; None: unknown
+    coupled     the axes whose drives act on all of their displacements; ``axes`` are then those of
+                the decoupled displacements. None: each drive has its own displacement alone
     """
 
     stage: str
@@ -57,6 +60,7 @@ class ActuatorModel:
     tunnelling: TunnellingModel | None = None
     remarks: tuple[str, ...] = ()
     controller_rate_Hz: float | None = None
+    coupled: CoupledStage | None = None
 
     def __getitem__(self, axis: str) -> AxisModel:
         """Return one axis, or refuse naming those there are."""
@@ -102,6 +106,18 @@ class ActuatorModel:
         ['x']
         """
         return replace(self, axes={**self.axes, axis.axis: axis})
+
+    def decoupled(self, recording: Recording) -> Recording:
+        """Return a recording as the axes of this stage see it; itself where nothing is coupled.
+
+        >>> model.decoupled(recordings["check.csv"]) is recordings["check.csv"]
+        True
+        """
+        if self.coupled is None:
+            return recording
+        from piezoid.identification.coupled.from_recordings import decoupled
+
+        return decoupled([recording], self.coupled)[0]
 
     def extended(self, *diagnoses: Diagnosed) -> "ActuatorModel":
         """Return the stage with what diagnoses of its axes found, as it ships.

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -10,6 +10,13 @@ import numpy as np
 from piezoid.counts import record_in_counts, refusing_in_counts
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.coupled.from_recordings import (
+    apart,
+    decoupled,
+    driven,
+    identify_coupled,
+    own_responses,
+)
 from piezoid.identification.discrepancy import with_discrepancy
 from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dynamics
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
@@ -52,7 +59,8 @@ def fit(
     both a drive and a displacement and there are neither sweeps nor closed loops.
     """
     declared = lab or Lab()
-    stage = unfitted(recordings, declared, sweeps, responses)
+    parted = unfitted_apart(recordings, declared, sweeps, responses, progress=progress)
+    stage, recordings, responses = parted.stage, parted.recordings, parted.responses
     progress("fitting the tunnelling current, where there is one")
     tunnelling = fit_junction(sweeps, recordings, declared)
     axes = {
@@ -60,12 +68,72 @@ def fit(
             recordings,
             axis,
             declared,
-            response=response_of(responses, axis, axes_of(recordings)),
+            response=response_of(responses, axis, parted.axes),
             progress=partial(_of_axis, progress, axis),
         )
-        for axis in axes_of(recordings)
+        for axis in parted.axes
     }
     return replace(stage, axes=axes, tunnelling=tunnelling)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parted:
+    """What is to be fitted axis by axis.
+
+    stage       before any fit of an axis; with the model of the coupling, where axes are coupled
+    recordings  that tell single axes, in the coordinates that decouple them
+    responses   that were measured, those of decoupled axes among them
+    axes        that are to be fitted: coupled ones that rest in all of these recordings are not
+    """
+
+    stage: ActuatorModel
+    recordings: Sequence[Recording]
+    responses: Sequence[FrequencyResponseRecord]
+    axes: tuple[str, ...]
+
+
+def unfitted_apart(
+    recordings: Sequence[Recording],
+    lab: Lab,
+    sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
+    *,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Parted:
+    """Identify the coupling, where lab.toml names coupled axes, and part what single axes tell.
+
+    Raises as ``unfitted`` and ``identify_coupled`` do.
+    """
+    coupled = identify_coupled(recordings, lab, progress=progress)
+    if coupled is None:
+        stage = unfitted(recordings, lab, sweeps, responses)
+        axes = axes_of(recordings)
+        return Parted(stage=stage, recordings=recordings, responses=responses, axes=axes)
+    alone = apart(decoupled(recordings, coupled), coupled)
+    told = alone if axes_of(alone) or sweeps else recordings
+    stage = unfitted(told, lab, sweeps, responses)
+    if told is not alone:  # nothing is fitted to them: what is odd about them as loops is no news
+        stage = replace(stage, remarks=())
+    moved = {axis for one in alone for axis in driven(one, coupled.inputs)}
+    axes = tuple(a for a in axes_of(alone) if a in moved or a not in coupled.inputs)
+    untold = [axis for axis in coupled.outputs if axis not in axes]
+    remarks = tuple(
+        f"axis {axis}: it is driven only where all coupled axes are, by drives that repeat, which "
+        "tells their coupling and no loop. Record a slow sweep of it over its range, the other "
+        "axes at rest, to have its hysteresis and a controller."
+        for axis in untold
+    )
+    return Parted(
+        stage=replace(
+            stage,
+            coupled=coupled,
+            sources={one.name: one.digest for one in recordings} | dict(stage.sources),
+            remarks=(*stage.remarks, *remarks),
+        ),
+        recordings=alone,
+        responses=(*responses, *own_responses(recordings, coupled, lab.coupled)),
+        axes=axes,
+    )
 
 
 def unfitted(

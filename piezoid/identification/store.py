@@ -37,7 +37,8 @@ def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
 def _stage_entry(model: ActuatorModel) -> dict[str, Any]:
     held = fields_of(model)
     first = {"stage": held.pop("stage"), "gauge": GAUGE, "sources": held.pop("sources")}
-    return {**first, "lab": held.pop("lab"), **held}
+    whole = {**first, "lab": held.pop("lab"), **held}
+    return {name: value for name, value in whole.items() if name != "coupled" or value is not None}
 
 
 def _stage(entry: Mapping[str, Any]) -> ActuatorModel:

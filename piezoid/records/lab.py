@@ -11,6 +11,7 @@
     [verification]   limits by name, in place of the defaults
     [uncertainty]    sensor_gain_relative, sensor_linearity_m, tilt_rad, temperature_range_K,
                      expansion_m_per_K
+    [coupled]        axes, settling_periods
     [axis.z.sensor]  the same tables for one axis, each replacing the one above it
     [[recording]]    file, axis, columns, units, scale, offset, sampling_rate_Hz, start_s, stop_s,
                      reverse, includes, separator, decimal, heading_row
@@ -42,6 +43,7 @@ from piezoid.records.lab_tables import (
     Amplifier,
     AxisRig,
     Certificates,
+    Coupled,
     RecordingEntry,
     RigName,
     Sensor,
@@ -57,6 +59,7 @@ __all__ = (
     "Amplifier",
     "AxisRig",
     "Certificates",
+    "Coupled",
     "Lab",
     "RecordingEntry",
     "Sensor",
@@ -78,6 +81,7 @@ class _Contents(Table, frozen=True, kw_only=True):
     tunnelling: Tunnelling = Tunnelling()
     verification: dict[str, float] = msgspec.field(default_factory=dict)
     uncertainty: Certificates = Certificates()
+    coupled: Coupled = Coupled()
     recording: tuple[RecordingEntry, ...] = ()
     axis: dict[str, AxisRig] = msgspec.field(default_factory=dict)
 
@@ -93,6 +97,7 @@ class Lab:
     amplifier, actuator, sensor, acquisition, tunnelling   its tables
     verification  limits by name; what they mean is known where they are judged
     certificates  what certificates say of the sensor and the room
+    coupled      which axes are driven by each other's drives too
     recordings   its ``[[recording]]`` entries
     axes         what differs on single axes
     """
@@ -108,6 +113,7 @@ class Lab:
     tunnelling: Tunnelling = field(default_factory=Tunnelling)
     verification: dict[str, float] = field(default_factory=dict)
     certificates: Certificates = field(default_factory=Certificates)
+    coupled: Coupled = field(default_factory=Coupled)
     recordings: tuple[RecordingEntry, ...] = ()
     axes: dict[str, AxisRig] = field(default_factory=dict)
 
@@ -262,6 +268,7 @@ def read_lab(path: Path) -> Lab:
         tunnelling=contents.tunnelling,
         verification=contents.verification,
         certificates=contents.uncertainty,
+        coupled=contents.coupled,
         recordings=contents.recording,
         axes=contents.axis,
     )
@@ -277,6 +284,7 @@ def _check(path: Path, lab: Lab) -> None:
         ("[acquisition]", lab.acquisition),
         ("[tunnelling]", lab.tunnelling),
         ("[uncertainty]", lab.certificates),
+        ("[coupled]", lab.coupled),
     ]
     for name, rig in lab.axes.items():
         held = (("amplifier", rig.amplifier), ("actuator", rig.actuator), ("sensor", rig.sensor))
@@ -289,6 +297,9 @@ def _check(path: Path, lab: Lab) -> None:
             check_range(path, place, "output", table.output_min_V, table.output_max_V)
         if isinstance(table, RecordingEntry):
             _check_entry(path, place, table)
+    axes = lab.coupled.axes
+    if len(set(axes)) != len(axes) or len(axes) == 1:
+        raise refusal(path, f"[coupled] axes are {list(axes)}", "two axes or more, each once")
     if lab.acquisition.input_range_V is not None:
         for end_V in lab.acquisition.input_range_V:
             check_number(path, "[acquisition]", "input_range_V", end_V)

@@ -28,6 +28,7 @@ _NOT_NEGATIVE = (
     "tilt_rad",
     "temperature_range_K",
     "expansion_m_per_K",
+    "settling_periods",
 )
 _NOT_ZERO = ("gain_V_per_V", "gain_m_per_V", "gain_V_per_m", "set_point_A", "scale")
 _SHARES = ("extension_uncertainty",)

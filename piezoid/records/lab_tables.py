@@ -113,6 +113,17 @@ class Certificates(Table, frozen=True, kw_only=True):
     expansion_m_per_K: float | None = None
 
 
+class Coupled(Table, frozen=True, kw_only=True):
+    """``[coupled]``: axes whose drives act on all of their displacements.
+
+    axes              two or more, in the order of the matrix that decouples them
+    settling_periods  at the begin of every recording of a repeating drive, which are not steady
+    """
+
+    axes: tuple[str, ...] = ()
+    settling_periods: int = 1
+
+
 class RecordingEntry(Table, frozen=True, kw_only=True):
     """``[[recording]]``: how one file is to be read.
 

@@ -112,6 +112,7 @@ def run_axis(
     *,
     rng: np.random.Generator,
     disturbance: Array | None = None,
+    beside: Array | None = None,
     fault: Array | None = None,
     reset_at: int | None = None,
     precision: str = "double",
@@ -120,6 +121,7 @@ def run_axis(
 
     reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
     disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
+    beside       (samples,)  m added to the position behind everything else that moves the axis
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
     reset_at     before this sample an operator resets the controller; None: never
     precision    of the runtime, ``double`` or ``float``
@@ -134,10 +136,11 @@ def run_axis(
     controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
     preview = int(parameters.values["preview_samples"])
     ahead = np.minimum(np.arange(samples) + preview, samples - 1)
+    added = np.zeros(samples) if beside is None else beside
     inputs = {
         "reference": np.ascontiguousarray(reference[ahead]),
         "disturbance": _disturbance(plant, disturbance, samples),
-        "noise": plant.noise(samples, rng),
+        "noise": plant.noise(samples, rng) + added,
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),
     }
     outputs = {name: np.empty(samples) for name in ("driven", "position", "measured", "voltage_V")}
@@ -149,6 +152,7 @@ def run_axis(
     for name, array in {**inputs, **outputs}.items():
         setattr(run, name, kept.address(array))
     loop_library().pl_loop(ctypes.addressof(begun), ctypes.addressof(run))
+    outputs["position"] += added
     return LoopRecord(
         axis=plant.axis,
         sampling_rate_Hz=plant.sampling_rate_Hz,

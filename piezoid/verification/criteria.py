@@ -30,6 +30,7 @@ class Limits:
     overshoot_percent   of the largest step
     varied_percent      of the diameter, shape error with any plant the uncertainty allows
     fault_percent       of the diameter, furthest from the path with a failed sensor
+    coupling_percent    of the motion of a coupled axis, amplitude of another one, at judged_Hz
     ln_current          standard deviation of ln i, up to judged_Hz
     blind_s             after which a stage without a sensor is held at constant voltage
     closest_m           how much closer to the surface a tip comes than its set point holds it
@@ -44,6 +45,7 @@ class Limits:
     overshoot_percent: float = 40.0
     varied_percent: float = 1.0
     fault_percent: float = 15.0
+    coupling_percent: float = 1.0
     ln_current: float = 0.5
     blind_s: float = 0.15
     closest_m: float = 4e-10

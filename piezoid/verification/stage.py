@@ -70,6 +70,7 @@ def verify_stage(
         seed=seed,
         threads=threads,
         lab_digest=declared.digest,
+        coupled=model.coupled,
     )
 
 

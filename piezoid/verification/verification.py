@@ -64,6 +64,24 @@ class CurrentRow:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CouplingRow:
+    """What one axis does while another one moves to and fro, both under control.
+
+    moved           axis whose reference moves, in the displacements of the sensors
+    answers         the other one
+    frequency_Hz    of the motion
+    percent         amplitude of the other, of that of the motion
+    without_percent  the same without the matrix in front; None: the loops do not settle
+    """
+
+    moved: str
+    answers: str
+    frequency_Hz: float
+    percent: float
+    without_percent: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Verification:
     """What was run, what came out, and whether it passed.
 
@@ -74,6 +92,7 @@ class Verification:
     spirals, currents   further numbers
     traces           a few spirals place by place, for pictures
     motions          rasters and steps in time, likewise; not in the file if empty
+    coupling         what coupled axes do to each other in closed loop; not in the file if empty
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
     limit_proofs     what abstract interpretation says of every input; not in the file if empty
@@ -97,6 +116,7 @@ class Verification:
     lab_digest: str = ""
     limit_proofs: tuple[LimitProof, ...] = ()
     motions: tuple[Motion, ...] = ()
+    coupling: tuple[CouplingRow, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -147,8 +167,9 @@ class Verification:
 
 
 def _fields(found: Verification) -> dict[str, Any]:
-    """Return the entries of the file; without proofs or motions as before there were any."""
-    return {k: v for k, v in fields_of(found).items() if v or k not in ("limit_proofs", "motions")}
+    """Return the entries of the file; what came later only where there is any."""
+    later = ("limit_proofs", "motions", "coupling")
+    return {k: v for k, v in fields_of(found).items() if v or k not in later}
 
 
 LAYOUTS = (

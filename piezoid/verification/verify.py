@@ -6,12 +6,14 @@ import numpy as np
 
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
+from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
 from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.coupled_loop import coupling_rows, judged
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.motion import BESIDE, SHOWN, Motion, motions_of
@@ -39,6 +41,7 @@ def verify(
     seed: int = 0,
     threads: int = 1,
     lab_digest: str = "",
+    coupled: CoupledStage | None = None,
 ) -> Verification:
     """Run what ships against plants, scenario by scenario, and judge it.
 
@@ -52,6 +55,7 @@ def verify(
     seed        of every noise
     threads     so many axes of a path run at once; what is found does not depend on it
 
+    coupled     how the axes move each other, beside what their plants know; None: not at all
     lab_digest  of the lab.toml that declared plants and limits, to stand in the record
 
     Raises ``ParameterFileError`` for an axis without a plant.
@@ -66,6 +70,9 @@ def verify(
         else:
             _run(bench, scenario)
     judge_trials(bench, trials)
+    coupling = coupling_rows(bench, coupled)
+    if coupling:
+        bench.verdicts.append(judged(coupling, bench.limits.coupling_percent))
     drawn = [plant for chosen in variations for plant in chosen]
     shipped = {axis.axis: axis for axis in file.axes}
     drive = criteria.drive(bench.records, shipped)
@@ -85,6 +92,7 @@ def verify(
         parameters_digest=digest_of(file),
         runtime_digest=source_digest(),
         lab_digest=lab_digest,
+        coupling=coupling,
     )
 
 

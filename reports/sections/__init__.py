@@ -5,6 +5,7 @@ from collections.abc import Callable
 from piezoid_reports.page import Page, Section
 from piezoid_reports.sections import (
     certificate,
+    coupling,
     design,
     diagnosis,
     dynamics,
@@ -31,6 +32,7 @@ Render = Callable[[Page], Section | None]
 SECTIONS: tuple[Render, ...] = (
     verdict.render,
     since.render,
+    coupling.render,
     measures.render,
     motion.render,
     loops.render,
@@ -55,6 +57,7 @@ SECTIONS: tuple[Render, ...] = (
 OF_STAGE: tuple[Render, ...] = (
     verdict.render,
     since.render,
+    coupling.render,
     tunnelling.render,
     tunnelling_loop.render,
     design.render,

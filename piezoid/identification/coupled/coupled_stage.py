@@ -6,13 +6,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.errors import IdentificationError
+from piezoid.identification.coupled.distortion import distortion_terms
 from piezoid.identification.coupled.hysteresis_terms import (
     TERMS,
     at_lines,
     hysteresis_terms,
     oversampled,
 )
-from piezoid.identification.coupled.modal_sum import modal_columns
+from piezoid.identification.coupled.modal_sum import complex_residues, modal_columns
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
 from piezoid.numerics.quantiles import student_quantile
 
@@ -50,6 +51,15 @@ class CoupledStage:
     term_V               (inputs, TERMS)  c
     linear_V             (2, inputs)  what c leaves of drive and elongation: F is without them
     replicate_frequency  (replicates, 2, modes)  log_frequency, each without one realisation
+    equivalent_gain      (levels, inputs, 2)  what the terms add to drive and elongation where the
+                         level is one of the data's, V/V: their describing function
+    moved_rms_m          (levels, outputs)  of the data
+    noise_rms_m          (levels, outputs)  of one period about the mean of its realisation
+    error_rms_m          (levels, outputs)  of the means of the periods
+    error_is_left_out    each realisation's error is of a fit without it; otherwise in sample
+    distortion_m         (columns, terms, outputs)  W of ``distortion``, added to Y; None: too few
+                         data tell it
+    recordings           names of those it was fitted to; none where it was fitted to arrays
     """
 
     inputs: tuple[str, ...]
@@ -67,16 +77,31 @@ class CoupledStage:
     term_V: Array
     linear_V: Array
     replicate_frequency: Array
+    equivalent_gain: Array
+    moved_rms_m: Array
+    noise_rms_m: Array
+    error_rms_m: Array
+    error_is_left_out: bool
+    distortion_m: Array | None = None
+    recordings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "levels_V", "lag_Hz")
         freeze(self, "log_frequency", "log_damping", ndim=2)
         freeze(self, "elongation_V_per_m", "scale_V", "term_V", "linear_V", ndim=2)
-        freeze(self, "replicate_frequency", ndim=3)
+        freeze(self, "moved_rms_m", "noise_rms_m", "error_rms_m", ndim=2)
+        freeze(self, "replicate_frequency", "equivalent_gain", ndim=3)
         freeze(self, "residue_m_per_V", ndim=4)
+        if self.distortion_m is not None:
+            freeze(self, "distortion_m", ndim=3)
         modes, inputs = self.log_frequency.shape[1], len(self.inputs)
         columns = 2 * modes + len(self.lag_Hz) + 1
+        levels = len(self.levels_V)
         expected = {
+            "equivalent_gain": (levels, inputs, 2),
+            **dict.fromkeys(
+                ("moved_rms_m", "noise_rms_m", "error_rms_m"), (levels, len(self.outputs))
+            ),
             "residue_m_per_V": (2, columns, len(self.outputs), inputs),
             "elongation_V_per_m": (inputs, len(self.outputs)),
             "term_V": (inputs, TERMS),
@@ -143,10 +168,87 @@ class CoupledStage:
         f = np.arange(len(spectrum)) * self.sampling_rate_Hz / len(drive)
         spectrum[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
         linear = self._undelayed(f, coordinate)
-        added = self._hysteresis(spectrum, linear, len(drive), periodic)
+        drives, elongations = self._signals(spectrum, linear, len(drive))
+        added = self._hysteresis(drives, elongations, f, periodic)
         moved = np.einsum("foi,fi->fo", linear, spectrum + added)
+        if self.distortion_m is not None:
+            terms = distortion_terms(drives, elongations, periodic=periodic)
+            lines = at_lines(terms, np.arange(len(f)))
+            lines[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
+            columns = self._columns(f, coordinate)
+            moved += np.einsum("fc,ft,cto->fo", columns, lines, self.distortion_m, optimize=True)
         moved *= np.exp(-2j * np.pi * f * self.delay_s)[:, None]
         return np.asarray(np.fft.irfft(moved, len(drive), axis=0)[:count])
+
+    @property
+    def coupling_m_per_V(self) -> Array:
+        """What each displacement does per volt of each drive, (outputs, inputs), m/V.
+
+        Well below the first mode, at the centre of the levels, where B is its inverse.
+
+        >>> coupled.coupling_m_per_V.shape
+        (1, 1)
+        """
+        return np.asarray(np.linalg.pinv(self.elongation_V_per_m))
+
+    @property
+    def decoupling(self) -> Array:
+        """D: D y answers, well below the first mode, to each drive alone, (outputs, outputs).
+
+            D = diag(G_0) G_0^-1
+
+        Raises ``IdentificationError`` where drives and displacements are not the same axes.
+
+        >>> coupled.decoupling.tolist()
+        [[1.0]]
+        """
+        if self.inputs != self.outputs:
+            raise IdentificationError(
+                f"drives of {', '.join(self.inputs)}, displacements of {', '.join(self.outputs)}",
+                needed="a displacement of each driven axis",
+                remedy="Name drives and displacements by the axes they belong to.",
+            )
+        return np.asarray(np.diag(self.coupling_m_per_V)[:, None] * self.elongation_V_per_m)
+
+    def gain_change(self, frequency_Hz: ArrayLike) -> Array:
+        """Return how the gain changes from the smallest level to the largest, (lines, 2).
+
+        The relative change of the Frobenius norm of the response: of the whole model, its terms by
+        their equivalent gain, and without the terms.
+
+        >>> coupled.gain_change([10.0]).shape
+        (1, 2)
+        """
+        f = np.asarray(frequency_Hz, dtype=np.float64)
+        gains = []
+        for place in (0, -1):
+            bare = self._undelayed(f, self.coordinate(float(self.levels_V[place])))
+            on_drive, on_elongation = self.equivalent_gain[place].T
+            driven = np.eye(len(self.inputs)) * (1.0 + on_drive)
+            driven = driven + on_elongation[:, None] * (self.elongation_V_per_m @ bare)
+            gains.append([np.linalg.norm(one, axis=(1, 2)) for one in (bare @ driven, bare)])
+        low, high = np.array(gains)
+        return np.asarray((high / low - 1.0).T)
+
+    def hysteretic_frequency_change(self) -> Array:
+        """Return what the terms move each mode by between the levels, to first order, (modes,).
+
+            dw / w = Im tr(A B R),   A = diag(equivalent gain of the elongations)
+
+        Relative, and beside ``frequency_change``, which is that of the response behind the terms.
+
+        >>> coupled.hysteretic_frequency_change().shape
+        (1,)
+        """
+        shifts = []
+        for place in (0, -1):
+            l = self.coordinate(float(self.levels_V[place]))  # noqa: E741
+            residue = complex_residues(
+                self.residue_m_per_V[0] + l * self.residue_m_per_V[1], self.log_frequency.shape[1]
+            )
+            weight = self.equivalent_gain[place][:, 1, None] * self.elongation_V_per_m
+            shifts.append(0.5 * np.einsum("io,moi->m", weight, residue).imag)
+        return np.asarray(shifts[1] - shifts[0])
 
     def mode_frequency_Hz(self, level_V: float) -> Array:
         """Return the undamped frequencies of the modes at a level, (modes,), Hz.
@@ -194,29 +296,37 @@ class CoupledStage:
         """Return what the modes' envelopes decay with, in Hz, at the centre of the levels."""
         return np.asarray(np.exp(self.log_frequency[0] + self.log_damping[0]))
 
-    def _undelayed(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
+    def _columns(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
         log_frequency = self.log_frequency[0] + coordinate * self.log_frequency[1]
         log_damping = self.log_damping[0] + coordinate * self.log_damping[1]
-        columns = modal_columns(frequency_Hz, log_frequency, log_damping, self.lag_Hz)
+        return modal_columns(frequency_Hz, log_frequency, log_damping, self.lag_Hz).value
+
+    def _undelayed(self, frequency_Hz: Array, coordinate: float) -> ComplexArray:
         residue = self.residue_m_per_V[0] + coordinate * self.residue_m_per_V[1]
-        return np.asarray(np.einsum("fc,coi->foi", columns.value, residue))
+        columns = self._columns(frequency_Hz, coordinate)
+        return np.asarray(np.einsum("fc,coi->foi", columns, residue))
+
+    def _signals(
+        self, spectrum: ComplexArray, linear: ComplexArray, samples: int
+    ) -> tuple[Array, Array]:
+        """Return drives and elongations over their scales, (fine samples, inputs)."""
+        moved = np.einsum("foi,fi->fo", linear, spectrum)
+        both = spectrum, moved @ self.elongation_V_per_m.T
+        drives, elongations = (oversampled(one, samples) for one in both)
+        return drives / self.scale_V[0], elongations / self.scale_V[1]
 
     def _hysteresis(
-        self, spectrum: ComplexArray, linear: ComplexArray, samples: int, periodic: bool
+        self, drives: Array, elongations: Array, frequency_Hz: Array, periodic: bool
     ) -> ComplexArray:
         """Return the lines of phi."""
-        drive = oversampled(spectrum, samples)
-        moved = np.einsum("foi,fi->fo", linear, spectrum)
-        elongation = oversampled(moved @ self.elongation_V_per_m.T, samples)
-        lines = np.arange(samples // 2 + 1)
-        added = np.zeros_like(spectrum)
+        lines = np.arange(len(frequency_Hz))
+        added = np.zeros((len(lines), len(self.inputs)), dtype=np.complex128)
         for i, weight in enumerate(self.term_V):
-            u, s = drive[:, i] / self.scale_V[0, i], elongation[:, i] / self.scale_V[1, i]
+            u, s = drives[:, i], elongations[:, i]
             terms = hysteresis_terms(u, s, periodic=periodic) @ weight
             linear_u, linear_s = self.linear_V[:, i]
             added[:, i] = at_lines(terms - linear_u * u - linear_s * s, lines)
-        f = lines * self.sampling_rate_Hz / samples
-        added[(f < 0.5 * self.band_Hz[0]) | (f > self.band_Hz[1])] = 0.0
+        added[(frequency_Hz < 0.5 * self.band_Hz[0]) | (frequency_Hz > self.band_Hz[1])] = 0.0
         return added
 
 

@@ -9,12 +9,18 @@ the linear fit left of it: what is disturbed counts less.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.identification.coupled.distortion import (
+    distortion_terms,
+    fitted_distortion,
+    is_determined,
+)
 from piezoid.identification.coupled.hysteresis_terms import (
     TERMS,
     at_lines,
@@ -42,6 +48,7 @@ SMOOTHED = 5  # lines the start is averaged over: single ones give poles of nois
 LEAST_DAMPING = 0.003  # of a start: below, a pole follows noise
 ANOTHER = 0.02  # relative distance of modes: levels of 1 to 3 move one by up to half as much
 ROUNDS = 2  # of terms from elongations, elongations from the fit
+GROUPS = 3  # of realisations, for the error of the distortion where it is left out
 LINEAR, WITH_TERMS, LEFT_OUT = (
     Rule(tolerance=2e-3, iterations=12),
     Rule(tolerance=2e-3, iterations=6),
@@ -83,8 +90,23 @@ def fit_coupled(
         numbers, residue = fitted(problem, numbers, WITH_TERMS)
     shapes = [numbers]
     count = min(one.voltage_V.shape[2] for one in data)
-    if intervals and count > problem.inputs + 1:
-        shapes = [fitted(_without(problem, r), numbers, LEFT_OUT)[0] for r in range(count)]
+    models = [(numbers, residue)] * count
+    is_left_out = intervals and count > problem.inputs + 1
+    if is_left_out:
+        models = [fitted(_without(problem, r), numbers, LEFT_OUT) for r in range(count)]
+        shapes = [one for one, _ in models]
+    linear = [_left(problem, k, numbers, residue) for k in range(len(data))]
+    groups = np.array_split(np.arange(count), GROUPS if is_left_out else 1)
+    whole, apart = _distortion(problem, numbers, linear, elongation, scale, groups)
+    error = []
+    for k, level in enumerate(problem.levels):
+        own = np.empty((count, len(data[0].outputs)))
+        for group, added in zip(groups, apart, strict=True):
+            for r in group:
+                rest = _left(problem, k, *models[r])[..., r]
+                rest = rest - (0.0 if added is None else added.lines(k)[..., r])
+                own[r] = np.sqrt(2.0 * (np.abs(rest) ** 2).sum(axis=0)) / level.samples
+        error.append(own)
     return CoupledStage(
         inputs=data[0].inputs,
         outputs=data[0].outputs,
@@ -104,6 +126,14 @@ def fit_coupled(
         term_V=numbers.term_V,
         linear_V=np.einsum("ick,ik->ci", share, numbers.term_V),
         replicate_frequency=np.stack([one.log_frequency for one in shapes]),
+        equivalent_gain=_equivalent_gains(problem, numbers, residue, elongation),
+        moved_rms_m=np.stack(
+            [_rms(one.displacement_m - one.displacement_m.mean(axis=0)) for one in data]
+        ),
+        noise_rms_m=np.stack([_noise(one) for one in data]),
+        error_rms_m=np.stack([np.sqrt((one**2).mean(axis=0)) for one in error]),
+        error_is_left_out=is_left_out,
+        distortion_m=None if whole is None else whole.weight,
     )
 
 
@@ -314,6 +344,111 @@ def _share(
             gathered.append(flat.view(np.float64).T)
     terms, u, s = (np.concatenate(gathered) for gathered in rows)
     return linear_share(terms, u[:, 0], s[:, 0])
+
+
+def _columns(problem: Problem, place: int, numbers: Numbers) -> ComplexArray:
+    level = problem.levels[place]
+    l = problem.coordinate(level)  # noqa: E741
+    return modal_columns(
+        level.frequency_Hz,
+        numbers.log_frequency[0] + l * numbers.log_frequency[1],
+        numbers.log_damping[0] + l * numbers.log_damping[1],
+        problem.lag_Hz,
+    ).value
+
+
+def _left(problem: Problem, place: int, numbers: Numbers, residue: Array) -> ComplexArray:
+    """Return what a model leaves of one level, undelayed, (lines, outputs, realisations)."""
+    level, columns = problem.levels[place], _columns(problem, place, numbers)
+    l = problem.coordinate(level)  # noqa: E741
+    response = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
+    driven = level.drive
+    if level.terms is not None:
+        driven = driven + np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
+    advanced = np.exp(2j * np.pi * level.frequency_Hz * numbers.delay_s)[:, None, None]
+    return np.asarray(advanced * level.moved - response @ driven)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Distortion:
+    """Weights of the distortion, and what they act on, level by level."""
+
+    weight: Array
+    columns: Sequence[ComplexArray]
+    terms: Sequence[ComplexArray]
+
+    def lines(self, place: int) -> ComplexArray:
+        """Return what they add at one level, (lines, outputs, realisations)."""
+        both = self.columns[place], self.terms[place]
+        return np.asarray(np.einsum("fc,ftr,cto->for", *both, self.weight, optimize=True))
+
+
+def _distortion(
+    problem: Problem,
+    numbers: Numbers,
+    left: Sequence[ComplexArray],
+    elongation: Array,
+    scale: Array,
+    groups: Sequence[NDArray[np.int64]],
+) -> tuple[_Distortion | None, list[_Distortion | None]]:
+    """Return the distortion of all realisations, and of all but each group; None: not told."""
+    residue = Point(problem, problem.pack(numbers)).residue
+    columns, terms = [], []
+    for k, level in enumerate(problem.levels):
+        columns.append(_columns(problem, k, numbers))
+        both = _elongations(problem, level, numbers, residue, elongation)
+        u, s = (one / scale[i, :, None] for i, one in enumerate(both))
+        terms.append(
+            np.stack(
+                [
+                    at_lines(distortion_terms(u[..., r], s[..., r], periodic=True), level.lines)
+                    for r in range(u.shape[2])
+                ],
+                axis=2,
+            )
+        )
+    rows = sum(2 * one.drive.shape[0] * one.drive.shape[2] for one in problem.levels)
+    if not is_determined(columns[0].shape[1], terms[0].shape[1], rows):
+        return None, [None] * len(groups)
+    whole, apart = fitted_distortion(columns, terms, left, groups)
+    made = [_Distortion(weight=W, columns=columns, terms=terms) for W in (whole, *apart)]
+    return made[0], list(made[1:])
+
+
+def _equivalent_gains(
+    problem: Problem, numbers: Numbers, residue: Array, elongation: Array
+) -> Array:
+    """Return the regression of the terms on drive and elongation, (levels, inputs, 2), V/V."""
+    found = np.zeros((len(problem.levels), problem.inputs, 2))
+    for k, level in enumerate(problem.levels):
+        if level.terms is None:
+            continue
+        signals = [
+            at_lines(one, level.lines)
+            for one in _elongations(problem, level, numbers, residue, elongation)
+        ]
+        added = np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
+        for i in range(problem.inputs):
+            flat = [
+                np.ascontiguousarray(one[:, i].ravel()).view(np.float64)
+                for one in (added, *signals)
+            ]
+            found[k, i] = linear_share(flat[0][:, None], flat[1], flat[2])[:, 0]
+    return found
+
+
+def _rms(moved_m: Array) -> Array:
+    """Return the rms of each output, (outputs,), of (samples, outputs, ...)."""
+    return np.asarray(np.sqrt((moved_m**2).mean(axis=(0, *range(2, moved_m.ndim)))))
+
+
+def _noise(data: PeriodicData) -> Array:
+    """Return the rms of a period about the mean of its realisation, (outputs,), m."""
+    periods = data.displacement_m.shape[3]
+    if periods < 2:
+        return np.zeros(len(data.outputs))
+    apart = data.displacement_m - data.displacement_m.mean(axis=3, keepdims=True)
+    return _rms(apart) * float(np.sqrt(periods / (periods - 1)))
 
 
 def _without(problem: Problem, realisation: int) -> Problem:

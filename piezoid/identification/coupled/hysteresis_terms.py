@@ -33,7 +33,8 @@ def hysteresis_terms(drive: Array, elongation: Array, *, periodic: bool) -> Arra
     """
     u, s = drive, elongation
     powers = np.stack([s**2, u**2, s * u, s**3, u**3, s**2 * u, s * u**2], axis=1)
-    return np.concatenate([_plays(s, periodic), _plays(u, periodic), powers], axis=1)
+    parts = [plays(one, THRESHOLDS, periodic=periodic) for one in (s, u)]
+    return np.concatenate([*parts, powers], axis=1)
 
 
 def linear_share(terms: Array, drive: Array, elongation: Array) -> Array:
@@ -46,11 +47,13 @@ def linear_share(terms: Array, drive: Array, elongation: Array) -> Array:
     return np.asarray(np.linalg.lstsq(both, terms, rcond=None)[0])
 
 
-def _plays(signal: Array, periodic: bool) -> Array:
-    memory = np.zeros(len(THRESHOLDS))
+def plays(signal: Array, half_width: Array, *, periodic: bool) -> Array:
+    """Return plays of a signal, (samples, half-widths), settled where it is periodic."""
+    memory = np.zeros(len(half_width))
+    x = np.ascontiguousarray(signal)
     if periodic:
-        _, memory = play_columns(signal, THRESHOLDS, memory)
-    return play_columns(signal, THRESHOLDS, memory)[0]
+        _, memory = play_columns(x, half_width, memory)
+    return play_columns(x, half_width, memory)[0]
 
 
 def oversampled(spectrum: np.ndarray, samples: int) -> Array:

@@ -44,15 +44,17 @@ class PeriodicRecordings:
     data: PeriodicData
 
 
-def find_repetition(voltage_V: Array) -> Repetition | None:
+def find_repetition(voltage_V: Array, *, fewest: int = SETTLING + FEWEST) -> Repetition | None:
     """Return where and how a drive repeats, or None.
+
+    fewest  periods the drive must have room for
 
     The period is the first lag at which the steps of the drive correlate with themselves, after
     they once did not; then every sample must repeat. Rest and ramps at the ends do not matter.
     """
     steps = np.diff(voltage_V)
     moving = np.flatnonzero(np.abs(steps) > SAME * np.abs(steps).max(initial=0.0))
-    period = _period(steps[moving[0] : moving[-1] + 1]) if len(moving) else None
+    period = _period(steps[moving[0] : moving[-1] + 1], fewest) if len(moving) else None
     if period is None:
         return None
     reach_V = float(np.ptp(voltage_V))
@@ -89,11 +91,11 @@ def periodic_recordings(
     )
 
 
-def _period(steps: Array) -> int | None:
+def _period(steps: Array, fewest: int) -> int | None:
     """Lag of the first peak of the correlation, each lag over the energies it compares."""
     count = len(steps)
     padded = next_fast_len(2 * count, real=True)
-    together = irfft(np.abs(rfft(steps, padded)) ** 2, padded)[: count // (SETTLING + FEWEST)]
+    together = irfft(np.abs(rfft(steps, padded)) ** 2, padded)[: (count + 1) // fewest + 1]
     energy = np.concatenate([[0.0], np.cumsum(steps**2)])
     lag = np.arange(len(together))
     scale = np.sqrt(energy[count - lag] * (energy[-1] - energy[lag]))

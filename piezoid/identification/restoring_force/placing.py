@@ -59,7 +59,8 @@ class HysteresisPlacement:
     place           of the hysteresis, or ``not separable``
     left_out_rms_m  by place, of its better law
     law             by place: ``maxwell_slip`` (plays) or ``bouc_wen``
-    without_rms_m   left out, of the mode without hysteresis, linear or bent
+    without_rms_m   left out, of the best mode without hysteresis: linear or bent, simulated or
+                    late by a part of a sample
     mode_Hz         of the mode alone; None, like the errors, where no mode shows
     margin          rms of the second over that of the first
     text            the verdict in one sentence; where the recording does not tell, what would
@@ -125,6 +126,9 @@ def placed(
         )  # fmt: skip
     without = [inside.pop(law) for law in ("linear", "duffing")]
     cascades = _Cascades.of(task, chosen, natural)
+    # The same filters without memory, late by any part of a sample: plays in front of a mode turn
+    # its phase as a delay does, and a simulated mode has neither.
+    without += [cascades.predicted(place, "bent") for place in ("before", "behind")]
     found = {
         "before": {law: cascades.predicted("before", law) for law in inside},
         "behind": {law: cascades.predicted("behind", law) for law in inside},
@@ -172,11 +176,11 @@ class _Cascades:
         knees = KNEES if law == "bouc_wen" else ((),)
         reached = []
         for knee in knees:
-            tried = [self.at(place, np.array([np.log(d), 0.0, *knee])) for d in DAMPINGS]
+            tried = [self.at(place, law, np.array([np.log(d), 0.0, *knee])) for d in DAMPINGS]
             begin = min(tried, key=lambda one: one.cost)
             bounds = np.array([TUNING, TUNING, *KNEE_BOUNDS[: len(knee)]]).T
             found = minimise(
-                lambda x: self.at(place, x),
+                lambda x: self.at(place, law, x),
                 begin.x,
                 (bounds[0], bounds[1]),
                 rule=RULE,
@@ -186,10 +190,10 @@ class _Cascades:
         best = min(reached, key=lambda point: point.cost)
         return self.middle_m + self.size_m * best.everywhere
 
-    def at(self, place: str, x: Array) -> "_Cascade":
-        return _Cascade(of=self, place=place, x=x)
+    def at(self, place: str, law: str, x: Array) -> "_Cascade":
+        return _Cascade(of=self, place=place, law=law, x=x)
 
-    def columns(self, place: str, x: Array) -> Array:
+    def columns(self, place: str, law: str, x: Array) -> Array:
         """Return what H and G make of the drive, with a free decay and a zero, (samples, columns).
 
         x  logarithms of damping and of frequency against the start, then the knee, if any
@@ -198,10 +202,14 @@ class _Cascades:
         natural = 2.0 * np.exp(x[0]) * frequency, frequency**2
         top, bottom = second_order([frequency**2], natural, self.rate_Hz)
         if place == "before":
-            states = _states(self.drive, x[2:])
+            states = _states(self.drive, law, x[2:])
             made = lfilter(top, bottom, states - states[0], axis=0)
         else:
-            made = _states(_normalised(lfilter(top, bottom, self.drive - self.drive[0])), x[2:])
+            moved = _normalised(lfilter(top, bottom, self.drive - self.drive[0]))
+            made = _states(moved, law, x[2:])
+        if law == "bent":
+            late = np.concatenate([np.repeat(made[:1], FINER, axis=0), made[:-FINER]])
+            made = np.column_stack([made, late])
         impulse = np.zeros(len(self.drive))
         impulse[0] = 1.0
         free = lfilter(top, bottom, impulse)
@@ -219,10 +227,12 @@ def _normalised(signal: Array) -> Array:
     return np.asarray((signal - middle) / half)
 
 
-def _states(signal: Array, knee: Array) -> Array:
+def _states(signal: Array, law: str, knee: Array) -> Array:
     """Return the signal, bent as well, and what follows it with memory, (rows, columns)."""
     powers = np.column_stack([signal, signal**2, signal**3])
-    if len(knee):
+    if law == "bent":
+        return powers
+    if law == "bouc_wen":
         beta, gamma, n = map(float, knee)
         state = bouc_wen_states(signal, beta, gamma, n)
         return np.column_stack([powers, np.nan_to_num(state, nan=np.inf)])
@@ -234,9 +244,9 @@ def _states(signal: Array, knee: Array) -> Array:
 class _Cascade:
     """One cascade: its mode and knee, and H at its best for them."""
 
-    def __init__(self, *, of: _Cascades, place: str, x: Array) -> None:
-        self.of, self.place, self.x = of, place, x
-        self.columns = of.columns(place, x)
+    def __init__(self, *, of: _Cascades, place: str, law: str, x: Array) -> None:
+        self.of, self.place, self.law, self.x = of, place, law, x
+        self.columns = of.columns(place, law, x)
         self.is_bounded = bool(np.abs(self.columns).max() < FARTHEST)
         solvable = self.columns if self.is_bounded else self.columns[:, -3:]
         self.best = weighed(solvable[of.chosen], of.target[of.chosen])
@@ -257,7 +267,7 @@ class _Cascade:
         for i in range(len(self.x)):
             moved = self.x.copy()
             moved[i] += DIFFERENCE
-            other = self.of.at(self.place, moved)
+            other = self.of.at(self.place, self.law, moved)
             columns.append((other.best.residual - self.best.residual) / DIFFERENCE)
         return Rows(factor=np.column_stack(columns), residual=self.best.residual)
 

@@ -1,0 +1,199 @@
+"""Axes whose drives act on each other: their matrix, the model's error, what a level changes."""
+
+import numpy as np
+
+from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
+from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table
+from piezoid_reports.quantities import MINUS, percent, significant, told
+
+GAINS_Hz = 3  # frequencies at which the change of the gain is told
+LARGEST = 0.42  # of a cell: half the side of the square of the largest entry
+
+
+def render(page: Page) -> Section | None:
+    """Return the chapter, where axes are coupled."""
+    coupled = page.model.coupled
+    if coupled is None:
+        return None
+    return Section(
+        anchor="coupling",
+        title="Coupled axes",
+        lead="Every drive moves every displacement. The matrix is that well below the first mode; "
+        "behind its inverse, scaled so that an axis keeps its own gain, each axis answers to its "
+        "own drive. All chapters on single axes are about these decoupled displacements.",
+        parts=tuple(_parts(page, coupled)),
+    )
+
+
+def _parts(page: Page, coupled: CoupledStage) -> list[Part]:
+    parts: list[Part] = [_picture(coupled), _matrix(coupled), _errors(coupled)]
+    parts += [_modes(coupled), *_gain(coupled)]
+    if page.design is not None and page.design.decoupling is not None:
+        parts.append(Prose(text=page.design.decoupling.text))
+    if page.verification is not None and page.verification.coupling:
+        parts.append(_closed(page))
+    return parts
+
+
+def _picture(coupled: CoupledStage) -> Figure:
+    """Return the matrix as squares whose area is an entry's size [Hinton diagram]."""
+    gain = coupled.coupling_m_per_V
+    x, y = _cells("drive", gain.shape[1]), _cells("displacement", gain.shape[0])
+    canvas = Canvas(x=x, y=y)
+    squares = {"model": "", "before": ""}
+    for i, k in np.ndindex(*gain.shape):
+        half = LARGEST * float(np.sqrt(abs(gain[i, k]) / np.abs(gain).max()))
+        across, up = np.array([k + 1 - half, k + 1 + half]), np.full(2, float(i + 1))
+        role = "model" if gain[i, k] >= 0.0 else "before"
+        squares[role] += canvas.band(role, "", across, up - half, up + half).path
+    names = {"model": "in the sense of the drive", "before": "against it"}
+    layers = tuple(
+        Layer(role=role, name=names[role], path=path, kind="area")
+        for role, path in squares.items()
+        if path
+    )
+    largest = told(float(np.abs(gain).max()), "m/V")
+    return Figure(
+        title="Which drive moves which displacement",
+        numbers=f"Columns are the drives {', '.join(coupled.inputs)}, rows from the bottom the "
+        f"displacements {', '.join(coupled.outputs)}. The area of a square is the size of an "
+        f"entry, the largest {largest}.",
+        look="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
+        "the decoupling must take away, or a small one on it.",
+        x=x,
+        y=y,
+        layers=layers,
+    )
+
+
+def _cells(label: str, count: int) -> Axis:
+    return axis_over(label, [np.array([0.5, count + 0.5])], "")
+
+
+def _matrix(coupled: CoupledStage) -> Table:
+    return Table(
+        caption="Displacement for each volt of a drive, and the matrix that decouples. It "
+        "multiplies references and readings in front of the controllers.",
+        columns=(
+            "displacement",
+            *(f"per volt of {name}" for name in coupled.inputs),
+            *(f"of {name}" for name in coupled.outputs),
+        ),
+        rows=tuple(
+            (
+                name,
+                *(told(float(v), "m/V") for v in gain),
+                *(significant(float(v), 4) for v in row),
+            )
+            for name, gain, row in zip(
+                coupled.outputs, coupled.coupling_m_per_V, coupled.decoupling, strict=True
+            )
+        ),
+    )
+
+
+def _errors(coupled: CoupledStage) -> Table:
+    kind = (
+        "each realisation left out of the fit once"
+        if coupled.error_is_left_out
+        else "in sample, for there are too few realisations to leave one out"
+    )
+    rows = [
+        (
+            told(float(level), "V"),
+            name,
+            percent(float(coupled.error_rms_m[k, i] / coupled.moved_rms_m[k, i])),
+            told(float(coupled.error_rms_m[k, i]), "m"),
+            percent(float(coupled.noise_rms_m[k, i] / coupled.moved_rms_m[k, i])),
+        )
+        for k, level in enumerate(coupled.levels_V)
+        for i, name in enumerate(coupled.outputs)
+    ]
+    return Table(
+        caption=f"Error of the model at each level of the drive, {kind}. Means of the periods, "
+        "simulated from the drives alone; the noise is that of one period.",
+        columns=("level, rms", "displacement", "error", "rms", "noise"),
+        rows=tuple(rows),
+    )
+
+
+def _modes(coupled: CoupledStage) -> Table:
+    low, high = float(coupled.levels_V[0]), float(coupled.levels_V[-1])
+    change, memory = coupled.frequency_change(), coupled.hysteretic_frequency_change()
+    rows = []
+    for m, (at_low, at_high, interval) in enumerate(
+        zip(
+            coupled.mode_frequency_Hz(low),
+            coupled.mode_frequency_Hz(high),
+            coupled.mode_frequency_interval_Hz(high),
+            strict=True,
+        )
+    ):
+        known = np.isfinite(interval).all()
+        rows.append(
+            (
+                told(float(at_low), "Hz", 4),
+                told(float(at_high), "Hz", 4),
+                f"{told(float(interval[0]), 'Hz', 4)}, {told(float(interval[1]), 'Hz', 4)}"
+                if known
+                else "",
+                significant(float(coupled.mode_damping(low)[m])),
+                significant(float(coupled.mode_damping(high)[m])),
+                _signed(change[m, 0] + memory[m]),
+                f"{_signed(change[m, 1])}, {_signed(change[m, 2])}" if known else "",
+                _signed(memory[m]),
+            )
+        )
+    return Table(
+        caption=f"Modes from {told(low, 'V')} to {told(high, 'V')} rms, with 95 % intervals. The "
+        "change is that of the whole model; from, to are of the part that follows the level of "
+        "the whole drive, and the last column is what plays add, which follow each turn of it.",
+        columns=(
+            *("at the lowest level", "at the highest", "from, to", "damping", "damping"),
+            *("change", "by level: from, to", "by memory"),
+        ),
+        rows=tuple(rows),
+    )
+
+
+def _gain(coupled: CoupledStage) -> list[Part]:
+    if len(coupled.levels_V) < 2:
+        return []
+    first_Hz = float(coupled.mode_frequency_Hz(float(coupled.levels_V[0])).min())
+    f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, GAINS_Hz)
+    changes = [
+        f"at {told(float(at), 'Hz')} by {_signed(whole)}, of which {_signed(whole - bare)} is "
+        "hysteresis"
+        for at, (whole, bare) in zip(f, coupled.gain_change(f), strict=True)
+    ]
+    return [
+        Prose(text="From the lowest level to the highest the gain changes " + "; ".join(changes))
+    ]
+
+
+def _closed(page: Page) -> Table:
+    assert page.verification is not None
+    rows = page.verification.coupling
+    return Table(
+        caption=f"Compiled controllers on the coupled stage, {told(rows[0].frequency_Hz, 'Hz')}. "
+        "One axis is moved, the other is to rest; amplitude of the other over that of the motion.",
+        columns=("moved", "to rest", "with the matrix", "without it"),
+        rows=tuple(
+            (
+                row.moved,
+                row.answers,
+                f"{significant(row.percent)} %",
+                "does not settle"
+                if row.without_percent is None
+                else f"{significant(row.without_percent)} %",
+            )
+            for row in rows
+        ),
+    )
+
+
+def _signed(share: float) -> str:
+    """Return a change in percent with its sign."""
+    sign = "+" if share >= 0.0 else MINUS
+    return f"{sign}{significant(abs(100.0 * float(share)), 2)} %"

@@ -1,0 +1,31 @@
+"""The matrix in front of coupled axes: exact at rest, and what it leaves is told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.design.decoupling import decoupling_of
+from piezoid.errors import DesignError
+from tests.coupled_axes import STATIC_M_PER_V, coupled_axes
+
+
+def test_the_matrix_makes_the_gain_at_rest_diagonal_and_keeps_it_on_the_diagonal() -> None:
+    found = decoupling_of(coupled_axes(), 50.0)
+    turned = found.matrix @ STATIC_M_PER_V
+    np.testing.assert_allclose(turned, np.diag(np.diag(STATIC_M_PER_V)), atol=1e-18)
+
+
+def test_what_is_left_is_dynamic_and_grows_towards_the_modes() -> None:
+    slow, quick = (decoupling_of(coupled_axes(), f_Hz) for f_Hz in (20.0, 200.0))
+    np.testing.assert_allclose(slow.before[0, 1], 0.12, rtol=0.02)
+    assert slow.left.max() < 0.01 * slow.before.max()
+    assert quick.left.max() > 20.0 * slow.left.max()
+    assert "Up to 200 Hz axes move each other" in quick.text
+
+
+def test_a_drive_that_does_not_move_its_own_displacement_is_refused() -> None:
+    crossed = STATIC_M_PER_V[::-1] * np.array([[1e-2, 1.0], [1.0, 1e-2]])
+    stage = replace(coupled_axes(), elongation_V_per_m=np.linalg.inv(crossed))
+    with pytest.raises(DesignError, match="axis x: its drive moves its own displacement by"):
+        decoupling_of(stage, 50.0)

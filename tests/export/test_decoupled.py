@@ -1,0 +1,58 @@
+"""The matrix in front of coupled axes, as firmware gets it."""
+
+import struct
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.errors import ParameterFileError
+from piezoid.export.bundle import bundle
+from piezoid.export.parameter_file import Decoupled, digest_of, from_json, to_json
+from tests.export.stage import stage
+from tests.runtime.compiler import STRICT, found, run
+
+MATRIX = np.array([[1.0, -0.125, 1 / 3], [0.1, 1.0, 2e-7], [0.0, 1e-300, 1.0]])
+FILE = replace(stage(), decoupled=Decoupled(axes=("x", "y", "z"), matrix=MATRIX))
+MAIN = """
+#include <stdio.h>
+#include "piezo_params.h"
+int main(void) {
+    return fwrite(piezo_decoupling, sizeof piezo_decoupling, 1, stdout) == 1 ? 0 : 1;
+}
+"""
+
+
+def test_it_comes_back_from_params_json_to_the_last_bit() -> None:
+    back = from_json(to_json(FILE), "params.json")
+    assert back.decoupled is not None
+    assert back.decoupled.axes == ("x", "y", "z")
+    np.testing.assert_array_equal(back.decoupled.matrix, MATRIX)
+    assert digest_of(back) == digest_of(FILE) != digest_of(stage())
+
+
+def test_a_matrix_of_another_shape_is_refused() -> None:
+    with pytest.raises(ValueError, match="matrix"):
+        Decoupled(axes=("x", "y"), matrix=MATRIX)
+    broken = to_json(FILE).replace(b'"decoupled"', b'"decoupler"')
+    with pytest.raises(ParameterFileError):
+        from_json(broken, "params.json")
+
+
+def test_the_header_holds_it_as_it_is(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    for name, content in bundle(FILE).files.items():
+        (tmp_path / name).write_bytes(content)
+    (tmp_path / "dump.c").write_text(MAIN)
+    compiler = found("cc", "gcc", "clang")
+    run(compiler, *STRICT, f"-I{tmp_path}", str(tmp_path / "dump.c"), "-o", str(tmp_path / "dump"))
+
+    said = subprocess.run([str(tmp_path / "dump")], capture_output=True, check=True).stdout
+    assert struct.unpack("9d", said) == tuple(MATRIX.ravel())
+
+
+def test_the_readme_says_what_to_do_with_it_and_is_silent_without() -> None:
+    told = bundle(FILE).files["README.md"].decode()
+    assert "readings by the same\nmatrix" in told
+    assert "| x | 1 | -0.125 | 0.333333 |" in told
+    assert "piezo_decoupling" not in bundle(stage()).files["README.md"].decode()

@@ -1,0 +1,110 @@
+"""Three axes whose drives act on all: files in, a model, a chapter, a decoupled axis out."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import piezoid
+from piezoid.errors import ExcitationError
+from tests.journeys.coupled_stage import AXES, GAIN_M_PER_V, LAB, MODE_HZ, campaign, sweep, written
+
+PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
+NO_RATE = LAB.split("[acquisition]")[0]
+
+
+@pytest.fixture(scope="module")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Multisines of all axes, and loops of x while the others rest."""
+    folder = tmp_path_factory.mktemp("coupled")
+    files = campaign(folder, axes=("x",))
+    (folder / "lab.toml").write_text(NO_RATE)
+    given = (*map(str, files), "--lab", "lab.toml", "--out", "out")
+    done = subprocess.run(
+        [*PIEZOID, "fit", *given], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return folder, " ".join(done.stdout.split())
+
+
+@pytest.fixture(scope="module")
+def model(stage: tuple[Path, str]) -> piezoid.ActuatorModel:
+    return piezoid.load(stage[0] / "out" / "model.json")
+
+
+def test_the_coupling_is_that_of_the_stage(model: piezoid.ActuatorModel) -> None:
+    assert model.coupled is not None
+    # plays make a small drive move more than the gain at rest, each axis alike
+    found = model.coupled.coupling_m_per_V
+    share = found / np.diag(found)
+    np.testing.assert_allclose(share, GAIN_M_PER_V / np.diag(GAIN_M_PER_V), atol=2e-3)
+    turned = model.coupled.decoupling @ GAIN_M_PER_V
+    np.testing.assert_allclose(turned, np.diag(np.diag(turned)), atol=2e-3 * turned.max())
+
+
+def test_its_modes_come_back_with_the_axis_that_they_belong_to(
+    model: piezoid.ActuatorModel,
+) -> None:
+    assert model.coupled is not None
+    found = model.coupled.mode_frequency_Hz(float(model.coupled.levels_V[0]))
+    for mode_Hz in MODE_HZ:
+        assert np.abs(found / mode_Hz - 1.0).min() < 2e-3
+    dynamics = model["x"].dynamics
+    assert dynamics is not None
+    assert np.abs(dynamics.mode_frequency_Hz / MODE_HZ[0] - 1.0).min() < 5e-3
+
+
+def test_left_out_realisations_are_followed_to_a_percent(model: piezoid.ActuatorModel) -> None:
+    assert model.coupled is not None
+    assert model.coupled.error_is_left_out
+    assert (model.coupled.error_rms_m < 0.015 * model.coupled.moved_rms_m).all()
+
+
+def test_coupling_that_is_modelled_is_no_cause(stage: tuple[Path, str]) -> None:
+    found = json.loads((stage[0] / "out" / "diagnosis.json").read_bytes())
+    assert "cross_coupling" not in {one["effect"] for one in found["findings"]}
+
+
+def test_words_tell_the_error_and_what_to_record_of_the_other_axes(
+    stage: tuple[Path, str],
+) -> None:
+    shown = stage[1]
+    assert "coupled axes x, y, z: error on realisations left out" in shown
+    for axis in ("y", "z"):
+        assert f"axis {axis}: it is driven only where all coupled axes are" in shown
+
+
+def test_the_report_has_a_chapter_with_matrix_error_and_modes(stage: tuple[Path, str]) -> None:
+    page = (stage[0] / "out" / "report.html").read_text()
+    chapter = page[page.index('id="coupling"') :]
+    text = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", chapter))
+    assert "Which drive moves which displacement" in text
+    assert "each realisation left out of the fit once" in text
+    assert "310" in text
+    assert "is hysteresis" in text
+
+
+def test_the_model_decouples_a_recording_it_has_not_seen(
+    model: piezoid.ActuatorModel, tmp_path: Path
+) -> None:
+    (raw,) = piezoid.read(written(tmp_path / "new.csv", sweep((0, 1, 2), 3), 77))
+    seen = model.decoupled(raw)
+    truth = model["x"].predict(seen)
+    error = seen.displacement_m("x") - truth
+    bare = raw.displacement_m("x") - truth
+    assert (error - error.mean()).std() < 0.1 * (bare - bare.mean()).std()
+
+
+def test_coupled_axes_without_a_drive_of_all_are_refused_with_what_to_record(
+    tmp_path: Path,
+) -> None:
+    written(tmp_path / "x.csv", sweep((0,), 1), 3)
+    (tmp_path / "lab.toml").write_text(NO_RATE)
+    held = piezoid.read(tmp_path / "x.csv", lab=tmp_path / "lab.toml")
+    with pytest.raises(ExcitationError, match="the axes x, y, z are coupled, and in no recording"):
+        piezoid.fit(held, lab=tmp_path / "lab.toml")
+    assert held[0].axes == AXES
