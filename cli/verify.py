@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from piezoid.numerics.executor import Executor
     from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.proof import Proof
-    from piezoid.verification.verification import Verification
+    from piezoid.verification.verification import ErrorBound, Verification
 
 CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
 
@@ -35,6 +35,9 @@ def verify(
     ] = False,
     field: Annotated[
         bool, typer.Option("--field", help="Compare with the compensators of others as well.")
+    ] = False,
+    bounds: Annotated[
+        bool, typer.Option("--bounds", help="How large errors may be: probable, worst found.")
     ] = False,
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
@@ -60,7 +63,7 @@ def verify(
 
     piezoid verify stage42/ --prove
 
-    piezoid verify stage42/ --field
+    piezoid verify stage42/ --field --bounds
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
@@ -79,7 +82,7 @@ def verify(
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)
-    design = _design(stage, file) if field else None
+    design = _design(stage, file) if field or bounds else None
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
@@ -99,6 +102,8 @@ def verify(
             seed=seed,
             threads=usable_cores(),
             design=design,
+            field=field,
+            bounds=bounds,
         )
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written})
@@ -162,6 +167,8 @@ def show(found: "Verification", file: "ParameterFile") -> None:
     console = Console()
     if found.comparison:
         console.print(_comparison(found))
+    for row in found.bounds:
+        console.print(plain(_bound_line(row)))
     for proof in found.proofs:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for claimed in found.limit_proofs:
@@ -192,6 +199,17 @@ def _comparison(found: "Verification") -> "Table":
             told(row.delay_s, "s"),
         )
     return table
+
+
+def _bound_line(row: "ErrorBound") -> str:
+    from piezoid.readable import told
+
+    bounded = "not bounded" if row.bound_m is None else f"bounded by {told(row.bound_m, 'm')}"
+    return (
+        f"axis {row.axis}, at most {told(row.slew_m_per_s, 'm/s')}: {bounded}, below "
+        f"{told(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst found "
+        f"{told(row.worst_found_m, 'm')}, simulated {told(row.simulated_m, 'm')}"
+    )
 
 
 def _claim_line(claimed: "LimitProof") -> str:

@@ -5,7 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piezoid.provenance import seal
-from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
+from piezoid.record_json import (
+    RecordLayout,
+    Unbounded,
+    fields_of,
+    read_sealed,
+    refusing,
+    to_json,
+)
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
@@ -49,6 +56,30 @@ class FieldRow(ComparisonRow):
 
 
 @dataclass(frozen=True, kw_only=True)
+class ErrorBound:
+    """What is known of the largest error of one axis; see ``verification.bounds``.
+
+    slew_m_per_s   of the fastest reference, or of the surface under a tip
+    bound_m        of the certificate, of a tip of its linear loop, each with three standard
+                   deviations of noise; None: there is none within the range
+    probable_m     that half a second's largest error stays below with this probability, on stages
+                   like those that recordings allow
+    worst_found_m  by a search over references, pasts and stages
+    simulated_m    on the identified stage, median of the same references
+    runs           from which probable_m was taken
+    """
+
+    axis: str
+    slew_m_per_s: float
+    bound_m: float | None
+    probable_m: Unbounded
+    probability: float
+    worst_found_m: float
+    simulated_m: float
+    runs: int
+
+
+@dataclass(frozen=True, kw_only=True)
 class SpiralRow:
     """What only spirals have: errors across the turns, by method and frequency."""
 
@@ -86,6 +117,7 @@ class Verification:
     spirals, currents   further numbers
     traces           a few spirals place by place, for pictures
     motions          rasters and steps in time, likewise; not in the file if empty
+    bounds           of the largest errors, on request; not in the file if empty
     field            compensators of others on the same spirals; not in the file if empty
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
@@ -111,6 +143,7 @@ class Verification:
     limit_proofs: tuple[LimitProof, ...] = ()
     motions: tuple[Motion, ...] = ()
     field: tuple[FieldRow, ...] = ()
+    bounds: tuple[ErrorBound, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -162,7 +195,7 @@ class Verification:
 
 def _fields(found: Verification) -> dict[str, Any]:
     """Return the entries of the file; without proofs or motions as before there were any."""
-    later = ("limit_proofs", "motions", "field")
+    later = ("limit_proofs", "motions", "field", "bounds")
     return {k: v for k, v in fields_of(found).items() if v or k not in later}
 
 

@@ -82,6 +82,7 @@ def _figures(page: Page, found: Verification) -> list[Part]:
             else []
         ),
         *([_table(page, found)] if found.comparison else []),
+        *_bounds(found),
         *_field(found),
     ]
 
@@ -154,6 +155,35 @@ def _table(page: Page, found: Verification) -> Table:
         ),
         rows=tuple(rows),
     )
+
+
+def _bounds(found: Verification) -> list[Part]:
+    """Return how large errors may be beside how large they are, where that was asked."""
+    if not found.bounds:
+        return []
+    rows = tuple(
+        (
+            row.axis,
+            told(row.slew_m_per_s, "m/s"),
+            "none" if row.bound_m is None else told(row.bound_m, "m"),
+            told(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
+            told(row.worst_found_m, "m"),
+            told(row.simulated_m, "m"),
+        )
+        for row in found.bounds
+    )
+    probability = f"{100.0 * found.bounds[0].probability:g} %"
+    table = Table(
+        caption="The largest error of half a second, for references (or the surface under a tip) "
+        "that are never faster than said. Bounded: what the certificate proves on its conditions, "
+        "of a tip what its linear loop can show, each with three standard deviations of noise. "
+        f"Probable: below this with a probability of {probability}, on stages like those that the "
+        "recordings allow; it is no guarantee. Worst found: by a search over references, pasts "
+        "and stages. Simulated: on the identified stage, in the median.",
+        columns=("axis", "at most", "bounded", "probable", "worst found", "simulated"),
+        rows=rows,
+    )
+    return [Heading(text="How large errors may be"), table]
 
 
 def _field(found: Verification) -> list[Part]:
