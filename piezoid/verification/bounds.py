@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.design.certificate import peak_gain, without_difference
+from piezoid.design.certificate import Certificate, peak_gain, without_difference
 from piezoid.design.design import Design, LoopDesign
 from piezoid.design.replicates import draw_replicates
 from piezoid.design.requirements import noise_rms
@@ -45,7 +45,7 @@ from piezoid.verification.plant import AxisPlant, Hysteresis, Junction, lateral_
 from piezoid.verification.verification import ErrorBound
 
 PROBABILITY, DRAWN = 0.95, 59  # runs at each speed: the third largest of them bounds the next
-SPEEDS = (1.0, 0.3, 0.1)  # of the fastest reference that is certified
+SPEEDS = (1.0, 0.3, 0.1)  # of the fastest reference that is certified, or of a full scan
 SOUGHT, ROUNDS = 10, 2  # other references, then other stages, so often
 USUAL = 20  # of the references, on the identified stage
 LASTS_s = 0.5
@@ -96,10 +96,8 @@ def error_bounds(
             noise_ln = max(noise_rms(m, loop.R, loop.S, asked) for m in loop.members)
             task = _tip_task(axis, plant, loop, variations[place], _SIGMAS * noise_ln)
         else:
-            certified = loop.certificate
-            if certified is None or not certified.reference_slew_m_per_s > 0.0:
-                continue
-            task = _lateral_task(axis, plant, model[axis.axis], loop)
+            scan_Hz = design.axis(axis.axis).specification.scan_frequency_Hz
+            task = _lateral_task(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
         for number, share in enumerate(SPEEDS):
             rng = np.random.default_rng([seed, place, number])
             found.extend(_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor))
@@ -160,12 +158,16 @@ def _at_speed(
 
 
 def _lateral_task(
-    axis: AxisParameters, plant: AxisPlant, model: AxisModel, loop: LoopDesign
+    axis: AxisParameters,
+    plant: AxisPlant,
+    model: AxisModel,
+    certificate: Certificate | None,
+    scan_Hz: float,
 ) -> _Task:
-    certificate = loop.certificate
-    assert certificate is not None
-    assert isinstance(plant.response, Hysteresis)
     room = room_of(axis)
+    fastest_m_per_s = 2.0 * np.pi * scan_Hz * room.farthest_m  # what a certificate takes as well
+    if certificate is not None:
+        fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
     operators = draw_replicates(model, np.random.default_rng(0)) or (model.hysteresis,)
     low_V, high_V = model.voltage_V
 
@@ -213,6 +215,8 @@ def _lateral_task(
         return None if outside else float(np.abs(run.error).max())
 
     def bound(slew: float) -> float | None:
+        if certificate is None:
+            return None
         bounded_m = certificate.guaranteed_at(slew) + certificate.noise_error_m
         usable = certificate.is_guaranteed and bounded_m < model.quality.range_m
         return bounded_m if usable else None
@@ -221,7 +225,7 @@ def _lateral_task(
         draw=draw,
         nominal=plant,
         reach_m=REACH * room.farthest_m,
-        fastest_m_per_s=certificate.reference_slew_m_per_s * (1.0 - 1e-9),
+        fastest_m_per_s=fastest_m_per_s,
         bound=bound,
         error=error,
     )
