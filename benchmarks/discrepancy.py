@@ -21,7 +21,6 @@ from benchmarks.outsiders.lateral import RADIUS, TURNS, LED_s, led_to, middle_of
 from benchmarks.outsiders.simulators import RATE_Hz, simulator, track
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.trajectories import constant_angular_velocity
 from piezoid_cli.calibration import calibrate
@@ -48,16 +47,6 @@ RECORDED = {
 }
 
 
-def second(axis: AxisModel, drive_V: Array) -> Array:
-    """Return the second hysteresis over a drive, (samples,) m."""
-    shape = axis.discrepancy
-    away_V = np.ascontiguousarray(drive_V - shape.centre_V)
-    first_V = np.clip(0.0, away_V[0] - shape.threshold_V, away_V[0] + shape.threshold_V)
-    states = play_columns(away_V, shape.threshold_V, first_V)[0] / shape.reach_V
-    powers = enumerate(shape.weight_m, start=1)
-    return np.asarray(sum(states**n @ weight_m for n, weight_m in powers))
-
-
 def of_the_zoo() -> Iterator[tuple[str, str, AxisModel, float, float]]:
     """Yield kind, name, model, what it misses and the second hysteresis, rms on the spiral."""
     rng = np.random.default_rng(5)
@@ -78,7 +67,7 @@ def of_the_zoo() -> Iterator[tuple[str, str, AxisModel, float, float]]:
                 operator, drive_V = axis.hysteresis, REACH_V * whole
                 followed_m, _ = operator.run(drive_V, operator.virgin_memory())
                 missed_m = (moved_m - followed_m)[-len(SPIRAL) :]
-                stated_m = second(axis, drive_V)[-len(SPIRAL) :]
+                stated_m = axis.discrepancy.run(drive_V)[-len(SPIRAL) :]
                 yield kind, f"{truth.name} {seed}", axis, missed_m.std(), stated_m.std()
 
 
@@ -117,7 +106,7 @@ def of_an_outsider(name: str, seeds: range) -> Iterator[tuple[str, str, AxisMode
         driven = replace(like, channels=channels, sampling_rate_Hz=RATE_Hz, breaks=())
         led = round(1.5 * LED_s * RATE_Hz)
         power = axis.compare(driven).error_m[led:].var() - axis.quality.noise_rms_m**2
-        stated_m = second(axis, np.asarray(run.volts))[led:]
+        stated_m = axis.discrepancy.run(np.asarray(run.volts))[led:]
         yield name, f"stage {seed}", axis, float(np.sqrt(max(power, 1e-24))), stated_m.std()
 
 

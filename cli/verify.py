@@ -12,11 +12,12 @@ from piezoid_cli.terminal import hand_over, plain, say
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from piezoid.design.design import Design
     from piezoid.export.parameter_file import ParameterFile
     from piezoid.numerics.executor import Executor
     from piezoid.verification.limit_proof import LimitProof
     from piezoid.verification.proof import Proof
-    from piezoid.verification.verification import Verification
+    from piezoid.verification.verification import ErrorBound, Verification
 
 CORE_Hz = 168e6  # a usual Cortex-M4F, to compare instructions with
 
@@ -31,6 +32,12 @@ def verify(
     ] = "",
     prove: Annotated[
         bool, typer.Option("--prove", help="Frama-C: inside the limits whatever comes in.")
+    ] = False,
+    field: Annotated[
+        bool, typer.Option("--field", help="Compare with the compensators of others as well.")
+    ] = False,
+    bounds: Annotated[
+        bool, typer.Option("--bounds", help="How large errors may be: probable, worst found.")
     ] = False,
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
@@ -55,6 +62,8 @@ def verify(
     piezoid verify stage42/ --rebuild --target cortex-m4 --json | jq .passed
 
     piezoid verify stage42/ --prove
+
+    piezoid verify stage42/ --field --bounds
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
@@ -73,6 +82,7 @@ def verify(
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)
+    design = _design(stage, file) if field or bounds else None
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
@@ -91,6 +101,9 @@ def verify(
             limit_proofs=proved,
             seed=seed,
             threads=usable_cores(),
+            design=design,
+            field=field,
+            bounds=bounds,
         )
         written = found.to_json()
         add_to_folder(stage, {"verification.json": written})
@@ -101,6 +114,26 @@ def verify(
         say(f"verification: {stage / 'verification.json'}")
     if not found.passed:
         raise typer.Exit(1)
+
+
+def _design(stage: Path, file: "ParameterFile") -> "Design":
+    """Return the design that the parameters were exported from, or refuse another one."""
+    from json import loads
+
+    from piezoid.design.design import design_from_json
+    from piezoid.errors import ParameterFileError
+    from piezoid_cli.stage_files import content_of
+
+    place = stage / "design.json"
+    content = content_of(place)
+    design = design_from_json(content, str(place))
+    if str(loads(content)["digest"]) != file.sources.get("design"):
+        raise ParameterFileError(
+            f"{place} is not the design that params.json was exported from",
+            needed="files of one and the same design",
+            remedy="Run `piezoid export` again, then verify.",
+        )
+    return design
 
 
 def _held(folder: Path) -> dict[str, bytes]:
@@ -134,6 +167,8 @@ def show(found: "Verification", file: "ParameterFile") -> None:
     console = Console()
     if found.comparison:
         console.print(_comparison(found))
+    for row in found.bounds:
+        console.print(plain(_bound_line(row)))
     for proof in found.proofs:
         console.print(plain(_proof_line(proof, file), style="" if proof.passed else "bold red"))
     for claimed in found.limit_proofs:
@@ -154,7 +189,7 @@ def _comparison(found: "Verification") -> "Table":
     table = Table(title=plain(title))
     for heading in ("turns a second", "method", "rms", "largest", "shape rms", "delay"):
         table.add_column(heading, justify="right")
-    for row in found.comparison:
+    for row in (*found.comparison, *found.field):
         table.add_row(
             f"{row.frequency_Hz:g}",
             row.method,
@@ -164,6 +199,17 @@ def _comparison(found: "Verification") -> "Table":
             told(row.delay_s, "s"),
         )
     return table
+
+
+def _bound_line(row: "ErrorBound") -> str:
+    from piezoid.readable import told
+
+    bounded = "not bounded" if row.bound_m is None else f"bounded by {told(row.bound_m, 'm')}"
+    return (
+        f"axis {row.axis}, at most {told(row.slew_m_per_s, 'm/s')}: {bounded}, below "
+        f"{told(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst found "
+        f"{told(row.worst_found_m, 'm')}, simulated {told(row.simulated_m, 'm')}"
+    )
 
 
 def _claim_line(claimed: "LimitProof") -> str:

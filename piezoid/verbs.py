@@ -267,12 +267,18 @@ def verify(
     limits: Place | None = None,
     seed: int = 0,
     threads: int = 1,
+    design: Design | None = None,
+    field: bool = False,
+    bounds: bool = False,
 ) -> Verification:
     """Run the compiled controller against the stage in every scenario, and judge what happens.
 
     parameters  what ``export`` returned, or a ParameterFile
     limits      path of a limits.toml; default: those of [verification] in lab.toml
     seed        of sensor noise and drawn stages
+    design      that was exported, for the next two
+    field       compare with the compensators of others as well
+    bounds      say how large errors may be, beside how large they are
 
     >>> piezoid.verify(shipping, model, lab="lab.toml", seed=1).passed
     True
@@ -285,6 +291,9 @@ def verify(
         limits=None if place is None else limits_from_toml(_text(place), place.name),
         seed=seed,
         threads=threads,
+        design=design,
+        field=field,
+        bounds=bounds,
     )
 
 

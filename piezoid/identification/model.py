@@ -19,6 +19,7 @@ from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 from piezoid.upstairs import upstairs
 
@@ -106,6 +107,14 @@ class Discrepancy:
                 f"{len(self.threshold_V)} thresholds, weights of shape {self.weight_m.shape}, "
                 f"reach {self.reach_V} V"
             )
+
+    def run(self, voltage_V: Array) -> Array:
+        """Return d along a drive whose first sample follows rest at the centre, (samples,) m."""
+        away_V = np.ascontiguousarray(voltage_V - self.centre_V)
+        begun_V = np.clip(0.0, away_V[0] - self.threshold_V, away_V[0] + self.threshold_V)
+        states = play_columns(away_V, self.threshold_V, begun_V)[0] / self.reach_V
+        powers = enumerate(self.weight_m, start=1)
+        return np.asarray(sum(states**n @ weight_m for n, weight_m in powers))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

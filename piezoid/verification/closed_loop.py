@@ -3,7 +3,7 @@
 import ctypes
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,23 @@ class LoopRecord:
         return axes
 
 
+class Stepped(Protocol):
+    """What may stand in the runtime's place: a compensator that does not ship."""
+
+    @property
+    def addresses(self) -> tuple[int, int, int]:
+        """Addresses of a step as ``pz_step``, of its state (status in the second word) and of its
+        parameters.
+        """
+
+    @property
+    def reset_address(self) -> int:
+        """Address of what an operator's reset calls."""
+
+    def start(self, voltage_V: float, measured: float) -> None:
+        """Go to rest there."""
+
+
 def run_axis(
     plant: AxisPlant,
     parameters: AxisParameters,
@@ -116,10 +133,12 @@ def run_axis(
     fault: Array | None = None,
     reset_at: int | None = None,
     precision: str = "double",
+    other: tuple[Stepped, Array] | None = None,
 ) -> LoopRecord:
     """Run one axis from rest, with the values that ship.
 
     reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
+    other        another compensator in the runtime's place, and what it is given for a reference
     disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
     beside       (samples,)  m added to the position behind everything else that moves the axis
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
@@ -132,13 +151,17 @@ def run_axis(
     samples = len(reference)
     kept = Kept()
     begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
-    controller = Controller(parameters.values, precision=precision)
+    if other is None:
+        preview = int(parameters.values["preview_samples"])
+        ahead = np.minimum(np.arange(samples) + preview, samples - 1)
+        controller: Stepped = Controller(parameters.values, precision=precision)
+        given = reference[ahead]
+    else:
+        controller, given = other
     controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
-    preview = int(parameters.values["preview_samples"])
-    ahead = np.minimum(np.arange(samples) + preview, samples - 1)
     added = np.zeros(samples) if beside is None else beside
     inputs = {
-        "reference": np.ascontiguousarray(reference[ahead]),
+        "reference": np.ascontiguousarray(given),
         "disturbance": _disturbance(plant, disturbance, samples),
         "noise": plant.noise(samples, rng) + added,
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.design.converters import converters_of
+from piezoid.design.design import Design
 from piezoid.design.from_junction import junction_family, reading_range_A
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
@@ -43,6 +44,9 @@ def verify_stage(
     draws: int = DRAWS,
     seed: int = 0,
     threads: int = 1,
+    design: Design | None = None,
+    field: bool = False,
+    bounds: bool = False,
 ) -> Verification:
     """Verify a parameter file against the identified stage.
 
@@ -51,6 +55,9 @@ def verify_stage(
     limits   by default those of ``[verification]`` in lab.toml, else those of ``Limits``
     draws    how many other stages the recordings allow are run as well
     threads  so many axes of a path run at once; what is found does not depend on it
+    design   that the file was exported from, for the next two
+    field    compare with the compensators of others as well
+    bounds   say how large errors may be, beside how large they are
 
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
     where lab.toml declares other guards or another rig than those that ship.
@@ -60,7 +67,7 @@ def verify_stage(
     variations = list(zip(*drawn, strict=False))  # as many sets as the axis with the fewest
     _same_control(file, declared)
     chosen = limits or limits_from(declared.verification, f"[verification] of {declared.place}")
-    return verify(
+    found = verify(
         file,
         plants,
         variations=variations,
@@ -72,6 +79,17 @@ def verify_stage(
         lab_digest=declared.digest,
         coupled=model.coupled,
     )
+    if design is not None and field:
+        from piezoid.verification.field import field_rows
+
+        rows = field_rows(file, design, model, plants, seed=seed, threads=threads)
+        found = replace(found, field=rows)
+    if design is not None and bounds:
+        from piezoid.verification.bounds import error_bounds
+
+        known = error_bounds(file, design, model, plants, drawn, seed=seed, threads=threads)
+        found = replace(found, bounds=known)
+    return found
 
 
 def stage_plants(

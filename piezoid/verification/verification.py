@@ -5,7 +5,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piezoid.provenance import seal
-from piezoid.record_json import RecordLayout, fields_of, read_sealed, refusing, to_json
+from piezoid.record_json import (
+    RecordLayout,
+    Unbounded,
+    fields_of,
+    read_sealed,
+    refusing,
+    to_json,
+)
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs
@@ -19,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SCHEMA = "piezoid.verification/1"
+FIELD = ("high_gain", "inversion", "gpi_dob", "charge")
 _LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
 _SLOWEST_Hz, _FASTEST_Hz = 1e-9, 1e9
 
@@ -34,6 +42,41 @@ class ComparisonRow:
     max_m: float
     aligned_rms_m: float
     delay_s: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldRow(ComparisonRow):
+    """The same of a compensator that does not ship, one of ``FIELD``.
+
+    bandwidth_Hz, modulus_margin  of its loop, the least of all axes; None without a loop
+    """
+
+    bandwidth_Hz: float | None = None
+    modulus_margin: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ErrorBound:
+    """What is known of the largest error of one axis; see ``verification.bounds``.
+
+    slew_m_per_s   of the fastest reference, or of the surface under a tip
+    bound_m        of the certificate, of a tip of its linear loop, each with three standard
+                   deviations of noise; None: there is none within the range
+    probable_m     that half a second's largest error stays below with this probability, on stages
+                   like those that recordings allow
+    worst_found_m  by a search over references, pasts and stages
+    simulated_m    on the identified stage, median of the same references
+    runs           from which probable_m was taken
+    """
+
+    axis: str
+    slew_m_per_s: float
+    bound_m: float | None
+    probable_m: Unbounded
+    probability: float
+    worst_found_m: float
+    simulated_m: float
+    runs: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +136,8 @@ class Verification:
     traces           a few spirals place by place, for pictures
     motions          rasters and steps in time, likewise; not in the file if empty
     coupling         what coupled axes do to each other in closed loop; not in the file if empty
+    bounds           of the largest errors, on request; not in the file if empty
+    field            compensators of others on the same spirals; not in the file if empty
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
     limit_proofs     what abstract interpretation says of every input; not in the file if empty
@@ -117,6 +162,8 @@ class Verification:
     limit_proofs: tuple[LimitProof, ...] = ()
     motions: tuple[Motion, ...] = ()
     coupling: tuple[CouplingRow, ...] = ()
+    field: tuple[FieldRow, ...] = ()
+    bounds: tuple[ErrorBound, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -168,7 +215,7 @@ class Verification:
 
 def _fields(found: Verification) -> dict[str, Any]:
     """Return the entries of the file; what came later only where there is any."""
-    later = ("limit_proofs", "motions", "coupling")
+    later = ("limit_proofs", "motions", "coupling", "field", "bounds")
     return {k: v for k, v in fields_of(found).items() if v or k not in later}
 
 
@@ -191,6 +238,8 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         named += [row.method for row in found.spirals] + [row.method for row in found.traces]
         for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
+        for other in found.field:
+            FIELD.index(other.method)
         _check_spirals(found)
         _check_pictures(found)
     return found
@@ -206,11 +255,11 @@ def _check_spirals(found: Verification) -> None:
 
 def _check_pictures(found: Verification) -> None:
     """Raise ``ValueError`` for numbers that no stage has and no picture can show."""
-    frequencies_Hz = [row.frequency_Hz for row in found.comparison]
+    frequencies_Hz = [row.frequency_Hz for row in (*found.comparison, *found.field)]
     for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in found.traces)):
         if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
             raise ValueError(f"frequency_Hz is {frequency_Hz}")
-    sizes_m = [abs(row.aligned_rms_m) for row in found.comparison]
+    sizes_m = [abs(row.aligned_rms_m) for row in (*found.comparison, *found.field)]
     for trace in found.traces:
         if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
             raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")

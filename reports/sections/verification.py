@@ -11,7 +11,7 @@ from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.motions import motions
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.spirals import METHODS, errors_in_time, spiral
+from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, spiral
 
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 _EVERY = "all"
@@ -82,6 +82,8 @@ def _figures(page: Page, found: Verification) -> list[Part]:
             else []
         ),
         *([_table(page, found)] if found.comparison else []),
+        *_bounds(found),
+        *_field(found),
     ]
 
 
@@ -153,6 +155,71 @@ def _table(page: Page, found: Verification) -> Table:
         ),
         rows=tuple(rows),
     )
+
+
+def _bounds(found: Verification) -> list[Part]:
+    """Return how large errors may be beside how large they are, where that was asked."""
+    if not found.bounds:
+        return []
+    rows = tuple(
+        (
+            row.axis,
+            told(row.slew_m_per_s, "m/s"),
+            "none" if row.bound_m is None else told(row.bound_m, "m"),
+            told(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
+            told(row.worst_found_m, "m"),
+            told(row.simulated_m, "m"),
+        )
+        for row in found.bounds
+    )
+    probability = f"{100.0 * found.bounds[0].probability:g} %"
+    table = Table(
+        caption="The largest error of half a second, for references (or the surface under a tip) "
+        "that are never faster than said. Bounded: what the certificate proves on its conditions, "
+        "of a tip what its linear loop can show, each with three standard deviations of noise. "
+        f"Probable: below this with a probability of {probability}, on stages like those that the "
+        "recordings allow; it is no guarantee. Worst found: by a search over references, pasts "
+        "and stages. Simulated: on the identified stage, in the median.",
+        columns=("axis", "at most", "bounded", "probable", "worst found", "simulated"),
+        rows=rows,
+    )
+    return [Heading(text="How large errors may be"), table]
+
+
+def _field(found: Verification) -> list[Part]:
+    """Return how compensators of others follow the same spirals, where they were run."""
+    if not found.field:
+        return []
+    turns_Hz = sorted({row.frequency_Hz for row in found.field})
+    both = (*found.comparison, *found.field)
+    rms_m = {(row.method, row.frequency_Hz): row.rms_m for row in both}
+    methods = sorted(
+        dict.fromkeys(row.method for row in both), key=lambda m: rms_m[m, turns_Hz[0]]
+    )
+    loops = {row.method: row for row in found.field}
+    shipped = set(found.methods.values())
+
+    def bandwidth(method: str) -> str:
+        loop = loops.get(method)
+        return "" if loop is None or loop.bandwidth_Hz is None else told(loop.bandwidth_Hz, "Hz")
+
+    rows = tuple(
+        (
+            (METHODS | FIELD)[method] + (" (ships)" if method in shipped else ""),
+            bandwidth(method),
+            *(told(rms_m[method, f], "m") for f in turns_Hz),
+        )
+        for method in methods
+    )
+    table = Table(
+        caption="Distance from the path, rms, by turns a second: our methods beside those of "
+        "others, best at the slowest spiral first. Their loops are tuned for the same plants, "
+        "limits and figure of merit, at the largest bandwidth up to ours with which all limits "
+        "are met; the charge drive is another amplifier and only simulated. They do not ship.",
+        columns=("method", "bandwidth", *(told(f, "Hz") for f in turns_Hz)),
+        rows=rows,
+    )
+    return [Fold(summary=f"Beside compensators of others: {len(loops)} methods", parts=(table,))]
 
 
 def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:

@@ -1,0 +1,1 @@
+"""Rivals of the hysteresis model, measured in one run."""

@@ -1,0 +1,257 @@
+"""Hysteresis classes and their inverses: fitted to one sweep, asked for other drives.
+
+    class                inverse
+    Prandtl-Ishlinskii   closed form                            [Krejci & Kuhnen 2001]
+    modified PI          closed form, dead zones behind plays   [Kuhnen 2003]
+    generalised PI       closed form, envelope in front         [Al Janaideh, Rakheja & Su 2011]
+    Preisach             by table, along the branch             [Mayergoyz 1991]
+    Bouc-Wen             multiplicative, nothing is inverted    [Rakotondrabe 2011]
+
+All fields are parts of the range, -1 to 1; every drive begins at -1, after a full cycle.
+"""
+
+import ctypes
+import subprocess
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from scipy.optimize import least_squares, nnls
+
+from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.physical import physical
+from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.numerics.arrays import Array
+from piezoid.operators.modified_prandtl_ishlinskii import (
+    Converter,
+    ModifiedPrandtlIshlinskii,
+    compensate,
+)
+from piezoid.records.recording import Recording
+
+HERE = Path(__file__).parent
+BUILD = Path("build/rivals")
+CYCLE = np.concatenate([np.linspace(-1.0, 1.0, 200), np.linspace(1.0, -1.0, 200)])
+NODES, DEEPEST = 21, 64  # of the table, as in inverses.c
+LEAST_SLOPE = 0.2  # of the mean one, of a branch right behind a turn: ours have 0.25 at least
+PLAY_SHAPES = {
+    "PI": Shape(plays=16, below=0, above=0, lag="none"),
+    "MPI": Shape(plays=16, below=6, above=6, lag="none"),
+    "GPI": Shape(plays=16, below=0, above=0, lag="none", bends=6),
+    "MPI, envelope": Shape(plays=16, below=6, above=6, lag="none", bends=6),
+}
+
+
+class Model(Protocol):
+    """A fitted class."""
+
+    parameters: int
+
+    def forward(self, field: Array) -> Array:
+        """Return the displacement along a drive from -1, (samples,)."""
+
+    def inverse(self, wanted: Array) -> Array:
+        """Return the fields from -1 that make these displacements, (samples,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plays:
+    """Plays with or without dead zones and envelope."""
+
+    operator: ModifiedPrandtlIshlinskii
+    parameters: int
+
+    @property
+    def memory(self) -> Array:
+        """Memory at -1 after a full cycle."""
+        operator = self.operator
+        return operator.run(np.tile(CYCLE, 2), operator.virgin_memory())[1]
+
+    def forward(self, field: Array) -> Array:
+        """Return the displacement along a drive from -1."""
+        return self.operator.run(field, self.memory)[0]
+
+    def inverse(self, wanted: Array) -> Array:
+        """Return the fields from -1 that make these displacements."""
+        limits = Converter(minimum_V=-1.0, maximum_V=1.0)
+        return compensate(self.operator, wanted, self.memory, limits)[0]
+
+
+def play_model(name: str, field: Array, moved: Array) -> Plays:
+    """Fit a class of plays with the search that fits ours."""
+    recording = Recording.from_arrays(
+        voltage_V=field, displacement_m=moved, sampling_rate_Hz=400.0, axis="x"
+    )
+    scales = scales_of([recording], "x")
+    pieces = pieces_of([recording], "x", scales, Rig())
+    settings = Settings(longest_lag_s=0.02, follow_zero=False, iterations=40)
+    found = search(pieces, PLAY_SHAPES[name], settings)
+    return Plays(operator=physical(found.operator, scales), parameters=found.shape.numbers)
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """Compile the inverses that are no play sums."""
+    BUILD.mkdir(parents=True, exist_ok=True)
+    made = (BUILD / "inverses.so").absolute()
+    command = ("cc", "-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC")
+    subprocess.run((*command, str(HERE / "inverses.c"), "-o", str(made), "-lm"), check=True)
+    code = ctypes.CDLL(str(made))
+    for name in ("preisach_forward", "preisach_inverse", "bouc_wen_forward", "bouc_wen_inverse"):
+        getattr(code, name).restype = ctypes.c_double
+        getattr(code, name).argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
+    code.preisach_start.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double)
+    return code
+
+
+class _Table(ctypes.Structure):
+    _fields_ = (
+        ("table", (ctypes.c_double * NODES) * NODES),
+        ("low", ctypes.c_double),
+        ("step", ctypes.c_double),
+    )
+
+
+class _TableState(ctypes.Structure):
+    _fields_ = (
+        ("depth", ctypes.c_int32),
+        ("rises", ctypes.c_int32),
+        ("field", ctypes.c_double),
+        ("output", ctypes.c_double),
+        ("turn", ctypes.c_double * DEEPEST),
+        ("at", ctypes.c_double * DEEPEST),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Preisach:
+    """A table of what rises add, and the displacement at -1."""
+
+    table: Array
+    begun: float
+    parameters: int
+
+    def _run(self, name: str, values: Array) -> Array:
+        table = _Table(low=-1.0, step=2.0 / (NODES - 1))
+        np.ctypeslib.as_array(table.table)[...] = self.table
+        state, step = _TableState(), getattr(library(), name)
+        places = ctypes.addressof(state), ctypes.addressof(table)
+        library().preisach_start(*places, self.begun)
+        return np.array([step(*places, value) for value in values.tolist()])
+
+    def forward(self, field: Array) -> Array:
+        """Return the displacement along a drive from -1."""
+        return self._run("preisach_forward", np.clip(field, -1.0, 1.0))
+
+    def inverse(self, wanted: Array) -> Array:
+        """Return the fields from -1 that make these displacements."""
+        return self._run("preisach_inverse", wanted)
+
+
+def preisach_model(field: Array, moved: Array) -> Preisach:
+    """Fit a non-negative density on a triangle of 20 by 20 cells.
+
+    y = y_0 + sum over the branches of +- T; every cell of the density is one column of T.
+    """
+    field = np.clip(field, -1.0, 1.0)
+    step = 2.0 / (NODES - 1)
+    edges = -1.0 + step * np.arange(NODES)
+    upper, lower = np.tril_indices(NODES - 1)  # cells (a, b) with a >= b
+    diagonal = upper == lower
+
+    def added(high: float, low: float) -> Array:
+        rises = np.clip((high - edges[upper]) / step, 0.0, 1.0)
+        falls = np.clip((edges[lower + 1] - low) / step, 0.0, 1.0)
+        return np.where(diagonal, np.maximum(rises + falls - 1.0, 0.0), rises * falls)
+
+    turn, at, rises = [float(field[0])], [np.zeros(len(upper))], True
+    columns, here = np.zeros((len(field), len(upper))), float(field[0])
+    for k, to in enumerate(field.tolist()):
+        if to != here:
+            if (to > here) != rises:
+                turn, at, rises = [*turn, here], [*at, columns[k - 1]], to > here
+            while len(turn) > 1 and (to >= turn[-2] if rises else to <= turn[-2]):
+                keep = max(len(turn) - 2, 1)
+                turn, at = turn[:keep], at[:keep]
+            here = to
+        sign = 1.0 if rises else -1.0
+        columns[k] = at[-1] + sign * added(max(to, turn[-1]), min(to, turn[-1]))
+    least = LEAST_SLOPE * step * float(np.ptp(moved)) / 2.0 * diagonal
+    zero = np.ones((len(field), 1))
+    rest = moved - columns @ least - moved.min()
+    found, _ = nnls(np.hstack([columns, zero, -zero]), rest)
+    weight = found[:-2] + least
+    table = np.zeros((NODES, NODES))
+    for a in range(NODES):
+        for b in range(a):
+            table[a, b] = weight[(upper < a) & (lower >= b)].sum()
+    begun = float(moved.min() + found[-2] - found[-1])
+    return Preisach(table=table, begun=begun, parameters=len(upper) + 1)
+
+
+class _BoucWen(ctypes.Structure):
+    _fields_ = tuple(
+        (name, ctypes.c_double) for name in ("c", "d", "gamma", "beta", "exponent", "share")
+    )
+
+
+class _BoucWenState(ctypes.Structure):
+    _fields_ = (("field", ctypes.c_double), ("z", ctypes.c_double))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoucWen:
+    """y = c + d u - share z, and the inverse multiplicative structure."""
+
+    numbers: tuple[float, ...]
+    parameters: int = 6
+
+    def _run(self, name: str, values: Array) -> Array:
+        state, step = _BoucWenState(field=-1.0, z=0.0), getattr(library(), name)
+        numbers = _BoucWen(*self.numbers)
+        places = ctypes.addressof(state), ctypes.addressof(numbers)
+        for field in np.tile(CYCLE, 2).tolist():
+            library().bouc_wen_forward(*places, field)
+        return np.array([step(*places, value) for value in values.tolist()])
+
+    def forward(self, field: Array) -> Array:
+        """Return the displacement along a drive from -1."""
+        return self._run("bouc_wen_forward", field)
+
+    def inverse(self, wanted: Array) -> Array:
+        """Return the fields from -1 that make these displacements."""
+        return self._run("bouc_wen_inverse", wanted)
+
+
+def bouc_wen_model(field: Array, moved: Array) -> BoucWen:
+    """Fit gamma, beta and exponent; c, d and share follow, being linear."""
+
+    def linear(shape: Array) -> tuple[Array, Array]:
+        gamma, beta, exponent = np.exp(shape[0]) * shape[1], np.exp(shape[0]), np.exp(shape[2])
+        z = BoucWen(numbers=(0.0, 0.0, gamma, beta, exponent, -1.0)).forward(field)
+        columns = np.stack([np.ones_like(field), field, -z], axis=1)
+        found = np.linalg.lstsq(columns, moved, rcond=None)[0]
+        return found, columns @ found - moved
+
+    bounds = ([-3.0, -0.9, 0.0], [5.0, 0.9, 1.5])
+    tried = [
+        least_squares(lambda x: linear(x)[1], start, bounds=bounds, diff_step=1e-3, max_nfev=25)
+        for start in ([0.5, 0.0, 0.1], [2.0, -0.3, 0.4])
+    ]
+    shape = min(tried, key=lambda found: found.cost).x
+    (c, d, share), _ = linear(shape)
+    gamma, beta, exponent = np.exp(shape[0]) * shape[1], np.exp(shape[0]), np.exp(shape[2])
+    return BoucWen(numbers=tuple(map(float, (c, d, gamma, beta, exponent, share))))
+
+
+def fitted(name: str, field: Array, moved: Array) -> Model:
+    """Fit a class by its name."""
+    if name in PLAY_SHAPES:
+        return play_model(name, field, moved)
+    return preisach_model(field, moved) if name == "Preisach" else bouc_wen_model(field, moved)
+
+
+CLASSES = (*PLAY_SHAPES, "Preisach", "Bouc-Wen")
