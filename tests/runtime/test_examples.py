@@ -9,7 +9,7 @@ from piezoid.export.bundle import bundle
 from tests.runtime.compiler import found, run
 from tests.verification.rig import stage
 
-EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 CORE = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard")
 FLAGS = ("-O2", "-ffp-contract=off", "-DPZ_REAL_FLOAT", "-Wall", "-Wextra", "-Werror")
 CORE_Hz, RATE_Hz = 168e6, 20e3

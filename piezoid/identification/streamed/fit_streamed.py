@@ -90,7 +90,9 @@ def fit_streamed(
             stage=declared.name or next(iter(spool.sources)).partition(".")[0],
             axes={
                 axis: _fit_axis(
-                    _Asked(axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders), spread),
+                    _Asked(
+                        axis, rig_of(declared, axis), rows, chunk, workers, tuple(orders), spread
+                    ),
                     found.pieces,
                     lambda text, axis=axis: progress(f"axis {axis}: {text}"),  # type: ignore[misc]
                 ).told_in_counts(spool.counted)
