@@ -306,8 +306,8 @@ def without_headings(
     rows = 0
     for number, content in enumerate(text.split("\n"), start=line):
         cells = _heading_cells(content, start)
-        if cells in (start.labels, start.units) and any(cells):
-            if cells == start.labels:
+        if cells and (_means(cells, start.labels) or cells == start.units):
+            if cells != start.units:
                 at.append(number)
                 begins.append(rows)
             continue
@@ -321,7 +321,7 @@ def without_headings(
                 line=number,
             )
         kept.append(content)
-        rows += bool(content.strip())
+        rows += bool(content.strip()) and not _COMMENT.match(content)
     return "\n".join(kept), tuple(row for row in begins if row), tuple(at)
 
 
@@ -329,10 +329,16 @@ def _heading_cells(line: str, start: Start) -> tuple[str, ...]:
     """Return the cells of a line of as many words as there are columns, none where it is none."""
     if len(line) > _LONGEST_LINE or not re.search(r"[^\W\d_]", line):
         return ()
-    cells = _cells(line, start.layout) or ()
+    cells = _cells(line.lstrip("\ufeff"), start.layout) or ()
     held = [cell for cell in cells if cell]
     is_heading = held and all(number_of(cell, start.layout.decimal) is None for cell in held)
     return cells if is_heading else ()
+
+
+def _means(cells: tuple[str, ...], labels: tuple[str, ...]) -> bool:
+    """Tell whether headings say the same, in whichever case."""
+    pairs = zip(map(heading_of, cells), map(heading_of, labels), strict=True)
+    return all(a.stem.lower() == b.stem.lower() and a.unit == b.unit for a, b in pairs)
 
 
 def _is_named(cell: str) -> bool:

@@ -47,8 +47,7 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
     """Read a table of real numbers."""
     start = find_start(text.split("\n", HEAD_LINES)[:HEAD_LINES], source.name, source.text)
     body = text.split("\n", start.row)[-1] if start.row else text
-    rows, remarks = without_comments(body, start.row + 1)
-    block, begins, cuts = parsed(rows, start, source.name, start.row + 1)
+    block, begins, told = parsed(body, start, source.name, start.row + 1)
     named = names_but_first(start)
     if named is not None and are_row_numbers(block.columns[0]):
         start = replace(start, labels=named, above=start.above[:-1])
@@ -63,8 +62,7 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
         metadata=metadata_of(start.above),
         problems=(
             *stray_problems(start),
-            *remarks,
-            *cuts,
+            *told,
             *block.problems,
             *textual_problems(start, block),
         ),
@@ -72,28 +70,30 @@ def _read_numbers(source: Source, text: str, format_name: str) -> RawTable:
 
 
 def parsed(
-    rows: str, start: Start, name: str, line: int
+    body: str, start: Start, name: str, line: int
 ) -> tuple[Block, tuple[int, ...], tuple[Problem, ...]]:
-    """Return the numbers of rows, where the headings stand again among them, and what says so.
+    """Return the numbers of a table, without comments and headings among its rows.
 
     line      of the first row
-    returned  block, first rows behind each heading, problems
+    returned  block, first rows behind each heading, what is told of the lines left out
 
     Raises ``UnreadableFileError`` for other headings among the rows: the columns mean other
     things from there on.
     """
+    rows, remarks = without_comments(body, line)
     block = parse_block(rows, start.layout, name, line)
-    if not any(problem.kind == "not_a_number" for problem in block.problems):
+    if not remarks and not any(problem.kind == "not_a_number" for problem in block.problems):
         return block, (), ()
-    kept, begins, at = without_headings(rows, start, name, line)
+    kept, begins, at = without_headings(body, start, name, line)
     if not at:
-        return block, (), ()
+        return block, (), remarks
+    rows, remarks = without_comments(kept, line)
     text = (
         f"the headings stand again at {len(at)} places, as where runs were put into one file: "
         "each begins with a memory of its own"
     )
     problem = Problem(kind="repeated_heading", place=f"line {at[0]}", text=text)
-    return parse_block(kept, start.layout, name, line), begins, (problem,)
+    return parse_block(rows, start.layout, name, line), begins, (*remarks, problem)
 
 
 def columns_of(start: Start, block: Block) -> tuple[Column, ...]:

@@ -13,7 +13,6 @@ from piezoid.records.readers import text_table
 from piezoid.records.readers.block import (
     Block,
     lines_are_rows,
-    without_comments,
 )
 from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.heading_lines import HEAD_LINES, Start, find_start, names_but_first
@@ -43,8 +42,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
         first: Block | None = None
         line, ahead = start.row + 1, 0
         for text in _pieces(stream, rows, source.name):
-            rows_only, remarks = without_comments(text, line)
-            block, begins, cuts = text_table.parsed(rows_only, start, source.name, line)
+            block, begins, told = text_table.parsed(text, start, source.name, line)
             _refuse_dates(block, source.name, line)
             if first is None:
                 start, first = _settled(start, block), block
@@ -58,7 +56,7 @@ def blocks(source: Source, rows: int) -> Iterator[RawTable]:
                 segment_starts=begins,
                 first_row=ahead,
                 metadata=text_table.metadata_of(start.above),
-                problems=(*beside, *remarks, *cuts, *block.problems),
+                problems=(*beside, *told, *block.problems),
             )
             line += text.rstrip("\n").count("\n")
             ahead += len(block.columns[0]) - 1

@@ -86,6 +86,34 @@ STRANGERS: tuple[Messy, ...] = (
         refused="line 202 heads the columns anew",
     ),
     Messy(
+        name="other_comment.csv",
+        wrong="a comment in the middle that heads millivolts",
+        write=text(
+            [
+                *lines()[:MIDDLE],
+                *lines(
+                    table=columns()[MIDDLE - 1 :] * [1, 1e3, 1],
+                    names=("# time [s]", "voltage [mV]", "position [um]"),
+                ),
+            ]
+        ),
+        refused="line 202 heads the columns anew",
+    ),
+    Messy(
+        name="put_together.csv",
+        wrong="two halves put together, a byte mark and headings in capitals between",
+        write=with_rows(
+            lambda rows: [
+                *rows[:MIDDLE],
+                "\ufeffTime [s],Voltage [V],Position [um]",
+                *rows[MIDDLE:],
+            ]
+        ),
+        kept=EVERY,
+        breaks=1,
+        problems=frozenset({"repeated_heading"}),
+    ),
+    Messy(
         name="other_order.csv",
         wrong="a second heading in the middle, its columns exchanged",
         write=text(
