@@ -35,6 +35,8 @@ _LIMITS = np.arange(_MOST_LEFT, 0.0, -0.05)  # of a harmonic's own contraction
 # waveform target found 0.1 on a plant with a mode at 630 Hz.
 _ANSWERS = 0.1
 _OF_MODEL = 0.8  # of the nominal inverse: less than 1, a slope may be above the middle one
+_STEPS = np.array([0.02, 0.05, 0.1, 0.15, 0.2, 0.3])  # shares of the nominal inverse, for probes
+_PROBED = 1.15  # of the harmonic, what a step may leave on the worst plant
 _AT_REST = 1e-12  # of z - 1: an integrator has no response at rest
 
 
@@ -47,6 +49,8 @@ class LearningFilter:
     model_V_per_m  (harmonics,)  likewise for the nominal plant alone, wherever it answers
     sensed       (harmonics,)  complex, reading over position of the nominal plant
     learns       (harmonics,)  Q, which is 0 or 1
+    probe_V_per_m  (harmonics,)  a small step where nothing contracts on all plants, from which the
+                 response can be measured: it leaves at most ``_PROBED`` of the harmonic
     contraction  at most this share of the error is left by a period, at full gain
     sector       rho
     worst        the member of the family that shrinks it least
@@ -57,9 +61,15 @@ class LearningFilter:
     model_V_per_m: Response
     sensed: Response
     learns: NDArray[np.bool_]
+    probe_V_per_m: Response
     contraction: float
     sector: float
     worst: str
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """Harmonics that a table may be changed at, (harmonics,)."""
+        return self.learns | (np.abs(self.probe_V_per_m) > 0.0)
 
     def share_learnt(self, wanted_m: Array) -> float:
         """Return how much of a motion's power, its mean aside, lies in learnt harmonics."""
@@ -124,6 +134,7 @@ def learning_filter(
             model_V_per_m=of_model,
             sensed=sensed,
             learns=learns,
+            probe_V_per_m=_probes(responses, relative, sector, usable & ~learns),
             contraction=float(each.max()),
             sector=sector,
             worst=members[int(np.argmax(each))].label,
@@ -176,6 +187,23 @@ def _best_shares(relative: Response, sector: float) -> tuple[Array, Array]:
     )
     best = np.argmin(tried, axis=0)
     return _SHARES[best], np.asarray(tried.min(axis=0))
+
+
+def _probes(
+    responses: Response,
+    relative: Response,
+    sector: float,
+    wanted: NDArray[np.bool_],
+) -> Response:
+    """Return the largest step that no plant of the family answers with more than ``_PROBED``."""
+    left = np.stack(
+        [(np.abs(1.0 - c * relative) + sector * c * np.abs(relative)).max(axis=0) for c in _STEPS]
+    )
+    share = _STEPS[np.argmin(np.where(left <= _PROBED, -_STEPS[:, None], 0.0), axis=0)]
+    share = np.where(left.min(axis=0) <= _PROBED, share, 0.0)
+    found = np.zeros(responses.shape[1], dtype=complex)
+    found[wanted] = share[wanted] / responses[0][wanted]
+    return found
 
 
 def _contractions(applied: Response, sector: float) -> Array:

@@ -10,9 +10,11 @@ from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.identification.model import AxisModel
 from piezoid.learning.contraction import LearningFilter, learning_filter
+from piezoid.learning.measured import SHARE_OF_MEASURED, measured_response
 from piezoid.learning.period import learning_shares, mean_period
 from piezoid.learning.playing import LIMITED, play
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.frequency import Response
 from piezoid.provenance import seal
 from piezoid.readable import told
 from piezoid.record_json import read_sealed, to_json
@@ -46,6 +48,10 @@ class Learned:
     errors_m          rms of the recorded periods, oldest first, each with the table of then
     noise_m           rms of the sensor's noise in the mean of the last recording's periods
     gain              of learning, over the best for the worst plant
+    played_V, read_m  (points,)  the table before this one and its mean recorded period, from which
+                      the next period shows the response; empty before there was one
+    response_m_per_V  (harmonics, 2)  real and imaginary part of the measured response of the
+                      table, 0 where no two periods have shown it; empty likewise
     sources           digests of model and parameters
     """
 
@@ -63,9 +69,13 @@ class Learned:
     noise_m: float | None = None
     gain: float = 1.0
     sources: Mapping[str, str] = field(default_factory=dict)
+    played_V: Array = field(default_factory=lambda: np.zeros(0))
+    read_m: Array = field(default_factory=lambda: np.zeros(0))
+    response_m_per_V: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
-        freeze(self, "wanted_m", "table_V")
+        freeze(self, "wanted_m", "table_V", "played_V", "read_m")
+        freeze(self, "response_m_per_V", ndim=2)
         if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _FEWEST:
             raise ValueError(
                 f"{len(self.wanted_m)} points wanted, {len(self.table_V)} in the table; expected "
@@ -179,7 +189,7 @@ def next_table(
         gain=before.gain,
     )
     wanted = np.fft.rfft(before.wanted_m)
-    sensed = np.where(found.learns | (wanted == 0.0), found.sensed, 1.0)
+    sensed = np.where(found.moves | (wanted == 0.0), found.sensed, 1.0)
     read = mean_period(
         period,
         before.axis,
@@ -190,10 +200,23 @@ def next_table(
     error = wanted - np.fft.rfft(read.measured_m) / sensed
     error_m = _without_mean(np.fft.irfft(error, len(before.wanted_m)), closed=before.closed_loop)
     share = learning_shares(error, len(before.wanted_m), read.noise_rms_m)
-    table_V = before.table_V + np.fft.irfft(share * found.L_V_per_m * error, len(before.wanted_m))
+    shown = measured_response(
+        before.table_V - before.played_V if len(before.played_V) else np.zeros(0),
+        read.measured_m - before.read_m if len(before.read_m) else np.zeros(0),
+        read.noise_rms_m,
+        _complex(before.response_m_per_V),
+        found,
+    )
+    L = np.where(found.learns, found.L_V_per_m, found.probe_V_per_m)
+    told = ~found.learns & (shown != 0.0) & (np.abs(found.probe_V_per_m) > 0.0)
+    L[told] = SHARE_OF_MEASURED / shown[told]
+    table_V = before.table_V + np.fft.irfft(share * L * error, len(before.wanted_m))
     after = replace(
         before,
         table_V=table_V,
+        played_V=before.table_V,
+        read_m=read.measured_m,
+        response_m_per_V=np.stack([shown.real, shown.imag], axis=1),
         errors_m=(*before.errors_m, float(np.sqrt(np.mean(error_m**2)))),
         noise_m=read.noise_rms_m,
     )
@@ -202,6 +225,11 @@ def next_table(
     moved = play(quiet, after.wanted_m, table_V, values=values, rng=np.random.default_rng(0))
     _refuse_limited(model, moved.voltage_V, moved.status)
     return after
+
+
+def _complex(parts: Array) -> Response | None:
+    """Return complex numbers of real and imaginary parts, (harmonics, 2); None where none are."""
+    return parts[:, 0] + 1j * parts[:, 1] if len(parts) else None
 
 
 def refuse_changed(before: Learned, reference_m: ArrayLike) -> None:

@@ -15,6 +15,7 @@ from piezoid.learning.learn import (
     next_table,
     refuse_changed,
 )
+from piezoid.learning.measured import measured_response
 from piezoid.learning.period import learning_shares
 from piezoid.learning.playing import play
 from piezoid.numerics.frequency import unit_circle
@@ -93,6 +94,22 @@ def test_a_volt_of_the_table_moves_what_the_response_says():
     said = table_response(plant_from_chain(chain()), values, q)[0]
     shown = np.fft.rfft(moved)[1] / np.fft.rfft(table_V)[1]
     assert abs(shown - said) < WITHIN * abs(said)
+
+
+def test_two_periods_tell_the_response_where_the_table_asked_clearly_and_nowhere_else():
+    found = learning_filter(AXIS, shipped().values, points=POINTS, sampling_rate_Hz=RATE_Hz)
+    rng, noise_m, harmonics = np.random.default_rng(2), 1e-9, len(found.learns)
+    true = 2e-7 * np.exp(-0.3j * np.arange(harmonics))
+    asked = np.zeros(harmonics, dtype=complex)
+    asked[7], asked[9] = 2.0 * POINTS * noise_m / 2e-7, 0.02 * POINTS * noise_m / 2e-7
+    moved_m = np.fft.irfft(asked * true * found.sensed, POINTS)
+    read_m = moved_m + np.sqrt(2.0) * noise_m * rng.standard_normal(POINTS)
+    table_V = np.fft.irfft(asked, POINTS)
+    shown = measured_response(table_V, read_m, noise_m, None, found)
+    assert shown[7] == pytest.approx(true[7], rel=0.1)
+    assert np.flatnonzero(np.abs(shown)).tolist() == [7]
+    nothing = measured_response(np.zeros(0), np.zeros(0), noise_m, shown, found)
+    assert nothing.tolist() == shown.tolist()  # what was told once is kept
 
 
 def test_noise_alone_is_hardly_learnt_and_an_error_beyond_it_nearly_all():

@@ -8,7 +8,12 @@ import pytest
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS
 from piezoid.verification.trace import POINTS, SpiralTrace
-from piezoid.verification.verification import Verification, verification_from_json
+from piezoid.verification.verification import (
+    ErrorBound,
+    FieldRow,
+    Verification,
+    verification_from_json,
+)
 from piezoid.verification.verify import verify
 from piezoid_reports.motions import motions
 from piezoid_reports.page import Page, Section
@@ -55,6 +60,41 @@ def test_every_method_and_verdict_has_its_row_and_every_verdict_its_limit(
     for verdict in found.verdicts:
         assert any(verdict.name in row and row.endswith("passed") for row in rows)
     assert any(row.startswith("cc12") for row in rows)
+
+
+def test_compensators_of_others_and_how_large_errors_may_be_have_rows_where_asked_for(
+    found: Verification,
+) -> None:
+    assert not any("high-gain" in row for row in texts(found))
+    row = found.comparison[0]
+    other = FieldRow(
+        method="high_gain",
+        frequency_Hz=row.frequency_Hz,
+        rms_m=2.0 * row.rms_m,
+        rms_percent=2.0 * row.rms_percent,
+        max_m=row.max_m,
+        aligned_rms_m=row.aligned_rms_m,
+        delay_s=0.0,
+        bandwidth_Hz=80.0,
+        modulus_margin=0.5,
+    )
+    bound = ErrorBound(
+        axis="x",
+        slew_m_per_s=1e-3,
+        bound_m=None,
+        probable_m=150e-9,
+        probability=0.95,
+        worst_found_m=357e-9,
+        simulated_m=91e-9,
+        runs=59,
+    )
+    asked = replace(found, field=(other,), bounds=(bound,))
+    rows = texts(asked)
+    assert any(row.startswith("high-gain feedback") and "80.0 Hz" in row for row in rows)
+    assert any(row.startswith("x1.00 mm/snone150 nm357 nm91.0 nm") for row in rows), rows
+    again = verification_from_json(asked.to_json())
+    assert again.field == asked.field
+    assert again.bounds == asked.bounds
 
 
 def test_what_failed_is_said_first(found: Verification) -> None:
