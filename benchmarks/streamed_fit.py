@@ -142,7 +142,9 @@ def spread_over(processes: int) -> Iterator["Spread | None"]:
     from distributed import Client, LocalCluster
 
     with (
-        LocalCluster(n_workers=processes, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(
+            n_workers=processes, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as cluster,
         Client(cluster) as client,
     ):
         yield lambda work, items: client.gather(client.map(work, items, pure=False))

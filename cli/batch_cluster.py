@@ -18,6 +18,13 @@ if TYPE_CHECKING:
 ANSWER_s = 20.0  # within which a scheduler, and then a first worker, must answer
 BUNDLE = 32  # stages that are given to a worker at once, at most
 LEAST_WINDOW = 64  # bundles that are given out at one time: more workers may come
+# A client that waits for a night looks about less often: 8 instead of 14 ms of processor a second.
+RESTFUL = {
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.scheduler.work-stealing-interval": "1s",
+    "distributed.worker.profile.enabled": False,
+}
 
 Answer = TypeVar("Answer")
 
@@ -30,7 +37,7 @@ def workers(scheduler: str, processes: int | None) -> "Iterator[Client]":
     import dask
     from distributed import Client, LocalCluster
 
-    with dask.config.set({"logging.distributed": "critical"}):
+    with dask.config.set({"logging.distributed": "critical", **RESTFUL}):
         if scheduler:
             with _client(scheduler) as client:
                 yield client

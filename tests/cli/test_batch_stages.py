@@ -32,7 +32,7 @@ def client() -> Iterator[Client]:
     """Two workers in threads of this process, which see its memory."""
     with (
         LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
         ) as cluster,
         Client(cluster) as here,
     ):
