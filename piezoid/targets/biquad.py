@@ -238,7 +238,7 @@ def held_axis(exported: Exported, axis: AxisParameters, box: SectionBox) -> Held
         if found.ripple_dB > _RIPPLE_dB or found.modulus >= asked.modulus_margin:
             break
         pid = pid.times(_SLOWER)
-    _refuse_rounded(exported.box, axis, chosen, pid, members, found)
+    _refuse_rounded(exported.box, axis, chosen, pid, members, asked.modulus_margin, found)
     return Held(
         axis=axis.axis,
         programmed=chosen,
@@ -308,6 +308,7 @@ def _refuse_rounded(
     chosen: Programmed,
     pid: Pid,
     members: Sequence[Fraction],
+    modulus_margin: float,
     found: "_Rounded",
 ) -> None:
     """Refuse numbers that do not hold the plants, with what would fit."""
@@ -325,7 +326,7 @@ def _refuse_rounded(
             f"; the last bit of its integral is {last_bit:.3g} V/(m s), and "
             f"{abs(pid.integral_V_per_m_s):.3g} V/(m s) is needed"
         )
-    fits = "; ".join(_that_hold(asked, axis, pid, members))
+    fits = "; ".join(_that_hold(asked, axis, pid, members, modulus_margin))
     raise DesignError(
         f"axis {axis.axis}: {chosen.box.name} at {chosen.update_Hz:.6g} Hz rounds its sections to "
         f"{said}",
@@ -342,6 +343,7 @@ def _that_hold(
     axis: AxisParameters,
     pid: Pid,
     members: Sequence[Fraction],
+    modulus_margin: float,
 ) -> Iterator[str]:
     """Yield boxes and rates that hold the same settings."""
     limits_V = (pid.minimum_V, pid.maximum_V)
@@ -352,7 +354,8 @@ def _that_hold(
         for update_Hz in dict.fromkeys((box.rates_Hz[-1], box.usual_Hz)):
             tried = replace(asked, update_Hz=update_Hz, output_V=None)
             chosen = _programmed(tried, axis, box, pid, limits_V, room_of(axis).farthest_m)
-            if _rounded(chosen, pid, members).holds:
+            found = _rounded(chosen, pid, members)
+            if found.holds and found.modulus >= modulus_margin:
                 yield f'format = "{box.name}" with update_Hz = {update_Hz:.8g}'
 
 

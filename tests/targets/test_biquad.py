@@ -222,8 +222,11 @@ def test_files_hold_the_registers_and_say_what_is_lost():
 
 def test_a_box_without_enough_bits_is_refused_with_what_would_fit():
     asked = Box(format="linien", error_range_m=2e-8)
-    with pytest.raises(DesignError, match=r"last bit of its integral is .* fit.*\"pyrpl\""):
+    with pytest.raises(
+        DesignError, match=r"last bit of its integral is .* fit.*\"pyrpl\""
+    ) as told:
         biquad_files(replace(exported(), box=asked))
+    assert "3051" not in str(told.value)  # a rate at which no margin is left
 
 
 def test_rates_sections_and_ends_that_a_box_lacks_are_refused_with_what_would_fit():
