@@ -15,6 +15,8 @@ from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
+from piezoid.identification.restoring_force.fit import RestoringForceModel
+from piezoid.identification.restoring_force.placing import HysteresisPlacement
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Recording
@@ -110,6 +112,9 @@ class AxisModel:
     extensions   what a diagnosis added, in the order in which they act
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
+    placement    where the hysteresis stands beside a mode; None where it was not asked
+    restoring_force  the mode with its hysteretic spring, where it stands inside; then this is
+                 the simulation of the axis
     """
 
     axis: str
@@ -130,6 +135,8 @@ class AxisModel:
     extensions: tuple[Extension, ...] = ()
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
+    placement: HysteresisPlacement | None = None
+    restoring_force: RestoringForceModel | None = None
 
     @property
     def virgin_memory_V(self) -> Array:

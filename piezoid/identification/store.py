@@ -11,6 +11,12 @@ from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.model import SCHEMA, AxisModel
 from piezoid.identification.quality import FitQuality
 from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.hysteretic_mode import (
+    BoucWenSpring,
+    HystereticMode,
+    MaxwellSlip,
+    Spring,
+)
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.provenance import seal
@@ -54,7 +60,9 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     )  # fmt: skip
     held = fields_of(axis)
     held["valid_range"] = {"voltage_V": held.pop("voltage_V")}
-    return {name: held[name] for name in names}
+    later = {name: held[name] for name in ("placement", "restoring_force")}
+    asked = {name: value for name, value in later.items() if value is not None}
+    return {name: held[name] for name in names} | asked
 
 
 def _axis(entry: Mapping[str, Any]) -> AxisModel:
@@ -90,6 +98,15 @@ def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
     )
 
 
+def _spring(entry: Mapping[str, Any]) -> HystereticMode:
+    held = entry["spring"]
+    spring: Spring = (
+        from_fields(BoucWenSpring, held) if "beta" in held else from_fields(MaxwellSlip, held)
+    )
+    numbers = {name: convert(value, float) for name, value in entry.items() if name != "spring"}
+    return HystereticMode(spring=spring, **numbers)
+
+
 def _quality_entry(quality: FitQuality) -> dict[str, Any]:
     held = fields_of(quality)
     first = {name: held.pop(name) for name in ("rms_m", "held_out_rms_m")}
@@ -101,6 +118,7 @@ LAYOUTS = (
     RecordLayout(kind=AxisModel, write=_axis_entry, read=_axis),
     RecordLayout(kind=ModifiedPrandtlIshlinskii, write=_hysteresis_entry, read=_hysteresis),
     RecordLayout(kind=FitQuality, write=_quality_entry),
+    RecordLayout(kind=HystereticMode, write=fields_of, read=_spring),
     RecordLayout(kind=LinearDynamics, write=LinearDynamics.to_json, read=LinearDynamics.from_json),
     LAYOUT_OF_EXTENSIONS,
 )
