@@ -201,8 +201,8 @@ class CoupledStage:
 
         Raises ``IdentificationError`` where drives and displacements are not the same axes.
 
-        >>> coupled.decoupling.tolist()
-        [[1.0]]
+        >>> coupled.decoupling.shape
+        (1, 1)
         """
         if self.inputs != self.outputs:
             raise IdentificationError(
