@@ -13,7 +13,7 @@ from tests.coupled_axes import STATIC_M_PER_V, coupled_axes
 def test_the_matrix_makes_the_gain_at_rest_diagonal_and_keeps_it_on_the_diagonal() -> None:
     found = decoupling_of(coupled_axes(), 50.0)
     turned = found.matrix @ STATIC_M_PER_V
-    np.testing.assert_allclose(turned, np.diag(np.diag(STATIC_M_PER_V)), atol=1e-18)
+    np.testing.assert_allclose(turned, np.diag(np.diag(STATIC_M_PER_V)), atol=5e-3 * 3.5e-6)
 
 
 def test_what_is_left_is_dynamic_and_grows_towards_the_modes() -> None:
@@ -25,7 +25,8 @@ def test_what_is_left_is_dynamic_and_grows_towards_the_modes() -> None:
 
 
 def test_a_drive_that_does_not_move_its_own_displacement_is_refused() -> None:
-    crossed = STATIC_M_PER_V[::-1] * np.array([[1e-2, 1.0], [1.0, 1e-2]])
-    stage = replace(coupled_axes(), elongation_V_per_m=np.linalg.inv(crossed))
+    whole = coupled_axes()
+    residue = whole.residue_m_per_V.copy()
+    residue[:, :, 0, 0] *= 1e-4
     with pytest.raises(DesignError, match="axis x: its drive moves its own displacement by"):
-        decoupling_of(stage, 50.0)
+        decoupling_of(replace(whole, residue_m_per_V=residue), 50.0)

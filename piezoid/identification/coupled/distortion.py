@@ -92,8 +92,6 @@ def fitted_distortion(
     whole_gram, whole_target = np.sum(grams, axis=0), np.sum(targets, axis=0)
     shape = (columns[0].shape[1], terms[0].shape[1], left[0].shape[1])
     whole = _solved(whole_gram, whole_target).reshape(shape)
-    if len(groups) < 2:
-        return whole, [whole]
     return whole, [
         _solved(whole_gram - gram, whole_target - target).reshape(shape)
         for gram, target in zip(grams, targets, strict=True)

@@ -49,6 +49,7 @@ LEAST_DAMPING = 0.003  # of a start: below, a pole follows noise
 ANOTHER = 0.02  # relative distance of modes: levels of 1 to 3 move one by up to half as much
 ROUNDS = 2  # of terms from elongations, elongations from the fit
 GROUPS = 3  # of realisations, for the error of the distortion where it is left out
+WORTH = 0.98  # of what is left without: distortion must take so much off realisations left out
 LINEAR, WITH_TERMS, LEFT_OUT = (
     Rule(tolerance=2e-3, iterations=12),
     Rule(tolerance=2e-3, iterations=6),
@@ -96,7 +97,7 @@ def fit_coupled(
         models = [fitted(_without(problem, r), numbers, LEFT_OUT) for r in range(count)]
         shapes = [one for one, _ in models]
     linear = [_left(problem, k, numbers, residue) for k in range(len(data))]
-    groups = np.array_split(np.arange(count), GROUPS if is_left_out else 1)
+    groups = np.array_split(np.arange(count), GROUPS if is_left_out else 2)
     whole, apart = _distortion(problem, numbers, linear, elongation, scale, groups)
     error = []
     for k, level in enumerate(problem.levels):
@@ -391,7 +392,10 @@ def _distortion(
     scale: Array,
     groups: Sequence[NDArray[np.int64]],
 ) -> tuple[_Distortion | None, list[_Distortion | None]]:
-    """Return the distortion of all realisations, and of all but each group; None: not told."""
+    """Return the distortion of all realisations, and of all but each group.
+
+    None where too few data tell it, or where groups left out are predicted no better with it.
+    """
     residue = Point(problem, problem.pack(numbers)).residue
     columns, terms = [], []
     for k, level in enumerate(problem.levels):
@@ -412,6 +416,15 @@ def _distortion(
         return None, [None] * len(groups)
     whole, apart = fitted_distortion(columns, terms, left, groups)
     made = [_Distortion(weight=W, columns=columns, terms=terms) for W in (whole, *apart)]
+    before, after = 0.0, 0.0
+    for k, rest in enumerate(left):
+        size = float((np.abs(rest) ** 2).sum())
+        for group, added in zip(groups, made[1:], strict=True):
+            own = rest[..., group]
+            before += float((np.abs(own) ** 2).sum()) / size
+            after += float((np.abs(own - added.lines(k)[..., group]) ** 2).sum()) / size
+    if after > WORTH**2 * before:
+        return None, [None] * len(groups)
     return made[0], list(made[1:])
 
 

@@ -59,20 +59,34 @@ def quasi_static(
     response changes it by more than ``TOUCHED`` of its rms: plays would take ringing for loops.
     All are of the first kind where no mode is found, or where none would be left.
     """
-    exciting = excites_dynamics(recordings, axis)
-    if not exciting:
+    shown = _mode_shown(recordings, axis, rig)
+    if shown is None:
         return tuple(recordings), ()
-    furthest = max(exciting, key=lambda pair: pair[1])[0]
-    try:
-        found = _best(measure_from_drive(furthest, axis), rig)
-    except (ExcitationError, IdentificationError):
-        return tuple(recordings), ()
-    if not resolved_modes(found).any():
-        return tuple(recordings), ()
+    found = shown[1]
     calm = tuple(r for r in recordings if _touched(r, axis, found) <= TOUCHED)
     if not calm:
         return tuple(recordings), ()
     return calm, tuple(r for r in recordings if r not in calm)
+
+
+def mode_in(recordings: Sequence[Recording], axis: str, rig: Rig) -> Recording | None:
+    """Return the recording that excites an axis furthest, where a mode is resolved in it."""
+    shown = _mode_shown(recordings, axis, rig)
+    return None if shown is None else shown[0]
+
+
+def _mode_shown(
+    recordings: Sequence[Recording], axis: str, rig: Rig
+) -> tuple[Recording, LinearDynamics] | None:
+    exciting = excites_dynamics(recordings, axis)
+    if not exciting:
+        return None
+    furthest = max(exciting, key=lambda pair: pair[1])[0]
+    try:
+        found = _best(measure_from_drive(furthest, axis), rig)
+    except (ExcitationError, IdentificationError):
+        return None
+    return (furthest, found) if resolved_modes(found).any() else None
 
 
 def _touched(recording: Recording, axis: str, dynamics: LinearDynamics) -> float:

@@ -27,6 +27,7 @@ from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.hysteretic_mode import Hold, fine_drive
 from piezoid.operators.play import play_columns
+from piezoid.record_json import Unbounded
 from piezoid.records.recording import Recording
 from piezoid.showing import shown
 
@@ -71,7 +72,7 @@ class HysteresisPlacement:
     law: dict[str, str]
     without_rms_m: float | None
     mode_Hz: float | None
-    margin: float
+    margin: Unbounded
     text: str
 
     def _repr_html_(self) -> str:

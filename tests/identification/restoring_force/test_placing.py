@@ -74,3 +74,15 @@ def test_a_mode_without_hysteresis_is_said_to_have_none() -> None:
     assert "without hysteresis predicts as well" in found.text
     assert "through 2" in found.text
     assert found.mode_Hz == pytest.approx(200.0, rel=0.01)
+
+
+@pytest.mark.parametrize("late", [0, 12])  # of FINE parts of a sample
+def test_a_linear_mode_that_is_late_or_held_otherwise_is_not_placed(late: int) -> None:
+    """Plays in front of a mode turn its phase, and would be taken for what a delay does."""
+    fine, drive = 16, multisine(np.random.default_rng(4), 0.1)[: SAMPLES // 2]
+    moved = mode_of(resample(drive, fine * len(drive)), 200.0, 0.03, fine * RATE_HZ)
+    motion = np.roll(moved, late)[::fine]
+    found = piezoid.place_hysteresis(recorded(drive, motion), hold="zero_order")
+    assert found.place == "not separable"
+    assert found.without_rms_m is not None
+    assert found.without_rms_m < 1.02 * min(found.left_out_rms_m.values())
