@@ -64,9 +64,11 @@ def _spread(cause: Candidate, value: float) -> float:
             more = beta + np.eye(len(beta))[k] * max(abs(beta[k]), 1e-9) * NUDGE
             step = more[k] - beta[k]
             gradient.append((effect.size(view, one.parameters, more) - value) / step)
+    # a parameter that moves nothing here is in no reading, nor in what the cause adds to them
+    moving = [k for k, column in enumerate(columns) if np.any(column)]
     null = replace(view, selected=_others(cause)).null
-    cov = null.doubt(np.column_stack(columns))
-    slope = np.array(gradient)
+    cov = null.doubt(np.column_stack([columns[k] for k in moving]))
+    slope = np.array([gradient[k] for k in moving])
     return sqrt(max(float(slope @ cov @ slope), 0.0))
 
 
