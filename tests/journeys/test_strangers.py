@@ -10,7 +10,6 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
-from tests.identification.hysteresis.stages import play_sum
 from tests.laws import LAWS, RATE_Hz, swept_um, triangles, write
 
 PIEZOID = (sys.executable, "-m", "piezoid_cli.main")
@@ -183,19 +182,6 @@ def test_noise_under_a_drive_that_never_rests_is_told_as_a_bound(tmp_path: Path)
     assert "own noise is at most" not in verdict
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
     assert 0.9 < quality["noise_rms_m"] / 8e-9 < 1.1
-
-
-def test_a_loop_that_asks_for_plays_gets_no_bends_of_its_curve(tmp_path: Path) -> None:
-    """A straight curve behind many plays; on the ladder of orders both grow together."""
-    field = triangles(8, 300, 0.1)
-    thresholds = np.linspace(0.03, 0.9, 24)
-    moved = field + play_sum(field, thresholds, np.full(24, 0.02), np.full(24, field[0]))
-    sweep = write(tmp_path / "sweep.csv", field, 10 * moved + noise_um(len(field)))
-    piezoid("fit", sweep, "--out", tmp_path / "stage")
-    axis = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]
-    assert len(axis["hysteresis"]["play_threshold_V"]) > 4
-    assert len(axis["hysteresis"]["dead_zone_weight"]) <= 3
-    assert axis["quality"]["held_out_rms_m"] < 1.05 * 8e-9
 
 
 def joined(done: subprocess.CompletedProcess[str]) -> str:

@@ -3,13 +3,12 @@
 As well is within 3 % of the best. A standard error of the paired difference on top of that was
 tried and is not taken: on laws that plays follow badly (Dahl, Duhem) it doubled the error on fresh
 drives.
-Plays and dead zones grow together first, then each is taken back apart from the other.
 Judged on rows the fit did not see: on other recordings where there are several, else on the
 second half of the only one, as of one that goes further than all others. Random splits would prove
 nothing; neighbouring samples are copies.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,34 +107,24 @@ def choose_shape(
                last, when they have had the most time
     """
     untested = is_untested(pieces)
-    trials: dict[Shape, Trial] = {}
 
     def tried(shape: Shape) -> Trial:
-        if shape not in trials:
-            trials[shape] = _try(pieces, shape, settings, progress)
-        return trials[shape]
+        return _try(pieces, shape, settings, progress)
 
-    _ladder(_shapes_of(orders), tried, untested)
-    straight = _smallest_as_good(trials.values(), untested)
+    trials = _ladder(_shapes_of(orders), tried, untested)
+    straight = _smallest_as_good(trials, untested)
     late = [tried(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
-    for shape in bent_shapes(orders):
-        trials[shape] = elsewhere(shape) or tried(shape)
-    for other in late:
-        if not _is_as_good(straight, other, untested):  # beside the wrong lag no size helps
-            lag = other.shape.lag
-            _ladder([replace(shape, lag=lag) for shape in _shapes_of(orders)], tried, untested)
-            for shape in bent_shapes(orders):
-                tried(replace(shape, lag=lag))
-    best = _smallest_as_good(trials.values(), untested)
+    trials += [elsewhere(shape) or tried(shape) for shape in bent_shapes(orders)]
+    best = _smallest_as_good(trials, untested)
     if best.shape.bends:
         begun = straight.shape.plays
-        smaller = [s for s in _shapes_of(orders) if begun <= s.plays < best.shape.plays]
-        bent = [replace(s, bends=best.shape.bends, lag=best.shape.lag) for s in smaller]
-        _first_as_good(best, bent, tried, untested)
-        best = _smallest_as_good(trials.values(), untested)
-    _with_fewer(best.shape, min(trials.values(), key=_error), orders, tried, untested)
-    best = _smallest_as_good(trials.values(), untested)
-    return Choice(best=best, trials=tuple(trials.values()), kind=_kind_of(pieces))
+        fewer = (s for s in _shapes_of(orders) if begun <= s.plays < best.shape.plays)
+        trials += _until_as_good(
+            best, (replace(s, bends=best.shape.bends) for s in fewer), tried, untested
+        )
+    trials += late
+    best = _smallest_as_good(trials, untested)
+    return Choice(best=best, trials=tuple(trials), kind=_kind_of(pieces))
 
 
 def without_bends(choice: Choice) -> Choice:
@@ -172,7 +161,9 @@ def bent_shapes(orders: Sequence[tuple[int, int]]) -> tuple[Shape, ...]:
     return tuple(replace(richest, bends=bends) for bends in BENDS)
 
 
-def _ladder(shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: bool) -> None:
+def _ladder(
+    shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: bool
+) -> list[Trial]:
     """Try shapes of growing size for as long as that brings anything."""
     trials: list[Trial] = []
     for shape in shapes:
@@ -181,44 +172,23 @@ def _ladder(shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: 
         earlier = trials[:-NO_BETTER]
         if any(all(_is_as_good(one, other, untested) for other in last) for one in earlier):
             break
+    return trials
 
 
-def _first_as_good(
-    best: Trial, shapes: Sequence[Shape], tried: Callable[[Shape], Trial], untested: bool
-) -> Shape | None:
-    """Try shapes of growing size until one is as good as the best, and return it."""
-    return next((s for s in shapes if _is_as_good(tried(s), best, untested)), None)
-
-
-def _with_fewer(
-    shape: Shape,
-    best: Trial,
-    orders: Sequence[tuple[int, int]],
-    tried: Callable[[Shape], Trial],
-    untested: bool,
-) -> None:
-    """Take back dead zones, then plays, for as long as what is left is as good as the best of all.
-
-    On the ladder they grow together: a loop that asks for many plays gets as many bends of Psi,
-    which nothing asked for.
-    """
-    richest_first = sorted(orders, reverse=True)
-    for zones in [zones for _, zones in richest_first if 2 * zones < shape.below + shape.above]:
-        fewer = replace(shape, below=zones, above=zones)
-        if not _is_as_good(tried(fewer), best, untested):
+def _until_as_good(
+    best: Trial, shapes: Iterator[Shape], tried: Callable[[Shape], Trial], untested: bool
+) -> list[Trial]:
+    """Try shapes of growing size until one is as good as the best."""
+    trials: list[Trial] = []
+    for shape in shapes:
+        trials.append(tried(shape))
+        if _is_as_good(trials[-1], best, untested):
             break
-        shape = fewer
-    for plays in [plays for plays, _ in richest_first if plays < shape.plays]:
-        if not _is_as_good(tried(replace(shape, plays=plays)), best, untested):
-            break
+    return trials
 
 
-def _error(trial: Trial) -> float:
-    return trial.held_out_rms
-
-
-def _smallest_as_good(trials: Collection[Trial], untested: bool) -> Trial:
-    best = min(trials, key=_error)
+def _smallest_as_good(trials: Sequence[Trial], untested: bool) -> Trial:
+    best = min(trials, key=lambda trial: trial.held_out_rms)
     ordered = sorted(trials, key=lambda trial: trial.shape.numbers)
     return next(trial for trial in ordered if _is_as_good(trial, best, untested))
 
