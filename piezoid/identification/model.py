@@ -170,7 +170,13 @@ class AxisModel:
     restoring_force: RestoringForceModel | None = None
 
     def told_in_counts(self, counted: tuple[str, ...]) -> "AxisModel":
-        """Return the axis with its sentences in counts, where it was recorded in counts."""
+        """Return the axis with its sentences in counts, where it was recorded in counts.
+
+        counted  of ``displacement`` and ``voltage``, those that are in counts
+
+        >>> model["x"].told_in_counts(("displacement",)).counted
+        ('displacement',)
+        """
         return replace(
             self,
             counted=counted,
@@ -180,7 +186,12 @@ class AxisModel:
         )
 
     def refuse_counts(self, *, of: tuple[str, ...] = (DISPLACEMENT, VOLTAGE)) -> None:
-        """Raise ``LabFileError`` where one of these is in counts: what leaves here is in units."""
+        """Raise ``LabFileError`` where one of these is in counts: what leaves here is in units.
+
+        of  the quantities that what follows needs in units
+
+        >>> model["x"].refuse_counts()
+        """
         for one in (quantity for quantity in of if quantity in self.counted):
             si = Quantity[one.upper()].value
             raise LabFileError(

@@ -75,6 +75,8 @@ class Learned:
 
     def __post_init__(self) -> None:
         freeze(self, "wanted_m", "table_V", "played_V", "read_m")
+        response = np.reshape(self.response_m_per_V, (-1, 2))  # a file has no shape of none
+        object.__setattr__(self, "response_m_per_V", response)
         freeze(self, "response_m_per_V", ndim=2)
         if len(self.wanted_m) != len(self.table_V) or len(self.wanted_m) < _FEWEST:
             raise ValueError(

@@ -84,7 +84,7 @@ def test_a_loop_that_damps_a_mode_and_fails_is_tried_once_more_below_the_mode(
         monkeypatch.setattr(import_module(module), function, step)
     raised = Outcome(axis="x", design=fast, slower=slow)  # type: ignore[arg-type]
     found = controllers_of(
-        None,  # type: ignore[arg-type]
+        SimpleNamespace(coupled=None),  # type: ignore[arg-type]
         b'{"digest": "m"}',
         None,
         lambda _: None,
@@ -112,9 +112,11 @@ def controller(patch: pytest.MonkeyPatch, broken: str = "", error: Exception | N
     for name in STEPS:  # not by its path: piezoid.design and piezoid.export are the verbs
         module, _, function = name.rpartition(".")
         patch.setattr(import_module(module), function, step(name))
-    model: Any = None
+    model: Any = SimpleNamespace(coupled=None)
     content = json.dumps({"digest": "m"}).encode()
-    return controllers_of(model, content, None, lambda _: None, designed=())
+    one: Any = Outcome(axis="x", design=Loop(bandwidth_Hz=50.0))  # type: ignore[arg-type]
+    designed = (Designed(outcomes=(one,)),)
+    return controllers_of(model, content, None, lambda _: None, designed=designed)
 
 
 def test_a_controller_that_was_verified_ships(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,12 +85,12 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
     lab.parent.mkdir()
     lab.write_text("")
     (lab.parent / "sweep.csv").write_bytes(sweep.read_bytes())
-    inputs = {"sweep.csv": "", "lab.toml": ""}
-    batch = run_stage(StageTask(name="a", folder=str(lab.parent), inputs=inputs, version=""))
-    raw = read_model(batch.files["model.json"])["x"]
+    task = StageTask(name="a", folder=str(lab.parent), results=str(tmp_path), version="")
+    stage, files = run_stage(task, {"sweep.csv": "", "lab.toml": ""})
+    raw = read_model(files["model.json"])["x"]
     # Stages are compared in units: what is in counts is left out there.
-    assert {"lag_s", "held_out_rms_percent"} <= set(batch.stage.axes[0].values)
-    assert not {"noise_rms_m", "sensitivity_m_per_V"} & set(batch.stage.axes[0].values)
+    assert {"lag_s", "held_out_rms_percent"} <= set(stage.axes[0].values)
+    assert not {"noise_rms_m", "sensitivity_m_per_V"} & set(stage.axes[0].values)
     known = piezoid.fit(piezoid.read(sweep, lab=tmp_path / "lab.toml"))["x"]
     assert (raw.counted, known.counted) == (("displacement",), ())
     assert raw.quality.held_out_rms_percent == pytest.approx(

@@ -8,6 +8,7 @@ from piezoid_reports.page import Page
 from piezoid_reports.render import render
 from piezoid_reports.sections import (
     SECTIONS,
+    coupling,
     design,
     diagnosis,
     dynamics,
@@ -81,6 +82,7 @@ def test_the_certificate_states_its_conditions() -> None:
 
 ABOUT_MORE_THAN_AXES = {
     since.render,
+    coupling.render,
     dynamics.render,
     tunnelling.render,
     tunnelling_loop.render,
