@@ -134,3 +134,18 @@ def test_a_periodic_error_is_stated_over_where_the_stage_stood_and_leaves_nothin
     assert found.effect == "sensor_periodic_error"
     assert found.size.value == pytest.approx(amplitude_nm, rel=0.02)
     assert found.size.ci95[0] < amplitude_nm < found.size.ci95[1]
+
+
+def test_a_parameter_that_moves_nothing_leaves_a_size_its_interval() -> None:
+    """A rate dependence that had one ended in an interval that is no number."""
+    campaign = draw_campaign(
+        2, truth="preisach", effects=("amplifier_saturation",), plans=("sweep", "check")
+    )
+    view = view_of_recordings(*recorded(campaign))
+    seen = score_test(amplifier_saturation.EFFECT, view)
+    start = initial_guess(amplifier_saturation.EFFECT, seen.trial, float(seen.cv.coefficient[0]))
+    one, there = refined(start, view, [])
+    idle = replace(one, parameters={**one.parameters, "idle": 1.0}, free={**one.free, "idle": 2.0})
+    sizes = [size_of(judged(cause, there, view, seen=seen)) for cause in (one, idle)]
+    assert sizes[1].value == sizes[0].value
+    assert sizes[1].ci95 == pytest.approx(sizes[0].ci95, rel=1e-3)
