@@ -13,7 +13,9 @@ scores of healthy stages of all laws of the zoo. Its rank among n of them is a p
 exactly uniform for a healthy stage that is exchangeable with these, whatever the score is: no
 threshold is typed in. A cause is held in the same way against the strongest that the diagnosis of
 a healthy stage came upon, named or dismissed: its rms over that of the structure left beside it.
-That probability is of any finding in the whole diagnosis, hence no factor for many effects.
+That probability is of any finding in the whole diagnosis, hence no factor for many effects. What
+goes wrong: these stages have pasts, so evidence of an initial state is left out of the table, and
+a named initial state is only ranked beside the evidence of other effects.
 ``python -m benchmarks.zoo.healthy`` makes the table.
 
 Source: Vovk, Gammerman & Shafer, Algorithmic Learning in a Random World (2005), conformal p.
