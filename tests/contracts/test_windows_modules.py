@@ -57,4 +57,4 @@ def test_a_module_links_for_windows_and_shows_these_names(name, tmp_path):
     )
     listed = subprocess.run([reader, "-p", str(made)], capture_output=True, text=True, check=True)
     table = listed.stdout.split("[Ordinal/Name Pointer] Table")[1].split("\n\n")[0]
-    assert set(re.findall(r"\b(?:p[klz]_|PyInit_)\w+", table)) == shown
+    assert set(re.findall(r"\b(?:p[klz]_|sb_|PyInit_)\w+", table)) == shown
