@@ -254,6 +254,7 @@ def test_samples_left_out_cover_no_more_of_the_picture_than_they_are() -> None:
     ticks = [(int(x), int(w)) for x, w in re.findall(r"M(\d+),\d+l(\d+),0", drawn[1])]
     assert len(ticks) > 140
     assert sum(w for _, w in ticks) < 0.4 * (ticks[-1][0] - ticks[0][0])
-    rounded = " ".join(re.findall(r"([^{}]*)\{[^}]*linecap: round", page))
+    style = page[page.index("<style>") : page.index("</style>")]
+    rounded = " ".join(re.findall(r"([^{}]*)\{[^}]*linecap: round", style))
     assert ".dots" in rounded
     assert ".missing" not in rounded
