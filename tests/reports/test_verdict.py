@@ -82,6 +82,17 @@ def test_a_diagnosis_that_finds_nothing_is_not_answered_by_what_it_has_already_t
     assert "three speeds" not in page
 
 
+def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -> None:
+    """Error 31.6 nm: a class that leaves less than 22.3 nm makes less than half of its power."""
+    for wide_m, is_shape in ((8e-9, True), (30e-9, False)):
+        found = replace(diagnosed(), envelope_rms_m=wide_m)
+        found = replace(found, final=replace(found.final, rms_m=31.6e-9))
+        page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+        assert ("which lies in the shape of its loops" in _verdict(page)) == is_shape
+        assert ("finds no cause" in _verdict(page)) != is_shape
+        assert ("the widest class of hysteresis leaves 8.00 nm" in page) == is_shape
+
+
 def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain() -> None:
     axis = axis_model()
     axis = replace(axis, quality=replace(axis.quality, held_out_kind="second half"))
