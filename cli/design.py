@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Quiet, hand_over, plain, say
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Quiet
-from piezoid_cli.terminal import hand_over, say
+from piezoid_cli.terminal import Force, Quiet, hand_over, say
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile

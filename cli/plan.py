@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Quiet
-from piezoid_cli.terminal import hand_over, plain
+from piezoid_cli.terminal import Force, Quiet, hand_over, plain
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -1,11 +1,11 @@
-"""The terminal: names from files are shown there as text, whatever they hold.
+r"""The terminal: names from files are shown there as text, whatever they hold.
 
 A terminal obeys what a heading or a file's name may contain: codes that clear it, move the cursor,
 set its title, turn the text. Whatever people read is made here, with such characters as codes
-(``\\x1b``); only what scripts read (``--json``) goes past, byte for byte.
+(``\x1b``); only what scripts read (``--json``) goes past, byte for byte.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,6 +14,11 @@ from piezoid_reports.plain_text import printable
 if TYPE_CHECKING:
     from rich.progress import TextColumn
     from rich.text import Text
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what the folder holds.")]
+Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
 
 
 def say(said: str, *, err: bool = False) -> None:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Quiet, hand_over, plain, say
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -70,7 +69,7 @@ def verify(
     from piezoid.export.parameter_file import from_json
     from piezoid.identification.store import read_model
     from piezoid.numerics.executor import Executor
-    from piezoid.verification.limits import limits_from_toml
+    from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown

@@ -13,8 +13,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from piezoid.export.bundle import shipped
-from piezoid.export.compiled import LINUX, shared_library
+from piezoid.export.c_header import c_header
+from piezoid.export.golden import SAMPLES
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.shared_library import LINUX, shared_library
 from piezoid.provenance import digest_of_bytes
+
+_RUNTIME = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip knows
 
@@ -257,3 +263,61 @@ def _zipped(contents: Mapping[str, bytes]) -> bytes:
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, contents[name], compresslevel=6)
     return stream.getvalue()
+
+
+def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
+    """Return the units of all axes by the stem of their files' names."""
+    sources = {name: shipped(name) for name in _RUNTIME}
+    sources["piezo_params.h"] = c_header(file, digest_of(file)).encode()
+    return {f"{axis.axis}_controller": _unit(file, axis, sources) for axis in file.axes}
+
+
+def _unit(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes]) -> Unit:
+    is_current = axis.method == "rst"
+    unit = "A" if is_current else "m"
+    start = float(axis.values["current_reference_A"]) if is_current else 0.0
+    return Unit(
+        identifier=f"piezoid_{axis.axis}_controller",
+        description=f"Controller of axis {axis.axis}, method {axis.method}, "
+        f"of the stage {inert(file.name)}",
+        header="fmu_controller.h",
+        macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
+        f"#define FMU_INPUT_AT_START {start!r}\n",
+        variables=(
+            Variable(
+                name=f"reference_{unit}",
+                causality="input",
+                unit=unit,
+                start=start,
+                description="Wanted; NaN keeps the last one.",
+            ),
+            Variable(
+                name=f"measured_{unit}",
+                causality="input",
+                unit=unit,
+                start=start,
+                description="What the sensor shows; NaN where it shows nothing.",
+            ),
+            Variable(
+                name="voltage_V",
+                causality="output",
+                unit="V",
+                description="To put out; always finite and inside the limits.",
+            ),
+            Variable(
+                name="status",
+                causality="output",
+                description="0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h.",
+            ),
+            Variable(
+                name="start_voltage_V",
+                causality="parameter",
+                unit="V",
+                start=0.0,
+                description="What the converter puts out before the first sample.",
+            ),
+        ),
+        sources=sources,
+        period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
+        samples=SAMPLES,
+    )

@@ -16,7 +16,7 @@ import numpy as np
 from piezoid.errors import RuntimeLibraryError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
-from piezoid.targets.box_loop import Compiled
+from piezoid.targets.box import Compiled
 
 _MODULE = "piezoid.targets._sections"
 _MOST_SECTIONS = 14

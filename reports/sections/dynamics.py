@@ -7,9 +7,9 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
     measure_behind_hysteresis,
 )
-from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
 from piezoid.identification.dynamics.hammerstein_record import JointFit
+from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
@@ -17,10 +17,9 @@ from piezoid.numerics.frequency import decibel
 from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.readable import UNKNOWN
 from piezoid_reports.chart import Axis, Canvas, axis_over, decades_over
-from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.response_figures import response_parts
+from piezoid_reports.response_figures import distortion_parts, response_parts
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
 LOOKS = {

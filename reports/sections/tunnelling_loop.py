@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
+from piezoid.identification.tunnelling.barrier_fit import JointBarrier
 from piezoid.identification.tunnelling.junction import noise_of_loop
-from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, read_loop
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
-from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.model import GapLaw
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over

@@ -8,10 +8,9 @@ from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, decades_over
-from piezoid_reports.motions import motions
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, spiral
+from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, motions, spiral
 
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 _EVERY = "all"

@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import Scale
-from piezoid_reports.chart import FINE, HEIGHT, WIDTH, Axis, Canvas, axis_over
-from piezoid_reports.polyline import envelope, thinned, whole_parts
+from piezoid_reports.chart import (
+    FINE,
+    HEIGHT,
+    WIDTH,
+    Axis,
+    Canvas,
+    axis_over,
+    envelope,
+    thinned,
+    whole_parts,
+)
 from piezoid_reports.quantities import MINUS
 
 

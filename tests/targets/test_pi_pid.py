@@ -12,8 +12,7 @@ from piezoid.design.chain import plant_from_chain
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.errors import DesignError
-from piezoid.targets.box import Box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, run_box
 from piezoid.targets.pi_pid import pi_pid_files, priced_pid
 from piezoid.targets.pid import Notch, PidBox
 from piezoid.targets.pid_search import tuned_pid
