@@ -119,7 +119,11 @@ class Canvas:
     width: int = WIDTH
     height: int = HEIGHT
 
-    def line(
+    def line(self, role: str, name: str, x: Array, y: Array, *, points: int = 2400) -> Layer:
+        """Draw a curve."""
+        return self.line_within(role, name, x, y, points=points)[0]
+
+    def line_within(
         self, role: str, name: str, x: Array, y: Array, *, points: int = 2400, timed: bool = False
     ) -> tuple[Layer, float]:
         """Draw a curve; return it and how far, in SI units of y, it may be from its samples.

@@ -70,7 +70,7 @@ def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
         (
             canvas.range_over_time("before", "without it", place, before),
             canvas.range_over_time("model", "with it", place, after),
-            canvas.line("limit", "look-alike", place, slow)[0],
+            canvas.line("limit", "look-alike", place, slow),
         ),
         (rms(before), rms(after)),
     )
@@ -108,10 +108,8 @@ def _in_classes(
     ):
         middle, low, median, high = one.T
         layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
-        layers.append(canvas.line(role, f"{name}: median", middle, median)[0])
-    layers.append(
-        canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2])[0]
-    )
+        layers.append(canvas.line(role, f"{name}: median", middle, median))
+    layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
     title = (
         f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
     )
@@ -152,7 +150,7 @@ def _spectrum(finding: Finding, where: Coordinate, one: Compared) -> Figure | No
         ("model", "with it", curves[1]),
         ("limit", "look-alike", curves[2]),
     )
-    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1])[0] for role, name, c in drawn)
+    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in drawn)
     name = one.trace.recording.name
     return _titled(finding, where, canvas, name, layers, (rms(one.before_m), rms(one.after_m)))
 
@@ -192,11 +190,9 @@ def _titled(
             "of the stroke."
         ),
         look=f"{where.reading} {ALIKE}",
-        x=canvas.x,
-        y=canvas.y,
+        canvas=canvas,
         layers=layers,
         flicker=(layers[0].role, layers[1].role) if where.kind != "classes" else (),
-        height=canvas.height,
     )
 
 
@@ -222,15 +218,13 @@ def unnamed_figure(finding: Finding) -> Figure | None:
         look="What hysteresis and every named cause leave, in classes of the coordinate: middle "
         "half and median, and the curve that was fitted to other stretches of the recordings. "
         "Where the curve runs with the median, this is where it lives.",
-        x=canvas.x,
-        y=canvas.y,
+        canvas=canvas,
         layers=(
             canvas.band("rising-band", "left over: middle half", place, low, high),
-            canvas.line("rising", "left over: median", place, median)[0],
-            canvas.line("limit", "fitted curve", place, fitted)[0],
+            canvas.line("rising", "left over: median", place, median),
+            canvas.line("limit", "fitted curve", place, fitted),
         ),
         flicker=(),
-        height=canvas.height,
     )
 
 

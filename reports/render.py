@@ -201,7 +201,7 @@ def figure_html(figures: Sequence[Figure]) -> str:
     # The frame runs no script; the policy would refuse the one rule that is added.
     page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
     page = page.replace("</style>", f"{ALONE}</style>")
-    height = sum(figure.height + 190 for figure in figures) + 60
+    height = sum(figure.canvas.height + 190 for figure in figures) + 60
     style = f"width:100%;height:{height}px;border:0"
     return f'<iframe sandbox style="{style}" srcdoc="{escape(page)}"></iframe>'
 

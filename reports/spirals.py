@@ -57,11 +57,8 @@ def spiral(trace: SpiralTrace, found: Verification) -> Figure:
         look="Good: the first colour everywhere. Bad: the last colours at the turning points of "
         "one axis, which is hysteresis left over, or more and more of them outwards, which is a "
         "gain.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(_shaded(canvas, x_m, y_m, error_m, limit_m)),
-        width=SQUARE,
-        height=SQUARE,
     )
 
 
@@ -83,7 +80,7 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
     y = decades_over("shape error", [*logs, limit], "nm")
     canvas = Canvas(x=x, y=y)
     layers = [
-        canvas.line("model" if t.method in shipped else "grey", METHODS[t.method], a, v)[0]
+        canvas.line("model" if t.method in shipped else "grey", METHODS[t.method], a, v)
         for t, a, v in zip(traces, along, logs, strict=True)
     ]
     sizes = "; ".join(
@@ -95,9 +92,8 @@ def _error_in_time(frequency_Hz: float, found: Verification) -> Figure:
         numbers=f"{sizes}; allowed is {told(limit_m, 'm')} rms.",
         look="Good: what ships runs below the dashed line from end to end, far below the grey. "
         "Bad: it rises outwards (a gain, or a lag), or spikes once a turn (hysteresis left over).",
-        x=x,
-        y=y,
-        layers=(*layers, canvas.line("limit", "allowed, rms", np.array([0.0, 100.0]), limit)[0]),
+        canvas=canvas,
+        layers=(*layers, canvas.line("limit", "allowed, rms", np.array([0.0, 100.0]), limit)),
     )
 
 
@@ -119,7 +115,7 @@ def _shaded(canvas: Canvas, x_m: Array, y_m: Array, error_m: Array, limit_m: flo
         held |= np.r_[False, held[:-1]]  # each stretch goes on to where the next one begins
         name = f"up to {told(share * limit_m, 'm')}" if np.isfinite(share) else "more"
         x, y = np.where(held, x_m, np.nan), np.where(held, y_m, np.nan)
-        layers.append(canvas.line(f"error-{role}", name, x, y)[0])
+        layers.append(canvas.line(f"error-{role}", name, x, y))
     return layers
 
 
@@ -139,7 +135,7 @@ def _track(motion: Motion, found: Verification) -> Figure:
     y = axis_over("displacement from the middle", [wanted_m, *(m for _, _, m in runs)], "m")
     canvas = Canvas(x=x, y=y)
     layers: list[Layer] = [
-        canvas.line(role, METHODS[name], time_s, moved_m)[0] for role, name, moved_m in runs
+        canvas.line(role, METHODS[name], time_s, moved_m) for role, name, moved_m in runs
     ]
     off = "; ".join(
         f"{METHODS[name]}: {told(rms(moved_m - wanted_m), 'm')}"
@@ -149,9 +145,8 @@ def _track(motion: Motion, found: Verification) -> Figure:
         title=f"Axis {motion.axis}, {motion.scenario}: where it went",
         numbers=f"Away from the reference, rms: {off}.",
         look=LOOK_TRACK,
-        x=x,
-        y=y,
-        layers=(*layers, canvas.line("zero", "reference", time_s, wanted_m)[0]),
+        canvas=canvas,
+        layers=(*layers, canvas.line("zero", "reference", time_s, wanted_m)),
     )
 
 
@@ -175,10 +170,9 @@ def _error(motion: Motion, found: Verification) -> Figure:
         title=f"Axis {motion.axis}, {motion.scenario}: how far it was off",
         numbers=f"Half of the time closer than this, rms over {TOGETHER} places: {middle}.",
         look=LOOK_ERROR,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(
-            canvas.line(role, METHODS[name], time_s, log)[0]
+            canvas.line(role, METHODS[name], time_s, log)
             for (role, name, _), log in zip(errors, logs, strict=True)
         ),
     )

@@ -294,19 +294,15 @@ def _histogram(one: Distribution) -> Figure:
     )
     layers = [canvas.band("count", "stages", across, np.zeros_like(up), up)]
     for level in inside:
-        line = canvas.line(
-            "limit", "limit for most stages", np.array([level, level]), np.array([0.0, y.high])
-        )
-        layers.append(line[0])
+        ends = np.array([0.0, y.high])
+        layers.append(canvas.line("limit", "limit for most stages", np.full(2, level), ends))
     return Figure(
         title=f"{one.quantity.label}, axis {one.axis}: how it is spread",
         numbers=f"{one.spread.count} stages, median {told(one.spread.median, one.quantity.unit)}, "
         f"robust standard deviation {told(one.spread.sigma, one.quantity.unit)}; "
         f"{_outside(one)}.",
         look=LOOK_SPREAD,
-        x=canvas.x,
-        y=canvas.y,
-        height=canvas.height,
+        canvas=canvas,
         layers=tuple(layers),
     )
 
@@ -331,7 +327,7 @@ def _course(one: Distribution) -> Figure:
         _many(canvas, one)
         if np.isfinite(one.serials).sum() > DOTS
         else canvas.dots("dots", "stages", one.serials[~odd], one.values[~odd]),
-        canvas.line("trend", "median trend", ends, line)[0],
+        canvas.line("trend", "median trend", ends, line),
     ]
     if (odd & np.isfinite(one.serials)).any():
         layers.append(canvas.dots("odd", "standing out", one.serials[odd], one.values[odd]))
@@ -340,9 +336,7 @@ def _course(one: Distribution) -> Figure:
         numbers=f"Drift for 100 serial numbers {_drift(one)}, p = {significant(one.trend_p, 2)}: "
         f"{'a drift' if one.drifts else 'no drift that can be told from chance'}.",
         look=LOOK_DRIFT,
-        x=canvas.x,
-        y=canvas.y,
-        height=canvas.height,
+        canvas=canvas,
         layers=tuple(layers),
     )
 

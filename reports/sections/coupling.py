@@ -61,8 +61,7 @@ def _picture(coupled: CoupledStage) -> Figure:
         f"entry, the largest {largest}.",
         look="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
         "the decoupling must take away, or a small one on it.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=layers,
     )
 

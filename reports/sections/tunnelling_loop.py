@@ -188,16 +188,15 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
             f"mains, {line.frequency_Hz:.0f} Hz",
             np.full(2, np.log10(line.frequency_Hz)),
             ends,
-        )[0]
+        )
         for line in mains
     ]
-    layers += [canvas.line(role, name, f, level, points=900)[0] for role, name, f, level in curves]
+    layers += [canvas.line(role, name, f, level, points=900) for role, name, f, level in curves]
     return Figure(
         title=f"Spectra in the closed loop: {summary.recording}",
         numbers=_numbers(summary),
         look=LOOK_SPECTRA,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
     )
 
