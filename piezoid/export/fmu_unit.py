@@ -41,6 +41,16 @@ class Variable:
     start: float | int | None = None
 
 
+def variables(
+    *rows: tuple[str, str, str | None, float | int | None, str],
+) -> tuple[Variable, ...]:
+    """Return the variables of a unit: name, causality, unit, start and description of each."""
+    return tuple(
+        Variable(name=name, causality=causality, unit=unit, start=start, description=description)
+        for name, causality, unit, start, description in rows
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unit:
     """What a unit is made of.
@@ -276,6 +286,9 @@ def _unit(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes
     is_current = axis.method == "rst"
     unit = "A" if is_current else "m"
     start = float(axis.values["current_reference_A"]) if is_current else 0.0
+    reading = "What the sensor shows; NaN where it shows nothing."
+    status = "0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h."
+    begun = "What the converter puts out before the first sample."
     return Unit(
         identifier=f"piezoid_{axis.axis}_controller",
         description=f"Controller of axis {axis.axis}, method {axis.method}, "
@@ -283,39 +296,12 @@ def _unit(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes
         header="fmu_controller.h",
         macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
         f"#define FMU_INPUT_AT_START {start!r}\n",
-        variables=(
-            Variable(
-                name=f"reference_{unit}",
-                causality="input",
-                unit=unit,
-                start=start,
-                description="Wanted; NaN keeps the last one.",
-            ),
-            Variable(
-                name=f"measured_{unit}",
-                causality="input",
-                unit=unit,
-                start=start,
-                description="What the sensor shows; NaN where it shows nothing.",
-            ),
-            Variable(
-                name="voltage_V",
-                causality="output",
-                unit="V",
-                description="To put out; always finite and inside the limits.",
-            ),
-            Variable(
-                name="status",
-                causality="output",
-                description="0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h.",
-            ),
-            Variable(
-                name="start_voltage_V",
-                causality="parameter",
-                unit="V",
-                start=0.0,
-                description="What the converter puts out before the first sample.",
-            ),
+        variables=variables(
+            (f"reference_{unit}", "input", unit, start, "Wanted; NaN keeps the last one."),
+            (f"measured_{unit}", "input", unit, start, reading),
+            ("voltage_V", "output", "V", None, "To put out; always finite and inside the limits."),
+            ("status", "output", None, None, status),
+            ("start_voltage_V", "parameter", "V", 0.0, begun),
         ),
         sources=sources,
         period_s=1.0 / float(axis.values["sampling_rate_Hz"]),

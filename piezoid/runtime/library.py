@@ -4,7 +4,6 @@ import ctypes
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.compiled import Signatures, opened
 from piezoid.runtime.schema import INDEX, METHODS, PARAMETERS, VERSION, Parameter, structure
 
 Values = Mapping[str, Array]
@@ -102,29 +102,21 @@ def library(precision: str = "double") -> Library:
     precision  ``double`` or ``float``
     """
     name, real = PRECISIONS[precision]
-    module = find_spec(name)
-    if module is None or module.origin is None:
-        raise RuntimeLibraryError(
-            f"the compiled runtime {name} is not beside the package",
-            needed="an installation that compiled it",
-            remedy="Install piezoid with a C compiler present: pip install .",
-        )
-    code = ctypes.CDLL(module.origin)
-    _declare(code, real)
-    opened = Library(
+    code = opened(name, _signatures(real))
+    found = Library(
         precision=precision,
         code=code,
         real=real,
         parameters=structure(real),
         state_size=code.pz_size_of_state(),
     )
-    compare_layout(opened)
-    return opened
+    compare_layout(found)
+    return found
 
 
-def _declare(code: ctypes.CDLL, real: Any) -> None:
+def _signatures(real: Any) -> Signatures:
     pointer, size = ctypes.c_void_p, ctypes.c_size_t
-    signatures: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    return {
         "pz_size_of_state": (size, ()),
         "pz_size_of_real": (size, ()),
         "pz_describe": (ctypes.POINTER(_field(real)), (ctypes.c_int32,)),
@@ -138,10 +130,6 @@ def _declare(code: ctypes.CDLL, real: Any) -> None:
         "pz_log": (real, (real,)),
         "pz_run_many": (None, (pointer, pointer, size, *[pointer] * 4)),
     }
-    for name, (answer, arguments) in signatures.items():
-        function = getattr(code, name)
-        function.restype = answer
-        function.argtypes = arguments
 
 
 def compare_layout(opened: Library) -> None:

@@ -14,7 +14,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from piezoid.export.fmu_unit import Unit, Variable
+from piezoid.export.fmu_unit import Unit, variables
 from piezoid.export.golden import SAMPLES
 from piezoid.export.inert import inert
 from piezoid.numerics.arrays import Array
@@ -48,64 +48,26 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
     place = files("piezoid.verification")
     sources = {source: place.joinpath(source).read_bytes() for source in _SOURCES}
     sources["plant_of_axis.h"] = plant_header(plant).encode()
-    moved = Variable(
-        name="withdrawn_m" if is_tip else "disturbance_m",
-        causality="input",
-        unit="m",
-        start=0.0,
-        description="How far the surface is below where it was at rest"
-        if is_tip
-        else "What moves the stage beside its drive",
-    )
-    said = f"{moved.description}, at the end of the period; reached in a straight line."
-    variables = (
-        Variable(
-            name="voltage_V",
-            causality="input",
-            unit="V",
-            start=plant.rest_voltage_V,
-            description="The command, held for a period.",
-        ),
-        Variable(
-            name=moved.name,
-            causality=moved.causality,
-            unit=moved.unit,
-            start=moved.start,
-            description=said,
-        ),
-        Variable(
-            name=f"measured_{unit}",
-            causality="output",
-            unit=unit,
-            description="What the sensor shows at the sampling instant, noise and rounding in it.",
-        ),
-        Variable(
-            name=f"position_{unit}",
-            causality="output",
-            unit=unit,
-            description="In front of the sensor at that instant.",
-        ),
-        Variable(
-            name="noise_factor",
-            causality="parameter",
-            unit="1",
-            start=1.0,
-            description="Of the identified noise and lines in the reading; 0: none.",
-        ),
-        Variable(
-            name="noise_seed",
-            causality="parameter",
-            start=0,
-            description="Of the noise: the same seed, the same noise.",
-        ),
-    )
+    moved, what = "disturbance_m", "What moves the stage beside its drive"
+    if is_tip:
+        moved, what = "withdrawn_m", "How far the surface is below where it was at rest"
+    path = f"{what}, at the end of the period; reached in a straight line."
+    reading = "What the sensor shows at the sampling instant, noise and rounding in it."
+    noise = "Of the identified noise and lines in the reading; 0: none."
     return Unit(
         identifier=f"piezoid_{plant.axis}_plant",
         description=f"Identified plant of axis {plant.axis} of the stage {inert(name)}, "
         f"at rest at {plant.rest_voltage_V!r} V",
         header="fmu_plant.h",
         macros="",
-        variables=variables,
+        variables=variables(
+            ("voltage_V", "input", "V", plant.rest_voltage_V, "The command, held for a period."),
+            (moved, "input", "m", 0.0, path),
+            (f"measured_{unit}", "output", unit, None, reading),
+            (f"position_{unit}", "output", unit, None, "In front of the sensor at that instant."),
+            ("noise_factor", "parameter", "1", 1.0, noise),
+            ("noise_seed", "parameter", None, 0, "Of the noise: the same seed, the same noise."),
+        ),
         sources=sources,
         period_s=1.0 / plant.sampling_rate_Hz,
         samples=SAMPLES,
