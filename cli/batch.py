@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 import typer
 
 from piezoid_cli.progress import shown
-from piezoid_cli.terminal import Quiet, doing, hand_over, one_line, plain
+from piezoid_cli.terminal import Quiet, doing, hand_over, one_line, plain, table
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -206,18 +206,17 @@ def _show(fleet: "Fleet", before: int, out: str) -> None:
     from itertools import islice
 
     from rich.console import Console
-    from rich.table import Table
 
     from piezoid_reports.fleet.records import PASSED, STATES
 
-    console = Console()
-    table = Table(title=plain(f"batch {fleet.name}: {len(fleet.stages)} stages"))
-    for heading in ("stages", "state", "meaning"):
-        table.add_column(heading)
-    for state, meaning in STATES.items():
-        if fleet.counts.get(state, 0):
-            table.add_row(str(fleet.counts[state]), state, meaning)
-    console.print(table)
+    console, count = Console(), fleet.counts
+    rows = [
+        (str(count[state]), state, meaning)
+        for state, meaning in STATES.items()
+        if count.get(state)
+    ]
+    title = f"batch {fleet.name}: {len(fleet.stages)} stages"
+    console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
     if before:
         console.print(f"{before} were finished before and were not done again")
     for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):

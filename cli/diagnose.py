@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.terminal import Force, Quiet, hand_over, plain, say
+from piezoid_cli.terminal import Force, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -190,28 +190,21 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
 
 def _table(found: "Diagnosis") -> "Table":
-    from rich.table import Table
-
     from piezoid.readable import significant
     from piezoid_reports.what_is_left import largest_first
 
-    table = Table(title=plain(f"axis {found.axis}: {len(found.findings)} found"))
-    for heading in ("effect", "gain", "size", "95 %", "not separable from"):
-        table.add_column(heading)
-    for finding in largest_first(found):
-        low, high = finding.size.ci95
-        table.add_row(
-            plain(" ".join((finding.effect, *_in_brackets(finding.coordinate)))),
+    rows = [
+        (
+            finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
             f"{100 * finding.held_out_gain:.1f} %",
-            plain(f"{significant(finding.size.value)} {finding.size.unit}"),
-            f"{significant(low)} .. {significant(high)}",
-            plain(", ".join(finding.not_separable_from)),
+            f"{significant(finding.size.value)} {finding.size.unit}",
+            " .. ".join(significant(end) for end in finding.size.ci95),
+            ", ".join(finding.not_separable_from),
         )
-    return table
-
-
-def _in_brackets(coordinate: str) -> tuple[str, ...]:
-    return (f"({coordinate})",) if coordinate else ()
+        for finding in largest_first(found)
+    ]
+    headings = ("effect", "gain", "size", "95 %", "not separable from")
+    return table(f"axis {found.axis}: {len(found.findings)} found", headings, rows, left=5)
 
 
 def diagnosis_page(

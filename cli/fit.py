@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.terminal import Force, Json, Quiet, hand_over, plain, say
+from piezoid_cli.terminal import Force, Json, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -237,27 +237,25 @@ def _show_tip(tip: "TunnellingModel") -> None:
 
 
 def _table(model: "ActuatorModel") -> "Table":
-    from rich.table import Table
-
     from piezoid.counts import in_counts
     from piezoid.readable import told
 
-    table = Table(title=plain(f"stage {model.stage}"))
-    for heading in ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise"):
-        table.add_column(heading, justify="right")
-    for axis in model.axes.values():
-        quality = axis.quality
-        table.add_row(
-            plain(axis.axis),
+    rows = [
+        (
+            axis.axis,
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
-            "loop or lag" if quality.lag_is_open else told(axis.lag.time_s, "s"),
-            in_counts(told(quality.held_out_rms_m, "m"), axis.counted)
-            + ("" if quality.is_tested else " in sample"),
-            f"{quality.held_out_rms_percent:.3f} %",
-            quality.noise_bound + in_counts(told(quality.noise_rms_m, "m"), axis.counted),
+            "loop or lag" if axis.quality.lag_is_open else told(axis.lag.time_s, "s"),
+            in_counts(told(axis.quality.held_out_rms_m, "m"), axis.counted)
+            + ("" if axis.quality.is_tested else " in sample"),
+            f"{axis.quality.held_out_rms_percent:.3f} %",
+            axis.quality.noise_bound
+            + in_counts(told(axis.quality.noise_rms_m, "m"), axis.counted),
         )
-    return table
+        for axis in model.axes.values()
+    ]
+    headings = ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise")
+    return table(f"stage {model.stage}", headings, rows)
 
 
 def calibrate_streamed(
