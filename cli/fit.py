@@ -87,7 +87,12 @@ def fit(
 
         hand_over(dumps(summary_of(found), indent=1, allow_nan=False))
     elif not quiet:
-        _show(found, out)
+        _show_model(found.model)
+        for sentence in _diagnosis_sentences(found):
+            say(sentence)
+        ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
+        _show_controllers(found.controllers, ranges_m)
+        say(f"report: {out / 'report.html'}")
     if not found.passed:
         raise typer.Exit(1)
 
@@ -134,15 +139,6 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
         "verdicts": len(verdicts),
         "files": sorted(found.files),
     }
-
-
-def _show(found: "Calibration", out: Path) -> None:
-    _show_model(found.model)
-    for sentence in _diagnosis_sentences(found):
-        say(sentence)
-    ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
-    _show_controllers(found.controllers, ranges_m)
-    say(f"report: {out / 'report.html'}")
 
 
 def _show_controllers(made: "Controllers", ranges_m: "Mapping[str, float]") -> None:

@@ -195,7 +195,13 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     effect = next(one for one in EFFECTS if one.name == name)
     measured_m = trace.recording.displacement_m(axis.axis)
     healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
-    healthy = _reading(trace.recording, axis.axis, healthy_m)
+    channels = tuple(
+        Channel(quantity=c.quantity, axis=c.axis, values=healthy_m, label=c.label)
+        if c.quantity is Quantity.DISPLACEMENT and c.axis == axis.axis
+        else c
+        for c in trace.recording.channels
+    )
+    healthy = replace(trace.recording, channels=channels, axis=axis.axis)
     share = size_m / max(float(np.ptp(healthy_m)), 1e-30)
     faulty_m = healthy_m
     if share > LEAST_SHARE:
@@ -205,16 +211,6 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     change_m[:count] = faulty_m[:count] - healthy_m[:count]
     noise = np.random.default_rng(len(healthy_m)).standard_normal(len(healthy_m))
     return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
-
-
-def _reading(recording: Recording, axis: str, displacement_m: Array) -> Recording:
-    channels = tuple(
-        Channel(quantity=c.quantity, axis=c.axis, values=displacement_m, label=c.label)
-        if c.quantity is Quantity.DISPLACEMENT and c.axis == axis
-        else c
-        for c in recording.channels
-    )
-    return replace(recording, channels=channels, axis=axis)
 
 
 def is_carried(axis: AxisModel, effect: str) -> bool:

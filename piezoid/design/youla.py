@@ -268,7 +268,15 @@ def optimise(
         (R, S), best = step, reached
         history.append(reached.rejection)
     return ConvexController(
-        controller=_controller(family.nominal, R, S, start),
+        controller=RstController(
+            R=R,
+            S=S,
+            T=np.array([R.sum()]),
+            H_R=OPEN_AT_NYQUIST,
+            H_S=INTEGRATOR,
+            P=total(product(family.nominal.A, S), product(family.nominal.B, R)),
+            residual=start.residual,
+        ),
         taps=count,
         rejection=best.rejection,
         excess_dB=best.excess_dB,
@@ -293,15 +301,3 @@ def _checked_step(
         if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
             return solution
     return None
-
-
-def _controller(plant: Plant, R: Array, S: Array, start: RstController) -> RstController:
-    return RstController(
-        R=R,
-        S=S,
-        T=np.array([R.sum()]),
-        H_R=OPEN_AT_NYQUIST,
-        H_S=INTEGRATOR,
-        P=total(product(plant.A, S), product(plant.B, R)),
-        residual=start.residual,
-    )

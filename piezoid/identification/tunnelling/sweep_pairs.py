@@ -77,7 +77,16 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
     decay and height are nearly uncorrelated. Intervals by the delta method from the block
     covariances, the directions taken as independent.
     """
-    reference_A = _reference(forward, backward)
+    peak_A = min(forward.evidence.peak_A, backward.evidence.peak_A)
+    floor_A = 3.0 * max(forward.noise.floor_A, backward.noise.floor_A)
+    if peak_A <= floor_A:
+        raise ExcitationError(
+            f"{forward.labels[0]}, {backward.labels[0]}: at most {peak_A:.3g} A over a noise of "
+            f"{floor_A / 3.0:.3g} A",
+            needed="in both directions a current above three times the noise",
+            remedy="Approach closer, or average longer.",
+        )
+    reference_A = math.sqrt(peak_A * floor_A)
     heights = [_height_of(fit, reference_A) for fit in (forward, backward)]
     spread_m = NORMAL_95 * math.hypot(heights[0][1], heights[1][1])
     shift_m = heights[1][0] - heights[0][0]
@@ -91,19 +100,6 @@ def compare_directions(forward: BarrierFit, backward: BarrierFit) -> DirectionSh
         decay_change=change,
         decay_change_interval=(change - spread, change + spread),
     )
-
-
-def _reference(forward: BarrierFit, backward: BarrierFit) -> float:
-    peak_A = min(forward.evidence.peak_A, backward.evidence.peak_A)
-    floor_A = 3.0 * max(forward.noise.floor_A, backward.noise.floor_A)
-    if peak_A <= floor_A:
-        raise ExcitationError(
-            f"{forward.labels[0]}, {backward.labels[0]}: at most {peak_A:.3g} A over a noise of "
-            f"{floor_A / 3.0:.3g} A",
-            needed="in both directions a current above three times the noise",
-            remedy="Approach closer, or average longer.",
-        )
-    return math.sqrt(peak_A * floor_A)
 
 
 def _height_of(fit: BarrierFit, current_A: float) -> tuple[float, float]:
