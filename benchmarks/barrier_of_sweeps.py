@@ -9,8 +9,8 @@ from pathlib import Path
 
 from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import BarrierFit, fit_barrier
-from piezoid.identification.tunnelling.directions import compare_directions
-from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
+from piezoid.identification.tunnelling.junction import read_z_spectroscopy
+from piezoid.identification.tunnelling.sweep_pairs import compare_directions
 from piezoid.records.readers import read_table
 
 

@@ -21,8 +21,7 @@ import numpy as np
 
 from benchmarks.fleet_summary import stage_of
 from piezoid_cli.batch import done_by, write_summary
-from piezoid_cli.batch_cluster import workers
-from piezoid_cli.batch_folder import stages_of
+from piezoid_cli.batch_cluster import stages_of, workers
 from piezoid_cli.stage_task import Outcome, StageTask, work_off
 from piezoid_reports.fleet.records import Fleet, FleetStage, StagesOnDisk
 

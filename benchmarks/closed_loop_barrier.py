@@ -14,7 +14,7 @@ import sys
 import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, identify_closed_loop
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid_datasets.virtual_lab.junction import (
     Junction,

@@ -22,7 +22,7 @@ from benchmarks.outsiders.simulators import RATE_Hz, simulator, track
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
-from piezoid.verification.trajectories import constant_angular_velocity
+from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid_cli.calibration import calibrate
 from piezoid_datasets.virtual_lab.truths import ZOO
 

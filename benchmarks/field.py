@@ -36,8 +36,8 @@ from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
 from piezoid.verification.bench import Compensator
 from piezoid.verification.field import rivals_of
+from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.tracking import Tracking, track
-from piezoid.verification.trajectories import constant_angular_velocity
 
 NOISE_SEED = 7
 

@@ -13,7 +13,7 @@ from piezoid.export.parameter_file import from_json, to_json
 from piezoid.identification.store import read_model, write_model
 from piezoid.records.inspection import inspect_file
 from piezoid.records.lab import read_lab
-from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.verification import verification_from_json
 from piezoid_reports.fleet.records import stage_from_json
 from tests.export.stage import stage

@@ -32,8 +32,8 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
 from piezoid.verification.plant import AxisPlant, lateral_plant
+from piezoid.verification.scenarios import raster
 from piezoid.verification.stage import plant_of
-from piezoid.verification.trajectories import raster
 from piezoid_cli.calibration import calibrate
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.names import named

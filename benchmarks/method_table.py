@@ -40,8 +40,7 @@ from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid.verification.plant import AxisPlant, Plugged
-from piezoid.verification.scenarios import Scenario
-from piezoid.verification.trajectories import constant_angular_velocity
+from piezoid.verification.scenarios import Scenario, constant_angular_velocity
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
 from piezoid_datasets.virtual_lab.truths.truth import Ceramic

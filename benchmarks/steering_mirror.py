@@ -25,13 +25,12 @@ from benchmarks.structure_choice import (
     choose_structure,
     relative_rms,
 )
-from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.maximum_likelihood import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
-from piezoid.identification.dynamics.periodic_data import PeriodicData
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
 
 RATE_HZ = 6400.0
 AXES = ("1", "2", "3")

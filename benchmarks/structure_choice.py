@@ -10,7 +10,7 @@ from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynami
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
-from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 
 AS_GOOD = 0.01  # a structure whose held-out error is within 1 % of the best counts as equal

@@ -1,22 +1,23 @@
 """`piezoid batch`: a folder of stages in, every stage's folder and one summary page out."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, BinaryIO
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import typer
 
-from piezoid_cli.options import Quiet
 from piezoid_cli.progress import shown
-from piezoid_cli.terminal import doing, hand_over, one_line, plain
+from piezoid_cli.terminal import Quiet, doing, hand_over, one_line, plain, table
 
 if TYPE_CHECKING:
     from distributed import Client
 
     from piezoid_cli.stage_task import Outcome, StageTask
-    from piezoid_reports.fleet.records import Fleet, StagesOnDisk
+    from piezoid_reports.fleet.records import Fleet, FleetAxis, FleetStage, StagesOnDisk
 
+TOGETHER = 5000  # stages that are rows in memory at one time
 MOST_REASONS = 200  # stages that did not pass and are named in the terminal
 
 
@@ -68,8 +69,8 @@ def batch(
 
     piezoid batch night/ --out s3://night/results --scheduler tcp://10.0.0.5:8786
     """
+    from piezoid_cli.batch_cluster import check_ours, stages_of
     from piezoid_cli.batch_cluster import workers as cluster
-    from piezoid_cli.batch_folder import check_ours, stages_of
     from piezoid_reports.fleet.records import Fleet, StagesOnDisk
 
     tasks = stages_of(folder, out)
@@ -110,8 +111,7 @@ def done_by(
     """
     from functools import partial
 
-    from piezoid_cli.batch_cluster import answers
-    from piezoid_cli.batch_folder import waiting_of
+    from piezoid_cli.batch_cluster import answers, waiting_of
     from piezoid_cli.results_place import RECORD, results_place
     from piezoid_cli.stage_task import Known, Outcome, StageTask, broken, known_of, work_off
     from piezoid_reports.fleet.records import CRASHED
@@ -145,9 +145,8 @@ def write_summary(out: str, fleet: "Fleet", *, printed: bool = False) -> None:
 
     printed  whether that record is printed as well
     """
-    from piezoid_cli.batch_table import write_table
     from piezoid_cli.results_place import RECORD, results_place
-    from piezoid_reports.fleet.render import render_fleet
+    from piezoid_reports.fleet.chapters import render_fleet
 
     def write_record(stream: BinaryIO) -> None:
         fleet.write_json(stream)
@@ -207,18 +206,17 @@ def _show(fleet: "Fleet", before: int, out: str) -> None:
     from itertools import islice
 
     from rich.console import Console
-    from rich.table import Table
 
     from piezoid_reports.fleet.records import PASSED, STATES
 
-    console = Console()
-    table = Table(title=plain(f"batch {fleet.name}: {len(fleet.stages)} stages"))
-    for heading in ("stages", "state", "meaning"):
-        table.add_column(heading)
-    for state, meaning in STATES.items():
-        if fleet.counts.get(state, 0):
-            table.add_row(str(fleet.counts[state]), state, meaning)
-    console.print(table)
+    console, count = Console(), fleet.counts
+    rows = [
+        (str(count[state]), state, meaning)
+        for state, meaning in STATES.items()
+        if count.get(state)
+    ]
+    title = f"batch {fleet.name}: {len(fleet.stages)} stages"
+    console.print(table(title, ("stages", "state", "meaning"), rows, left=3))
     if before:
         console.print(f"{before} were finished before and were not done again")
     for stage in islice((stage for stage in fleet.stages if stage.reason), MOST_REASONS):
@@ -231,3 +229,59 @@ def _show(fleet: "Fleet", before: int, out: str) -> None:
 
 def _in(out: str, name: str) -> str:
     return f"{out.rstrip('/')}/{name}" if "://" in out else str(Path(out) / name)
+
+
+def write_table(fleet: "Fleet", stream: BinaryIO) -> None:
+    """Write the table; a stage that was refused is a row without an axis."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from piezoid_reports.fleet.quantities import QUANTITIES
+
+    named = _parameter_names(fleet)
+    columns = [
+        *(pa.field(name, pa.string()) for name in ("stage", "state", "reason", "axis")),
+        pa.field("serial", pa.int64()),
+        pa.field("applies", pa.bool_()),
+        *(pa.field(quantity.name, pa.float64()) for quantity in QUANTITIES),
+        *(pa.field(name, pa.float64()) for name, of in named.items() if of is float),
+        *(pa.field(name, pa.list_(pa.float64())) for name, of in named.items() if of is list),
+        pa.field("model_digest", pa.string()),
+    ]
+    schema = pa.schema(columns)
+    with pq.ParquetWriter(stream, schema, compression="zstd") as table:
+        stages = iter(fleet.stages)
+        while part := list(islice(stages, TOGETHER)):
+            table.write_table(_columns([row for stage in part for row in _rows(stage)], schema))
+
+
+def _columns(rows: list[dict[str, Any]], schema: Any) -> Any:
+    import pyarrow as pa
+
+    arrays = [pa.array([row.get(one.name) for row in rows], type=one.type) for one in schema]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _rows(stage: "FleetStage") -> list[dict[str, Any]]:
+    about = {
+        "stage": stage.name,
+        "state": stage.state,
+        "reason": stage.reason,
+        "serial": stage.serial,
+        "model_digest": stage.outputs.get("model.json"),
+    }
+    return [{**about, **_row(axis)} for axis in stage.axes] or [about]
+
+
+def _row(axis: "FleetAxis") -> Mapping[str, Any]:
+    return {"axis": axis.axis, "applies": axis.applies, **axis.values, **axis.parameters}
+
+
+def _parameter_names(fleet: "Fleet") -> dict[str, type]:
+    """Return the kind of every parameter, in the order in which they are first seen."""
+    found: dict[str, type] = {}
+    for stage in fleet.stages:
+        for axis in stage.axes:
+            if not axis.parameters.keys() <= found.keys():
+                found |= {n: type(v) for n, v in axis.parameters.items() if n not in found}
+    return found

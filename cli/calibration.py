@@ -39,7 +39,7 @@ def calibrate(
             run_job, jobs, told, processes=processes, weight=weight_of, begun=begun
         )
     from piezoid.calibration.calibrate import finished, stage_of
-    from piezoid_reports.calibrated import with_report
+    from piezoid_reports.render import with_report
 
     done = finished(stage_of(blank, found), declared, told, processes)
     told("writing the report")

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -24,9 +23,7 @@ def design(
         float | None,
         typer.Option(help="Controller's samples per second, if lab.toml did not say.", min=0.0),
     ] = None,
-    lab: Annotated[
-        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
-    ] = None,
+    lab: StageLab = None,
     quiet: Quiet = False,
     json: Annotated[
         bool, typer.Option("--json", help="For scripts: print design.json itself.")
@@ -103,29 +100,27 @@ def _table(
 ) -> "Table":
     from math import inf
 
-    from rich.table import Table
-
     from piezoid.readable import told
 
-    table = Table(title=plain("controllers, worst member of each plant family"))
-    for heading in ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed"):
-        table.add_column(heading, justify="right")
-    for axis in found.axes:
-        for loop in axis.loops:
-            delay_s = loop.worst_delay_margin_s
-            table.add_row(
-                plain(axis.axis),
-                loop.method,
-                told(loop.bandwidth_Hz, "Hz"),
-                f"{loop.worst_modulus_margin:.3f}",
-                "any" if delay_s is None else told(delay_s, "s"),
-                _bound(
-                    loop.certificate,
-                    ranges_m.get(axis.axis, inf),
-                    is_verified=axis.axis in shipped,
-                ),
-            )
-    return table
+    def margin(delay_s: float | None) -> str:
+        return "any" if delay_s is None else told(delay_s, "s")
+
+    rows = [
+        (
+            axis.axis,
+            loop.method,
+            told(loop.bandwidth_Hz, "Hz"),
+            f"{loop.worst_modulus_margin:.3f}",
+            margin(loop.worst_delay_margin_s),
+            _bound(
+                loop.certificate, ranges_m.get(axis.axis, inf), is_verified=axis.axis in shipped
+            ),
+        )
+        for axis in found.axes
+        for loop in axis.loops
+    ]
+    headings = ("axis", "method", "bandwidth", "modulus margin", "delay margin", "guaranteed")
+    return table("controllers, worst member of each plant family", headings, rows)
 
 
 def _bound(proven: "Certificate | None", range_m: float, *, is_verified: bool) -> str:

@@ -1,12 +1,13 @@
 """`piezoid diagnose`: recordings in, what the simulation gets wrong and why out."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Force, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -20,6 +21,13 @@ if TYPE_CHECKING:
     from piezoid.records.recording import Recording
 
     _Model = tuple[ActuatorModel, str]  # and the digest of its file
+    from piezoid.records.lab import Lab
+
+QUICK = ((8, 2),)  # plays, dead zones a side: enough to see a cause on, tried without a choice
+ON_QUICK = (
+    "The pictures are drawn on a quick fit of eight plays, made for them; the errors in the "
+    "tables are those of the diagnosis. piezoid fit draws them on the whole model."
+)
 
 
 def diagnose(
@@ -50,7 +58,6 @@ def diagnose(
 
     piezoid diagnose stage42/model.json today.csv --lab lab.toml --out today42/
     """
-    from piezoid_cli.diagnosis_page import diagnosis_page
     from piezoid_cli.output_folder import check_free, write_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.side_by_side import usable_cores
@@ -183,25 +190,64 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
 
 def _table(found: "Diagnosis") -> "Table":
-    from rich.table import Table
-
     from piezoid.readable import significant
     from piezoid_reports.what_is_left import largest_first
 
-    table = Table(title=plain(f"axis {found.axis}: {len(found.findings)} found"))
-    for heading in ("effect", "gain", "size", "95 %", "not separable from"):
-        table.add_column(heading)
-    for finding in largest_first(found):
-        low, high = finding.size.ci95
-        table.add_row(
-            plain(" ".join((finding.effect, *_in_brackets(finding.coordinate)))),
+    rows = [
+        (
+            finding.effect + (f" ({finding.coordinate})" if finding.coordinate else ""),
             f"{100 * finding.held_out_gain:.1f} %",
-            plain(f"{significant(finding.size.value)} {finding.size.unit}"),
-            f"{significant(low)} .. {significant(high)}",
-            plain(", ".join(finding.not_separable_from)),
+            f"{significant(finding.size.value)} {finding.size.unit}",
+            " .. ".join(significant(end) for end in finding.size.ci95),
+            ", ".join(finding.not_separable_from),
         )
-    return table
+        for finding in largest_first(found)
+    ]
+    headings = ("effect", "gain", "size", "95 %", "not separable from")
+    return table(f"axis {found.axis}: {len(found.findings)} found", headings, rows, left=5)
 
 
-def _in_brackets(coordinate: str) -> tuple[str, ...]:
-    return (f"({coordinate})",) if coordinate else ()
+def diagnosis_page(
+    found: "Diagnosis",
+    recordings: "Sequence[Recording]",
+    lab: "Lab | None",
+    written: bytes,
+    told: Callable[[str], None],
+) -> str:
+    """Return the page of one diagnosis.
+
+    recordings  that were diagnosed
+    lab         what the laboratory declares
+    written     diagnosis.json, for the chain of digests
+    told        told what is being done: without a model, one is fitted quickly to draw on
+    """
+    from piezoid.identification.actuator_model import ActuatorModel
+    from piezoid_reports.render import render_diagnosis
+
+    drawn = found.model
+    if drawn is None and found.findings:
+        told("fitting a quick model to draw the causes on")
+        drawn = _quick(recordings, found.axis, lab)
+    model = ActuatorModel(
+        stage=(lab.name if lab is not None else "") or recordings[0].name,
+        axes={} if drawn is None else {found.axis: drawn},
+        sources={recording.name: recording.digest for recording in recordings},
+        lab=None if lab is None else lab.digest or None,
+    )
+    note = ON_QUICK if drawn is not None and found.model is None else ""
+    return render_diagnosis(model, recordings, found, note=note, written=written)
+
+
+def _quick(recordings: "Sequence[Recording]", axis: str, lab: "Lab | None") -> "AxisModel | None":
+    """Fit one order and judge nothing; None where even that has no answer."""
+    from piezoid.errors import PiezoidError
+    from piezoid.identification.fit import moving, rig_of
+    from piezoid.identification.hysteresis.estimate import estimate_axis
+    from piezoid.records.lab import Lab
+
+    rig = rig_of(lab or Lab(), axis)
+    try:
+        fitted = estimate_axis(moving(recordings, axis), axis, rig, orders=QUICK)
+    except PiezoidError:
+        return None
+    return replace(fitted, verdict=replace(fitted.verdict, applies=True, reason="", remarks=()))

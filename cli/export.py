@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Json, Quiet
-from piezoid_cli.terminal import hand_over_record, plain, say
+from piezoid_cli.terminal import Json, Quiet, StageLab, hand_over_record, plain, say
 
 if TYPE_CHECKING:
     from piezoid.design.design import Design
@@ -20,9 +19,7 @@ if TYPE_CHECKING:
 
 def export(
     stage: Annotated[Path, typer.Argument(help="Folder with model.json and design.json.")],
-    lab: Annotated[
-        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
-    ] = None,
+    lab: StageLab = None,
     target: Annotated[
         list[str] | None,
         typer.Option(help="Beside the bundle: fmu, library, pi-pid, biquad, nanonis, waveform."),

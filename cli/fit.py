@@ -1,12 +1,12 @@
 """`piezoid fit`: recordings in, the whole folder of a stage out."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from piezoid_cli.options import Force, Json, Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Force, Json, Quiet, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -14,12 +14,17 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from piezoid.calibration.calibrate import Calibration
+    from piezoid.calibration.calibrate import Calibration, Told
     from piezoid.calibration.controllers import Controllers
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.model import AxisModel
     from piezoid.identification.tunnelling.model import TunnellingModel
+
+UNDIAGNOSED = (
+    "not diagnosed: a fit in blocks does not look for causes; fit a part of the recording that "
+    "fits into memory (start_s and stop_s in lab.toml) to have it diagnosed"
+)
 
 
 def fit(
@@ -73,8 +78,6 @@ def fit(
     count = processes or usable_cores()
     with shown(quiet=quiet or json) as told:
         if stream:
-            from piezoid_cli.streaming import calibrate_streamed
-
             found = calibrate_streamed(files, lab, out.absolute().parent, told, count)
         else:
             found = calibrate(files, lab, told, count)
@@ -84,7 +87,12 @@ def fit(
 
         hand_over(dumps(summary_of(found), indent=1, allow_nan=False))
     elif not quiet:
-        _show(found, out)
+        _show_model(found.model)
+        for sentence in _diagnosis_sentences(found):
+            say(sentence)
+        ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
+        _show_controllers(found.controllers, ranges_m)
+        say(f"report: {out / 'report.html'}")
     if not found.passed:
         raise typer.Exit(1)
 
@@ -131,15 +139,6 @@ def summary_of(found: "Calibration") -> dict[str, Any]:
         "verdicts": len(verdicts),
         "files": sorted(found.files),
     }
-
-
-def _show(found: "Calibration", out: Path) -> None:
-    _show_model(found.model)
-    for sentence in _diagnosis_sentences(found):
-        say(sentence)
-    ranges_m = {name: axis.quality.range_m for name, axis in found.model.axes.items()}
-    _show_controllers(found.controllers, ranges_m)
-    say(f"report: {out / 'report.html'}")
 
 
 def _show_controllers(made: "Controllers", ranges_m: "Mapping[str, float]") -> None:
@@ -237,24 +236,47 @@ def _show_tip(tip: "TunnellingModel") -> None:
 
 
 def _table(model: "ActuatorModel") -> "Table":
-    from rich.table import Table
-
     from piezoid.counts import in_counts
     from piezoid.readable import told
 
-    table = Table(title=plain(f"stage {model.stage}"))
-    for heading in ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise"):
-        table.add_column(heading, justify="right")
-    for axis in model.axes.values():
-        quality = axis.quality
-        table.add_row(
-            plain(axis.axis),
+    rows = [
+        (
+            axis.axis,
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
-            "loop or lag" if quality.lag_is_open else told(axis.lag.time_s, "s"),
-            in_counts(told(quality.held_out_rms_m, "m"), axis.counted)
-            + ("" if quality.is_tested else " in sample"),
-            f"{quality.held_out_rms_percent:.3f} %",
-            quality.noise_bound + in_counts(told(quality.noise_rms_m, "m"), axis.counted),
+            "loop or lag" if axis.quality.lag_is_open else told(axis.lag.time_s, "s"),
+            in_counts(told(axis.quality.held_out_rms_m, "m"), axis.counted)
+            + ("" if axis.quality.is_tested else " in sample"),
+            f"{axis.quality.held_out_rms_percent:.3f} %",
+            axis.quality.noise_bound
+            + in_counts(told(axis.quality.noise_rms_m, "m"), axis.counted),
         )
-    return table
+        for axis in model.axes.values()
+    ]
+    headings = ("axis", "plays", "dead zones", "lag", "held-out rms", "of range", "noise")
+    return table(f"stage {model.stage}", headings, rows)
+
+
+def calibrate_streamed(
+    files: Sequence[Path], lab: Path | None, folder: Path, told: "Told", processes: int = 1
+) -> "Calibration":
+    """Fit in blocks, design, export, verify and report one stage.
+
+    folder     where the scratch files go, 16 bytes a sample; they have no names and leave nothing
+    processes  at most so many blocks are read and followed side by side, in threads of this one
+
+    The report has no loops and no residuals: they would take the recordings at once.
+    """
+    from piezoid.calibration.calibrate import FittedStage, finished
+    from piezoid.identification.streamed.fit_streamed import fit_streamed
+    from piezoid.records.lab import read_lab
+    from piezoid.records.streams.spool import spooled
+    from piezoid_reports.render import with_report
+
+    declared = None if lab is None else read_lab(lab)
+    folder.mkdir(parents=True, exist_ok=True)
+    with spooled(files, declared, folder=folder, workers=processes, progress=told) as spool:
+        model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
+    done = finished(FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told)
+    told("writing the report")
+    return with_report(done, None, declared)

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from piezoid_cli.options import Json, Quiet
-from piezoid_cli.terminal import hand_over_record, say
+from piezoid_cli.terminal import Json, Quiet, hand_over_record, say
 
 
 def init(

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Json, Quiet
 from piezoid_cli.response_lines import response_lines
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Json, Quiet, hand_over, plain, say
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

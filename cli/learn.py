@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Quiet
-from piezoid_cli.terminal import hand_over, say
+from piezoid_cli.terminal import Force, Quiet, StageLab, hand_over, say
 
 if TYPE_CHECKING:
     from piezoid.export.parameter_file import ParameterFile
@@ -33,9 +32,7 @@ def learn(
     gain: Annotated[
         float, typer.Option(help="Of learning, over the best for the worst plant.", min=0.0)
     ] = 1.0,
-    lab: Annotated[
-        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
-    ] = None,
+    lab: StageLab = None,
     force: Force = False,
     quiet: Quiet = False,
     json: Annotated[

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Quiet
-from piezoid_cli.terminal import hand_over, plain
+from piezoid_cli.terminal import Force, Quiet, hand_over, plain, table
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.diagnosis.experiment import Plan
@@ -146,21 +146,20 @@ def _show(found: "Plan", drive: Path) -> None:
 
 
 def _table(found: "Plan") -> "Table":
-    from rich.table import Table
-
-    table = Table(title=plain(f"axis {found.axis}: {' against '.join(found.question.effects)}"))
-    for heading in ("drive", "lasts", "separability", "error of the size"):
-        table.add_column(heading, justify="left" if heading == "drive" else "right")
+    alone = found.question.kind != "separate"
+    rows: list[tuple[str | Text, ...]] = []
     for one in found.alternatives:
         if one.told is None:
-            table.add_row(one.name, "", "", plain(one.refusal))
+            rows.append((one.name, "", "", one.refusal))
             continue
-        alone = found.question.kind != "separate"
         error = one.told.errors[0] if alone else one.told.worst
-        table.add_row(
-            plain(one.name, style="bold" if one.name == found.drive.name else ""),
-            f"{one.duration_s:.0f} s",
-            "" if alone else f"{one.told.separability:.2g}",
-            f"{100 * error:.2g} %" if error < 10.0 else "not shown",
+        rows.append(
+            (
+                plain(one.name, style="bold" if one.name == found.drive.name else ""),
+                f"{one.duration_s:.0f} s",
+                "" if alone else f"{one.told.separability:.2g}",
+                f"{100 * error:.2g} %" if error < 10.0 else "not shown",
+            )
         )
-    return table
+    title = f"axis {found.axis}: {' against '.join(found.question.effects)}"
+    return table(title, ("drive", "lasts", "separability", "error of the size"), rows, left=1)

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Json, Quiet
-from piezoid_cli.terminal import hand_over_record, say
+from piezoid_cli.terminal import Json, Quiet, hand_over_record, say
 
 if TYPE_CHECKING:
     from piezoid.calibration.since import Since

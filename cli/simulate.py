@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Force, Json, Quiet
-from piezoid_cli.terminal import hand_over_record, say
+from piezoid_cli.terminal import Force, Json, Quiet, hand_over_record, say
 
 if TYPE_CHECKING:
     from piezoid_datasets.virtual_lab.campaign import Campaign

@@ -1,19 +1,28 @@
-"""The terminal: names from files are shown there as text, whatever they hold.
+r"""The terminal: names from files are shown there as text, whatever they hold.
 
 A terminal obeys what a heading or a file's name may contain: codes that clear it, move the cursor,
 set its title, turn the text. Whatever people read is made here, with such characters as codes
-(``\\x1b``); only what scripts read (``--json``) goes past, byte for byte.
+(``\x1b``); only what scripts read (``--json``) goes past, byte for byte.
 """
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from piezoid_reports.plain_text import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from rich.progress import TextColumn
+    from rich.table import Table
     from rich.text import Text
+
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace what the folder holds.")]
+StageLab = Annotated[Path | None, typer.Option(help="lab.toml; by default the one in the folder.")]
+Json = Annotated[bool, typer.Option("--json", help="For scripts: one JSON text.")]
 
 
 def say(said: str, *, err: bool = False) -> None:
@@ -31,6 +40,23 @@ def plain(said: str, style: str = "") -> "Text":
     from rich.text import Text
 
     return Text("\n".join(one_line(line) for line in said.split("\n")), style)
+
+
+def table(
+    title: str, headings: "Sequence[str]", rows: "Iterable[Sequence[str | Text]]", left: int = 0
+) -> "Table":
+    """Return a table of cells that are shown as text.
+
+    left  how many columns, from the first on, hold words; the others are numbers, to the right
+    """
+    from rich.table import Table
+
+    made = Table(title=plain(title))
+    for k, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if k < left else "right")
+    for row in rows:
+        made.add_row(*(plain(cell) if isinstance(cell, str) else cell for cell in row))
+    return made
 
 
 def hand_over(content: str | bytes) -> None:

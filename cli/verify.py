@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from piezoid_cli.options import Quiet
-from piezoid_cli.terminal import hand_over, plain, say
+from piezoid_cli.terminal import Quiet, StageLab, hand_over, plain, say, table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,9 +41,7 @@ def verify(
     limits: Annotated[
         Path | None, typer.Option(help="limits.toml; by default [verification] of lab.toml.")
     ] = None,
-    lab: Annotated[
-        Path | None, typer.Option(help="lab.toml; by default the one in the folder.")
-    ] = None,
+    lab: StageLab = None,
     seed: Annotated[int, typer.Option(help="Of sensor noise and drawn stages.", min=0)] = 0,
     quiet: Quiet = False,
     json: Annotated[
@@ -70,7 +67,7 @@ def verify(
     from piezoid.export.parameter_file import from_json
     from piezoid.identification.store import read_model
     from piezoid.numerics.executor import Executor
-    from piezoid.verification.limits import limits_from_toml
+    from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
@@ -181,24 +178,19 @@ def show(found: "Verification", file: "ParameterFile") -> None:
 
 
 def _comparison(found: "Verification") -> "Table":
-    from rich.table import Table
-
     from piezoid.readable import told
 
-    title = f"spirals of radius {told(found.radius_m, 'm')}, errors in nm"
-    table = Table(title=plain(title))
-    for heading in ("turns a second", "method", "rms", "largest", "shape rms", "delay"):
-        table.add_column(heading, justify="right")
-    for row in (*found.comparison, *found.field):
-        table.add_row(
+    rows = [
+        (
             f"{row.frequency_Hz:g}",
             row.method,
-            f"{1e9 * row.rms_m:.1f}",
-            f"{1e9 * row.max_m:.1f}",
-            f"{1e9 * row.aligned_rms_m:.1f}",
+            *(f"{1e9 * error_m:.1f}" for error_m in (row.rms_m, row.max_m, row.aligned_rms_m)),
             told(row.delay_s, "s"),
         )
-    return table
+        for row in (*found.comparison, *found.field)
+    ]
+    headings = ("turns a second", "method", "rms", "largest", "shape rms", "delay")
+    return table(f"spirals of radius {told(found.radius_m, 'm')}, errors in nm", headings, rows)
 
 
 def _bound_line(row: "ErrorBound") -> str:

@@ -47,7 +47,7 @@ _PUBLIC = {
     "LoopDesign": "piezoid.design.design",
     "LoopRecord": "piezoid.verification.closed_loop",
     "ParameterFile": "piezoid.export.parameter_file",
-    "PeriodicData": "piezoid.identification.dynamics.periodic_data",
+    "PeriodicData": "piezoid.identification.dynamics.periodic_estimate",
     "PiezoidError": "piezoid.errors",
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
@@ -74,7 +74,7 @@ if TYPE_CHECKING:
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.coupled.fit_coupled import fit_coupled
-    from piezoid.identification.dynamics.periodic_data import PeriodicData
+    from piezoid.identification.dynamics.periodic_estimate import PeriodicData
     from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
     from piezoid.identification.restoring_force.fit import (

@@ -31,7 +31,7 @@ from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
-from piezoid.numerics.one_thread import on_one_thread
+from piezoid.numerics.executor import on_one_thread
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect
 from piezoid.records.comparison import refuse_misfits
@@ -40,8 +40,8 @@ from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
 from piezoid.sealed_files import Place, digest_of, path_of
 from piezoid.verification.closed_loop import LoopRecord
+from piezoid.verification.criteria import limits_from_toml
 from piezoid.verification.follow import Controller, follow, own_parameters, parameters_of
-from piezoid.verification.limits import limits_from_toml
 from piezoid.verification.plant import lateral_plant
 from piezoid.verification.shipping import Shipping
 from piezoid.verification.stage import plant_of, verify_stage

@@ -4,16 +4,30 @@ Paths are written with whole numbers, each relative to the one before: short, an
 every machine. One step is a twentieth of a pixel, so a curve may be magnified before it shows.
 """
 
+import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import Scale
-from piezoid_reports.polyline import envelope, thinned, whole_parts
-from piezoid_reports.quantities import scale_for
-from piezoid_reports.ticks import decade_ticks, even_ticks
+from piezoid_reports.quantities import MINUS, scale_for
+
+SINGLY = 50_000  # samples that are worth splitting one by one
+Places = NDArray[np.int_]
+Chord = tuple[int, int]
+"""The places of its ends."""
+Worst = tuple[float, int]
+"""Minus the largest distance from a chord, and where."""
+
+MOST = 7  # intervals between labels
+FEWEST = 3  # labels of an axis over decades
+MANTISSAS = ((1,), (1, 2, 5), tuple(range(1, 10)))
+
+Ticks = tuple[tuple[float, str], ...]  # place along the axis, label
 
 WIDTH, HEIGHT = 640, 360
 FINE = 20
@@ -105,7 +119,11 @@ class Canvas:
     width: int = WIDTH
     height: int = HEIGHT
 
-    def line(
+    def line(self, role: str, name: str, x: Array, y: Array, *, points: int = 2400) -> Layer:
+        """Draw a curve."""
+        return self.line_within(role, name, x, y, points=points)[0]
+
+    def line_within(
         self, role: str, name: str, x: Array, y: Array, *, points: int = 2400, timed: bool = False
     ) -> tuple[Layer, float]:
         """Draw a curve; return it and how far, in SI units of y, it may be from its samples.
@@ -172,3 +190,144 @@ class Canvas:
         # The separator before a minus is the minus itself.
         text = " ".join(steps).replace(" -", "-").replace(",-", "-")
         return f"M{x[0]},{y[0]}l{text or '0,0'}"
+
+
+def even_ticks(low: float, high: float) -> Ticks:
+    """Return round numbers from low to high."""
+    step = round_step((high - low) / MOST)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return tuple((k * step, _written(k * step, step)) for k in range(first, last + 1))
+
+
+def decade_ticks(low: float, high: float) -> Ticks:
+    """Return round numbers where the axis runs over powers of ten: ends and places are log10."""
+    for mantissas in MANTISSAS:
+        found = [
+            (k + math.log10(m), m, k)
+            for k in range(math.floor(low), math.ceil(high) + 1)
+            for m in mantissas
+            if low - 1e-9 <= k + math.log10(m) <= high + 1e-9
+        ]
+        if len(found) >= FEWEST:
+            apart = math.ceil(len(found) / MOST) if mantissas == (1,) else 1
+            return tuple((place, _power(m, k)) for place, m, k in found if k % apart == 0)
+    near = [(value, label) for value, label in even_ticks(10.0**low, 10.0**high) if value > 0.0]
+    return tuple((math.log10(value), label) for value, label in near)
+
+
+def round_step(size: float) -> float:
+    """Return the round number next above a step."""
+    power = 10.0 ** math.floor(math.log10(size))
+    for digit in (1.0, 2.0, 5.0):
+        if size <= digit * power * 1.0000001:
+            return digit * power
+    return 10.0 * power
+
+
+def _written(value: float, step: float) -> str:
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return f"{value + 0.0:.{decimals}f}".replace("-", MINUS)
+
+
+def _power(mantissa: int, power: int) -> str:
+    if 0 <= power < 6:
+        return str(mantissa * 10**power)
+    if -4 <= power < 0:
+        return f"{mantissa * 10.0**power:.{-power}f}"
+    return f"{mantissa}e{power}".replace("-", MINUS)
+
+
+def thinned(x: Array, y: Array, *, tolerance: float, points: int) -> tuple[Places, float]:
+    """Choose the points of a polyline that stays close to a curve.
+
+    The chord that is worst is split at its worst point, until none is worse than the tolerance or
+    the points are spent (Douglas and Peucker 1973, in order of need).
+
+    x, y       (samples,)  in the same unit
+    tolerance  distance that nobody sees
+    points     the most that may be kept
+    returned   (kept,) places, and the largest distance of what was left out
+    """
+    places, cell = _moving(x, y, 0.5 * tolerance)
+    chords = _chords(x[places], y[places], tolerance)
+    kept, whole = {0, len(places) - 1}, (0, len(places) - 1)
+    waiting = [(*chords[whole], *whole)]
+    while waiting and len(kept) < points and -waiting[0][0] > tolerance:
+        _, middle, first, last = heapq.heappop(waiting)
+        kept.add(middle)
+        for part in ((first, middle), (middle, last)):
+            if part in chords:
+                heapq.heappush(waiting, (*chords[part], *part))
+    left = max(-waiting[0][0], 0.0) if waiting else 0.0
+    return places[sorted(kept)], float(left + math.sqrt(2.0) * cell)
+
+
+def _moving(x: Array, y: Array, cell: float) -> tuple[Places, float]:
+    """Return the samples at which the curve enters another cell, and the size of the cells.
+
+    Cells grow until few enough samples are left to be split in a moment.
+    """
+    while True:
+        number = np.floor(np.stack([x, y]) / cell)
+        moved = np.any(np.diff(number, axis=1) != 0.0, axis=0)
+        if moved.sum() <= SINGLY:
+            return np.unique(np.concatenate([[0], 1 + np.flatnonzero(moved), [len(x) - 1]])), cell
+        cell *= 2.0
+
+
+def _chords(x: Array, y: Array, tolerance: float) -> dict[Chord, Worst]:
+    """Return every chord that splitting can come to, with its worst point.
+
+    Where a chord is split does not depend on when: all that are split together are looked at
+    together, thousands of short ones at once.
+    """
+    first, last = np.array([0]), np.array([len(x) - 1])
+    found: dict[Chord, Worst] = {(0, len(x) - 1): (0.0, 0)}
+    while True:
+        inside = last - first > 1
+        first, last = first[inside], last[inside]
+        if not len(first):
+            return found
+        far, middle = _worst(x, y, first, last)
+        chords = zip(first.tolist(), last.tolist(), strict=True)
+        found |= zip(chords, zip((-far).tolist(), middle.tolist(), strict=True), strict=True)
+        split = far > tolerance
+        edges = np.stack([first[split], middle[split], last[split]], axis=1)
+        first, last = edges[:, :2].ravel(), edges[:, 1:].ravel()
+
+
+def _worst(x: Array, y: Array, first: Places, last: Places) -> tuple[Array, Places]:
+    """Return the largest distance from each chord, and where; chords follow one another."""
+    counts = last - first - 1
+    begins = np.cumsum(counts) - counts
+    chord = np.repeat(np.arange(len(first)), counts)
+    place = np.arange(len(chord)) + (first + 1 - begins)[chord]
+    a, b = x[place] - x[first][chord], y[place] - y[first][chord]
+    across, up = (x[last] - x[first])[chord], (y[last] - y[first])[chord]
+    length = across * across + up * up
+    share = (a * across + b * up) / np.where(length > 0, length, 1.0)
+    along = np.minimum(np.maximum(share, 0.0), 1.0)
+    distance = np.hypot(a - along * across, b - along * up)
+    far = np.maximum.reduceat(distance, begins)
+    is_far = np.flatnonzero(distance == far[chord])
+    return far, place[is_far[np.searchsorted(is_far, begins)]]
+
+
+def envelope(x: Array, y: Array, bins: int) -> tuple[Array, Array, Array]:
+    """Return the middle of every bin of x, and the least and greatest y in it, without empty bins.
+
+    x  (samples,)  not decreasing
+    """
+    edges = np.linspace(x[0], x[-1], bins + 1)
+    first = np.unique(np.searchsorted(x, edges[:-1], side="left"))
+    first = first[first < len(x)]
+    last = np.append(first[1:], len(x))
+    middle = (x[first] + x[last - 1]) / 2
+    return middle, np.minimum.reduceat(y, first), np.maximum.reduceat(y, first)
+
+
+def whole_parts(y: Array) -> list[slice]:
+    """Return the stretches of at least two samples without NaN."""
+    good = np.concatenate([[False], np.isfinite(y), [False]])
+    edges = np.flatnonzero(np.diff(good.astype(int)))
+    return [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1]

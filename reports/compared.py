@@ -19,12 +19,30 @@ from piezoid.diagnosis.planning.question import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
 from piezoid.diagnosis.planning.tangents import Tangent
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.identification.model import AxisModel
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.simulation import simulate_recording, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_reports.carried import carried_part, is_carried
 from piezoid_reports.effect_coordinates import coordinate_of
 from piezoid_reports.traces import Trace, rms
+
+MEMORY = "initial_state"
+LAGS = ("delay", "lag")
+KINDS: Mapping[str, tuple[str, ...]] = {
+    "creep": ("creep_ladder",),
+    "thermal_drift": ("thermal_drift",),
+    "rate_dependence": ("rate_dependence",),
+    "resonance": ("linear_mode",),
+    "delay": ("delay",),
+    "lag": ("first_order_lag",),
+    "cross_coupling": ("cross_axis",),
+    "mains_interference": ("mains_lines",),
+    "sensor_periodic_error": ("periodic_error",),
+    "amplifier_saturation": ("amplifier_limits",),
+    "slew_limit": ("slew_limit",),
+    "gain_change": ("gain_change",),
+}
 
 ROWS = 3000  # of each recording
 LEAST_SHARE = 1e-6  # of a recording's stroke, below which nothing is put in
@@ -177,7 +195,13 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     effect = next(one for one in EFFECTS if one.name == name)
     measured_m = trace.recording.displacement_m(axis.axis)
     healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
-    healthy = _reading(trace.recording, axis.axis, healthy_m)
+    channels = tuple(
+        Channel(quantity=c.quantity, axis=c.axis, values=healthy_m, label=c.label)
+        if c.quantity is Quantity.DISPLACEMENT and c.axis == axis.axis
+        else c
+        for c in trace.recording.channels
+    )
+    healthy = replace(trace.recording, channels=channels, axis=axis.axis)
     share = size_m / max(float(np.ptp(healthy_m)), 1e-30)
     faulty_m = healthy_m
     if share > LEAST_SHARE:
@@ -189,11 +213,45 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
 
 
-def _reading(recording: Recording, axis: str, displacement_m: Array) -> Recording:
-    channels = tuple(
-        Channel(quantity=c.quantity, axis=c.axis, values=displacement_m, label=c.label)
-        if c.quantity is Quantity.DISPLACEMENT and c.axis == axis
-        else c
-        for c in recording.channels
-    )
-    return replace(recording, channels=channels, axis=axis)
+def is_carried(axis: AxisModel, effect: str) -> bool:
+    """Say whether the model has the effect in it, so that it can be taken out."""
+    if effect == MEMORY:
+        return True
+    if effect in LAGS and axis.lag.time_s > 0.0:
+        return True
+    kinds = KINDS.get(effect, ())
+    return any(e.kind in kinds for e in axis.extensions)
+
+
+def carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
+    """Return what the effect adds in the model, about its mean; nothing where it has none."""
+    if not is_carried(axis, effect):
+        return np.zeros(len(trace.time_s))
+    without_m = simulate_recording(_without(axis, effect, trace.recording), trace.recording)
+    part_m = trace.modelled_m - without_m
+    return np.asarray(part_m - np.nanmean(part_m))
+
+
+def _without(axis: AxisModel, effect: str, recording: Recording) -> AxisModel:
+    if effect == MEMORY:
+        return replace(axis, starts=_cycled(axis, recording))
+    others = tuple(e for e in axis.extensions if e.kind not in KINDS[effect])
+    lag = Lag(kind="none", time_s=0.0) if effect in LAGS else axis.lag
+    return replace(axis, extensions=others, lag=lag)
+
+
+def _cycled(axis: AxisModel, recording: Recording) -> tuple[PieceStart, ...]:
+    """Return the pieces' starts with the memory of a drive that went down, up, and to its start.
+
+    That is what one assumes of a stage about which nothing is known.
+    """
+    voltage_V, (low_V, high_V) = recording.voltage_V(axis.axis), axis.voltage_V
+    fitted = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
+    own = starts_of(axis, recording)
+    others = [start for start in axis.starts if start.recording != recording.name]
+    cycled = []
+    for start, first in zip(own, fitted, strict=True):
+        way_V = np.array([low_V, high_V, voltage_V[first]])
+        _, memory_V = axis.hysteresis.run(way_V, axis.virgin_memory_V)
+        cycled.append(replace(start, memory_V=memory_V))
+    return (*others, *cycled)

@@ -14,6 +14,9 @@ from piezoid_reports.page import Figure
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import rms
 
+DECADES = ("time_since_turn",)
+PHASES = "part of a period"
+
 CLASSES = 48
 LEAST_ROWS = 12  # of a class
 BANDS = 160  # of a spectrum, evenly over the decades
@@ -67,7 +70,7 @@ def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
         (
             canvas.range_over_time("before", "without it", place, before),
             canvas.range_over_time("model", "with it", place, after),
-            canvas.line("limit", "look-alike", place, slow)[0],
+            canvas.line("limit", "look-alike", place, slow),
         ),
         (rms(before), rms(after)),
     )
@@ -105,10 +108,8 @@ def _in_classes(
     ):
         middle, low, median, high = one.T
         layers.append(canvas.band(f"{role}-band", f"{name}: middle half", middle, low, high))
-        layers.append(canvas.line(role, f"{name}: median", middle, median)[0])
-    layers.append(
-        canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2])[0]
-    )
+        layers.append(canvas.line(role, f"{name}: median", middle, median))
+    layers.append(canvas.line("limit", "look-alike: median", classes[2][:, 0], classes[2][:, 2]))
     title = (
         f"{len(pictures)} recordings" if len(pictures) > 1 else pictures[0].trace.recording.name
     )
@@ -149,7 +150,7 @@ def _spectrum(finding: Finding, where: Coordinate, one: Compared) -> Figure | No
         ("model", "with it", curves[1]),
         ("limit", "look-alike", curves[2]),
     )
-    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1])[0] for role, name, c in drawn)
+    layers = tuple(canvas.line(role, name, c[:, 0], c[:, 1]) for role, name, c in drawn)
     name = one.trace.recording.name
     return _titled(finding, where, canvas, name, layers, (rms(one.before_m), rms(one.after_m)))
 
@@ -189,9 +190,56 @@ def _titled(
             "of the stroke."
         ),
         look=f"{where.reading} {ALIKE}",
-        x=canvas.x,
-        y=canvas.y,
+        canvas=canvas,
         layers=layers,
         flicker=(layers[0].role, layers[1].role) if where.kind != "classes" else (),
-        height=canvas.height,
     )
+
+
+def unnamed_figure(finding: Finding) -> Figure | None:
+    """Return the remainder in classes of its coordinate with the fitted curve, None without it."""
+    seen = finding.seen
+    if seen is None or len(seen.place) < 2:
+        return None
+    label = PHASES if not seen.unit else finding.coordinate.replace("_", " ")
+    place = np.array(seen.place)
+    low, median, high, fitted = (
+        np.array(one) for one in (seen.low_m, seen.median_m, seen.high_m, seen.fitted_m)
+    )
+    if finding.coordinate in DECADES:
+        place = np.log10(np.maximum(place, 1e-9))
+        x = decades_over(label, [place], seen.unit)
+    else:
+        x = axis_over(label, [place], seen.unit)
+    canvas = Canvas(x=x, y=axis_over("what is left", [low, high, fitted], "m"), height=HEIGHT)
+    return Figure(
+        title=f"{words(finding.effect).capitalize()}: what is left against {_against(finding)}",
+        numbers=f"The curve explains {_explained(finding)}; p {finding.p_value:.2g}.",
+        look="What hysteresis and every named cause leave, in classes of the coordinate: middle "
+        "half and median, and the curve that was fitted to other stretches of the recordings. "
+        "Where the curve runs with the median, this is where it lives.",
+        canvas=canvas,
+        layers=(
+            canvas.band("rising-band", "left over: middle half", place, low, high),
+            canvas.line("rising", "left over: median", place, median),
+            canvas.line("limit", "fitted curve", place, fitted),
+        ),
+        flicker=(),
+    )
+
+
+def _against(finding: Finding) -> str:
+    if finding.seen is not None and finding.seen.recording:
+        return f"time, in {finding.seen.recording}"
+    if finding.parameters:
+        name, value = next(iter(finding.parameters.items()))
+        quantity, _, unit = name.rpartition("_")
+        return f"the {PHASES} ({quantity} {told(value, unit)})"
+    return finding.coordinate.replace("_", " ")
+
+
+def _explained(finding: Finding) -> str:
+    share = f"{percent(finding.share)} of the stroke"
+    if not finding.size.unit.startswith("nm"):
+        return f"{share}, rms"
+    return f"{told(finding.size.value * 1e-9, 'm')} rms, {share}"

@@ -46,7 +46,7 @@ def figures(page: Page, axis: AxisModel) -> tuple[Figure, ...]:
     worst = traces[0]
     link = f"axis-{list(page.model.axes).index(axis.axis)}"
     residual = residual_over_time.after(worst, axis, size=RESIDUAL)
-    span = float(worst.time_s[-1]) / residual.x.scale.factor
+    span = float(worst.time_s[-1]) / residual.canvas.x.scale.factor
     return (
         replace(
             loops.opened(page, axis, worst, canvas_size=LOOP),

@@ -2,8 +2,8 @@
 
 import math
 
+from piezoid.identification.tunnelling.barrier_fit import JointBarrier
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import GapLaw
 from piezoid_reports.page import Prose

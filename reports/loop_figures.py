@@ -35,11 +35,11 @@ def nyquist(axis: AxisDesign, loop: LoopDesign) -> Figure:
     others = [np.concatenate([curve, APART]) for curve in curves[1:]]
     layers: list[Layer] = [
         *(
-            [canvas.line("before", "other members", *_inside(np.concatenate(others)))[0]]
+            [canvas.line("before", "other members", *_inside(np.concatenate(others)))]
             if others
             else []
         ),
-        canvas.line("model", "nominal", *_inside(curves[0]))[0],
+        canvas.line("model", "nominal", *_inside(curves[0])),
         _ring(canvas, "limit", "asked modulus margin", margin),
         canvas.dots("odd", "the point -1", np.array([-1.0]), np.array([0.0])),
     ]
@@ -50,11 +50,8 @@ def nyquist(axis: AxisDesign, loop: LoopDesign) -> Figure:
         f"{significant(nearest)}; asked for is {significant(margin)}.",
         look="Good: every curve stays outside the dashed circle and leaves -1 on its left. Bad: a "
         "curve that cuts the circle; one that goes round -1 is an unstable loop.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
-        width=SQUARE,
-        height=SQUARE,
     )
 
 
@@ -66,7 +63,7 @@ def pole_map(axis: AxisDesign, loop: LoopDesign) -> Figure:
     poles = [roots_of(closed_loop_polynomial(m, loop.R, loop.S)) for m in loop.members]
     others = np.concatenate([np.zeros(0), *poles[1:]])
     layers: list[Layer] = [
-        canvas.line("limit", "unit circle", np.cos(CIRCLE), np.sin(CIRCLE))[0],
+        canvas.line("limit", "unit circle", np.cos(CIRCLE), np.sin(CIRCLE)),
         canvas.dots("dots", "other members", others.real, others.imag),
         canvas.dots("odd", "nominal", poles[0].real, poles[0].imag),
     ]
@@ -77,11 +74,8 @@ def pole_map(axis: AxisDesign, loop: LoopDesign) -> Figure:
         f"{significant(largest, 4)}.",
         look="Good: all inside the circle, and the members close together. Bad: poles that wander "
         "towards the circle for some member: that plant decays slowly, or rings.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
-        width=SQUARE,
-        height=SQUARE,
     )
 
 
@@ -100,4 +94,4 @@ def _inside(curve: Response) -> tuple[Array, Array]:
 
 def _ring(canvas: Canvas, role: str, name: str, radius: float) -> Layer:
     x, y = -1.0 + radius * np.cos(CIRCLE), radius * np.sin(CIRCLE)
-    return canvas.line(role, name, x, y)[0]
+    return canvas.line(role, name, x, y)

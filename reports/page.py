@@ -175,6 +175,7 @@ class Figure:
     title    one line
     numbers  what was measured on it, with units
     look     what good and bad look like
+    canvas   on which the layers were drawn
     layers   bottom first
     flicker  roles that may be shown in turn, or empty
     is_small  drawn for the first screen: no buttons, the caption for listeners alone
@@ -187,12 +188,9 @@ class Figure:
     title: str
     numbers: str
     look: str
-    x: Axis
-    y: Axis
+    canvas: Canvas
     layers: tuple[Layer, ...]
     flicker: tuple[str, ...] = ()
-    width: int = Canvas.width
-    height: int = Canvas.height
     is_small: bool = False
     seen_as: str = ""
     link: str = ""

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from importlib.resources import files as files_of
 from types import MappingProxyType
@@ -12,6 +13,7 @@ from types import MappingProxyType
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from piezoid.calibration.calibrate import Calibration
 from piezoid.calibration.since import Since
 from piezoid.counts import in_counts
 from piezoid.design.design import Design
@@ -19,6 +21,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
 from piezoid.identification.store import write_model
+from piezoid.records.collection import Collection
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -198,7 +201,7 @@ def figure_html(figures: Sequence[Figure]) -> str:
     # The frame runs no script; the policy would refuse the one rule that is added.
     page = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", page)
     page = page.replace("</style>", f"{ALONE}</style>")
-    height = sum(figure.height + 190 for figure in figures) + 60
+    height = sum(figure.canvas.height + 190 for figure in figures) + 60
     style = f"width:100%;height:{height}px;border:0"
     return f'<iframe sandbox style="{style}" srcdoc="{escape(page)}"></iframe>'
 
@@ -234,3 +237,26 @@ def _environment(counted: Sequence[str]) -> Environment:
     )
     found.filters["length_m"] = partial(told, unit="m")
     return found
+
+
+def with_report(found: Calibration, held: Collection | None, lab: Lab | None) -> Calibration:
+    """Return a calibration with report.html behind its files.
+
+    held  the recordings, for the report's pictures; None where they are larger than memory
+    """
+    made = found.controllers
+    page = render(
+        found.model,
+        () if held is None else held.recordings,
+        () if held is None else held.sweeps,
+        made.design,
+        made.reason,
+        responses=() if held is None else held.responses,
+        diagnoses=found.diagnoses,
+        undiagnosed=found.undiagnosed,
+        verification=made.verification,
+        unshipped=made.unshipped,
+        files=found.files,
+        lab=lab,
+    )
+    return replace(found, files={**found.files, "report.html": page.encode()})

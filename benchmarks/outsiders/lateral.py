@@ -14,9 +14,9 @@ from piezoid.design.design import design_from_json
 from piezoid.export.parameter_file import AxisParameters, from_json
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
+from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.tracking import Tracking
 from piezoid.verification.tracking import track as compared
-from piezoid.verification.trajectories import constant_angular_velocity
 from piezoid_cli.calibration import calibrate
 
 Prepare = Callable[[Simulator, int, Path], None]

@@ -42,8 +42,8 @@ from piezoid.verification.rebuild import (
     _TARGET,
     _TARGET_FLAGS,
     emulate,
+    source,
 )
-from piezoid.verification.replay import source
 from piezoid_datasets.virtual_lab.truths import ZOO
 
 NOISE, REACH, TURNS, SPIRAL = 5e-4, 0.7, 5, 4000

@@ -14,7 +14,7 @@ from piezoid.errors import UnstableLoopError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import grid_Hz, response
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import recursive_filter
 from piezoid.readable import told
 from piezoid.record_json import Unbounded
 

@@ -11,9 +11,12 @@ from piezoid.design.decoupling import Decoupling
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import PlantFamily
-from piezoid.design.sensitivity import Margins, margins, sensitivities
+from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.design.specification import Specification
+from piezoid.errors import DesignError
+from piezoid.identification.interchange import control
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.polynomial import product
 from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json
 from piezoid.showing import shown
@@ -23,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from scipy.signal import TransferFunction
 
+PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
 SCHEMA = "piezoid.design/1"
 METHODS = ("dob", "mpi_dob", "rst")
 REPORTED_Hz = (1.0, 10.0, 100.0)
@@ -147,8 +151,6 @@ class LoopDesign:
         >>> type(design.axis("x").recommended.to_scipy("closed_loop")).__name__
         'TransferFunctionDiscrete'
         """
-        from piezoid.design.interchange import to_scipy
-
         return to_scipy(self, part)
 
     def to_control(self, part: str = "controller") -> Any:
@@ -157,8 +159,6 @@ class LoopDesign:
         >>> design.axis("x").recommended.to_control("sensitivity").isdtime()
         True
         """
-        from piezoid.design.interchange import to_control
-
         return to_control(self, part)
 
 
@@ -328,3 +328,52 @@ def rejections(
         )
         for k, f in enumerate(frequency_Hz)
     )
+
+
+def fraction_of(loop: LoopDesign, part: str) -> tuple[Array, Array]:
+    """Return numerator and denominator of a part of the nominal loop, in z, highest power first.
+
+        S u = T r' - R y,   A y = B u,   P = A S + B R          [Landau & Zito 2006]
+
+    Raises ``DesignError`` for a part that is none of ``PARTS``.
+    """
+    R, S, T, B, A = loop.R, loop.S, loop.T, loop.members[0].B, loop.members[0].A
+    if part not in PARTS:
+        raise DesignError(
+            f"part {part!r} of a loop",
+            needed=f"one of {', '.join(PARTS)}",
+            remedy="Name one of those.",
+        )
+    P = closed_loop_polynomial(loop.members[0], R, S)
+    return _in_z(
+        *{
+            "controller": (R, S),
+            "prefilter": (T, R),
+            "plant": (B, A),
+            "sensitivity": (product(A, S), P),
+            "closed_loop": (product(T, B), P),
+        }[part]
+    )
+
+
+def to_scipy(loop: LoopDesign, part: str) -> "TransferFunction":
+    """Return a part as ``scipy.signal.TransferFunction``, discrete at the controller's rate."""
+    from scipy.signal import TransferFunction
+
+    numerator, denominator = fraction_of(loop, part)
+    lead = int(np.flatnonzero(numerator)[0])  # scipy warns of leading zeros
+    interval_s = 1.0 / loop.members[0].sampling_rate_Hz
+    return TransferFunction(numerator[lead:], denominator, dt=interval_s)
+
+
+def to_control(loop: LoopDesign, part: str) -> Any:
+    """Return a part as ``control.TransferFunction``."""
+    numerator, denominator = fraction_of(loop, part)
+    return control().tf(numerator, denominator, 1.0 / loop.members[0].sampling_rate_Hz)
+
+
+def _in_z(numerator: Array, denominator: Array) -> tuple[Array, Array]:
+    """Bring coefficients in q^-1 to powers of z: both padded behind to one length."""
+    length = max(len(numerator), len(denominator))
+    made = [np.pad(p, (0, length - len(p))) for p in (numerator, denominator)]
+    return made[0], made[1]

@@ -14,10 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.design.certificate import Disturbances
-from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
+from piezoid.design.hysteresis_bounds import (
+    HysteresisBounds,
+    affine_bounds,
+    draw_replicates,
+    inverse_bounds,
+)
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.replicates import draw_replicates
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template
 from piezoid.errors import DesignError

@@ -19,12 +19,17 @@ from piezoid.design.design import (
     reached_margins,
     rejections,
 )
-from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, refuse
+from piezoid.design.feasibility import (
+    at_feasible_bandwidth,
+    nearest_feasible,
+    refuse,
+    severity,
+    unmet,
+)
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.observer_loop import LinearController, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.requirements import severity, unmet
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation
 from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer

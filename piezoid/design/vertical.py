@@ -14,10 +14,9 @@ from piezoid.design.design import (
     reached_margins,
     rejections,
 )
-from piezoid.design.feasibility import nearest_feasible, refuse
+from piezoid.design.feasibility import nearest_feasible, refuse, severity, unmet
 from piezoid.design.feedforward import fit_reference_path
 from piezoid.design.plant import PlantFamily
-from piezoid.design.requirements import severity, unmet
 from piezoid.design.shaping import ShapedController, shape
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation

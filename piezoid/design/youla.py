@@ -9,26 +9,207 @@ becomes a condition around reference polynomials: with P_d,i stable,
 so that limits on |A_i S| / |P_i| are implied by second-order cones. P_d,i are the polynomials of
 the design so far, and the problem is solved again until it stops gaining. Each step keeps every
 member stable and every limit met.      [Landau & Zito 2006; Karimi & Galdos 2010, for the family]
+
+One convex problem around a closed loop: second-order cones, solved on the rows that decide.
+
+With P_d,i the closed-loop polynomials of the loop it is set up around,
+
+    |A_i S| <= limit Re{P_i conj(P_d,i)} / |P_d,i|   implies   |A_i S| / |P_i| <= limit
+
+and the left side asks for a cone in the free coefficients of R and S.    [Karimi & Galdos 2010]
 """
 
 from dataclasses import dataclass
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.design.cones import solve
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST, RstController
 from piezoid.design.specification import Specification
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.frequency import Response, polynomial_response
 from piezoid.numerics.polynomial import product, total
+
+_LEAST_REAL = 0.05
+_SLACK_PRICE = 100.0
+_TOLERANCE = 1e-7
 
 _RESERVES_dB = (0.05, 0.2, 0.5)
 """The cones are tightened for what happens between grid points: more where less did not do."""
 _LEAST_GAIN = 0.01
 _TIE = 1e-4
 _EVERY = 10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cones:
+    """One convex problem in numbers; rows run over members and frequencies together.
+
+    A_S, A_R, B_R  (rows, unknowns) complex, with constants (rows,): the loops' numerators
+    real           (rows, unknowns), (rows,)  Re{P_i conj(P_d,i)} / |P_d,i|
+    reference      (rows,)  |P_d,i|
+    limits         (functions, rows)
+    slope          (rows,)  f / bandwidth, nan above the bandwidth
+    """
+
+    A_S: tuple[Response, Response]
+    A_R: tuple[Response, Response]
+    B_R: tuple[Response, Response]
+    real: tuple[Array, Array]
+    reference: Array
+    limits: Array
+    slope: Array
+
+    @property
+    def limited(self) -> tuple[tuple[Response, Response], ...]:
+        """What has limits, in their order."""
+        return self.A_S, self.A_R, self.B_R
+
+    def at(self, rows: NDArray[np.bool_]) -> "Cones":
+        """Return the problem on some rows only."""
+        return Cones(
+            A_S=(self.A_S[0][rows], self.A_S[1][rows]),
+            A_R=(self.A_R[0][rows], self.A_R[1][rows]),
+            B_R=(self.B_R[0][rows], self.B_R[1][rows]),
+            real=(self.real[0][rows], self.real[1][rows]),
+            reference=self.reference[rows],
+            limits=self.limits[:, rows],
+            slope=self.slope[rows],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reached:
+    """A solution: the unknowns, the rejection they reach, and the slack they needed."""
+
+    x: Array
+    gamma: float
+    slack: float
+
+
+def solve(
+    grid: FamilyGrid,
+    plant: Plant,
+    R: Array,
+    S: Array,
+    count: int,
+    reserve: float,
+    deciding: NDArray[np.bool_],
+) -> tuple[Array, Array] | None:
+    """Solve one convex problem around the closed loops of R, S; None where the solver fails.
+
+    grid      of members and frequencies, with the limits; its rows are those of the problem
+    plant     the nominal one, for the scale of R
+    R, S      of the loop it is set up around
+    count     free coefficients of R' and of S'
+    reserve   <= 1: share of every limit that may be used
+    deciding  (rows,)  which rows are asked; one problem hands them on to the next
+    returned  R and S
+
+    A few hundred of the rows decide. The problem is solved on those, and again with the peaks of
+    what its solution misses, until it misses none (the exchange of Remez).
+    """
+    scale = abs(plant.gain)
+    cones = cones_around(grid, scale, R, S, count)
+    while True:
+        found = _solved(cones.at(deciding), count, reserve)
+        if found is None:
+            return None
+        missed = _peaks(_excess(cones, found, reserve)) & ~deciding
+        if not missed.any():
+            break
+        deciding |= missed
+    s_free = np.concatenate([[1.0], found.x[: count - 1]])
+    r_free = found.x[count - 1 :] / scale
+    return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
+
+
+def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int) -> Cones:
+    """Set up the problem around the closed loops of R, S. Unknowns: s'_1.., then scale r'_0.. ."""
+    members = len(grid.A)
+    q = np.tile(grid.q, members)
+    A, B = grid.A.ravel()[:, None], grid.B.ravel()[:, None]
+    powers = q[:, None] ** np.arange(count)
+    fixed_s = polynomial_response(INTEGRATOR, q)[:, None]
+    fixed_r = polynomial_response(OPEN_AT_NYQUIST, q)[:, None] / scale
+    s_rows = np.hstack([fixed_s * powers[:, 1:], np.zeros((len(q), count))])
+    r_rows = np.hstack([np.zeros((len(q), count - 1)), fixed_r * powers])
+    desired = A[:, 0] * polynomial_response(S, q) + B[:, 0] * polynomial_response(R, q)
+    turn = np.conj(desired) / np.abs(desired)
+    constant = A[:, 0] * fixed_s[:, 0]
+    f, bandwidth_Hz = grid.frequency_Hz, grid.specification.bandwidth_Hz
+    slope = np.where(f <= bandwidth_Hz * (1.0 + 1e-12), f / bandwidth_Hz, np.nan)
+    none = np.zeros(len(q), dtype=np.complex128)
+    return Cones(
+        A_S=(A * s_rows, constant),
+        A_R=(A * r_rows, none),
+        B_R=(B * r_rows, none),
+        real=((turn[:, None] * (A * s_rows + B * r_rows)).real, (turn * constant).real),
+        reference=np.abs(desired),
+        limits=np.tile(grid.limits, members),
+        slope=np.tile(slope, members),
+    )
+
+
+def _excess(cones: Cones, found: Reached, reserve: float) -> Array:
+    """Return by how much a solution misses what every row asks, over the closed loop's size."""
+    real = (cones.real[0] @ found.x + cones.real[1]) / cones.reference
+    room = reserve * (real + found.slack)
+    excess = _LEAST_REAL - real
+    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
+        size = np.abs(rows @ found.x + constant) / cones.reference
+        excess = np.maximum(excess, size / limit - room)
+    size = np.abs(cones.A_S[0] @ found.x + cones.A_S[1]) / cones.reference
+    in_band = np.maximum(size / cones.slope - found.gamma, 1.0 - real)
+    return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
+
+
+def _peaks(excess: Array) -> NDArray[np.bool_]:
+    """Return the rows of a real excess that are no better than both their neighbours."""
+    before, after = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
+    return (excess > _TOLERANCE) & (excess >= before) & (excess >= after)
+
+
+def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
+    """Solve the program on some rows; None where the solver fails.
+
+        minimise    gamma + price slack
+        subject to  real >= least |P_d|,   |size| <= reserve limit (real + slack |P_d|)
+                    real >= |P_d|,   |A_i S| <= gamma slope |P_d|     in the band
+
+    A slack on all limits together, at a high price, lets a start that exceeds them come back.
+    """
+    import cvxpy as cp
+
+    x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
+    reference, band = cones.reference, np.isfinite(cones.slope)
+    real = cones.real[0] @ x + cones.real[1]
+    asked = [real >= _LEAST_REAL * reference]
+
+    def limit(size: tuple[Response, Response], held: NDArray[np.bool_], bound: object) -> None:
+        if held.any():
+            asked.append(cp.abs(size[0][held] @ x + size[1][held]) <= bound)
+
+    room = real + slack * reference
+    for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
+        held = np.isfinite(upper)
+        limit(size, held, cp.multiply(reserve * upper[held], room[held]))
+    limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
+    if band.any():
+        asked.append(real[band] >= reference[band])
+    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), asked)
+    try:
+        with catch_warnings(action="ignore", category=UserWarning):
+            # An inaccurate answer is judged on the finer grid like any other.
+            program.solve(cp.CLARABEL)
+    except cp.SolverError:
+        return None
+    if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        return None
+    return Reached(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +268,15 @@ def optimise(
         (R, S), best = step, reached
         history.append(reached.rejection)
     return ConvexController(
-        controller=_controller(family.nominal, R, S, start),
+        controller=RstController(
+            R=R,
+            S=S,
+            T=np.array([R.sum()]),
+            H_R=OPEN_AT_NYQUIST,
+            H_S=INTEGRATOR,
+            P=total(product(family.nominal.A, S), product(family.nominal.B, R)),
+            residual=start.residual,
+        ),
         taps=count,
         rejection=best.rejection,
         excess_dB=best.excess_dB,
@@ -112,15 +301,3 @@ def _checked_step(
         if solution is not None and worst_place(fine, *solution).excess_dB <= allowed_dB:
             return solution
     return None
-
-
-def _controller(plant: Plant, R: Array, S: Array, start: RstController) -> RstController:
-    return RstController(
-        R=R,
-        S=S,
-        T=np.array([R.sum()]),
-        H_R=OPEN_AT_NYQUIST,
-        H_S=INTEGRATOR,
-        P=total(product(plant.A, S), product(plant.B, R)),
-        residual=start.residual,
-    )

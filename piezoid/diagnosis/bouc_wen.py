@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.hysteretic_mode import bouc_wen_states
 
 BoucWenLaw = tuple[float, float, float, float]
 """beta, gamma, n, b"""

@@ -14,7 +14,7 @@ import numpy as np
 from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.tracks import BLOCKS, Places
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 
 FOLDS = 5
 TESTS = 3  # of the mean, of signs, of the likelihood ratio

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from piezoid.identification.extensions.extension import Where
-from piezoid.identification.joint.parts import parts_of
+from piezoid.identification.joint.vector import parts_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording

@@ -15,7 +15,7 @@ from piezoid.diagnosis.initial_states import Reversals, memory_after
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 from piezoid.operators.play import play_columns
 
 CHUNK = 65536

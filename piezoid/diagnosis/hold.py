@@ -14,7 +14,7 @@ import numpy as np
 
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.numerics.arrays import Array
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import recursive_filter
 
 SAME = 0.01  # of the clock: so near a recording's rate is the converter's own
 APART = 1e-4  # of a pole: nearer ones are one

@@ -24,7 +24,7 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.tracks import BLOCKS, Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 
 STRETCH = 300  # samples behind a jump
 FEWEST = 100  # of them

@@ -35,7 +35,7 @@ from piezoid.diagnosis.shape import (
 )
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
 MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of it, what was poled for good among them

@@ -10,7 +10,7 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import recursive_filter
 from piezoid.records.recording import Quantity, Recording
 
 

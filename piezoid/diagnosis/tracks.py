@@ -15,7 +15,7 @@ from piezoid.identification.hysteresis.pieces import (
     pieces_of,
 )
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together

@@ -17,8 +17,8 @@ from piezoid.diagnosis.initial_states import Reversals, hypotheses
 from piezoid.diagnosis.nuisance import NuisanceClass
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import Once
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.numerics.once import Once
 from piezoid.records.faults import step_size
 
 DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded

@@ -13,9 +13,8 @@ import numpy as np
 
 from piezoid.export.inert import inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, used
-from piezoid.runtime.library import PRECISIONS, library
+from piezoid.runtime.library import PRECISIONS, SEALED, library
 from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter
-from piezoid.runtime.values import SEALED
 
 _TOP = """\
 /* Parameters of the piezoid runtime for the stage: {name}

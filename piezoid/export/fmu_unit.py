@@ -13,8 +13,14 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from piezoid.export.bundle import shipped
-from piezoid.export.compiled import LINUX, shared_library
+from piezoid.export.c_header import c_header
+from piezoid.export.golden import SAMPLES
+from piezoid.export.inert import inert
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.shared_library import LINUX, shared_library
 from piezoid.provenance import digest_of_bytes
+
+_RUNTIME = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
 
 _DATE = (1980, 1, 1, 0, 0, 0)  # the earliest a zip knows
 
@@ -33,6 +39,16 @@ class Variable:
     description: str
     unit: str | None = None
     start: float | int | None = None
+
+
+def variables(
+    *rows: tuple[str, str, str | None, float | int | None, str],
+) -> tuple[Variable, ...]:
+    """Return the variables of a unit: name, causality, unit, start and description of each."""
+    return tuple(
+        Variable(name=name, causality=causality, unit=unit, start=start, description=description)
+        for name, causality, unit, start, description in rows
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,3 +273,37 @@ def _zipped(contents: Mapping[str, bytes]) -> bytes:
             entry.external_attr = 0o644 << 16
             archive.writestr(entry, contents[name], compresslevel=6)
     return stream.getvalue()
+
+
+def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
+    """Return the units of all axes by the stem of their files' names."""
+    sources = {name: shipped(name) for name in _RUNTIME}
+    sources["piezo_params.h"] = c_header(file, digest_of(file)).encode()
+    return {f"{axis.axis}_controller": _unit(file, axis, sources) for axis in file.axes}
+
+
+def _unit(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes]) -> Unit:
+    is_current = axis.method == "rst"
+    unit = "A" if is_current else "m"
+    start = float(axis.values["current_reference_A"]) if is_current else 0.0
+    reading = "What the sensor shows; NaN where it shows nothing."
+    status = "0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h."
+    begun = "What the converter puts out before the first sample."
+    return Unit(
+        identifier=f"piezoid_{axis.axis}_controller",
+        description=f"Controller of axis {axis.axis}, method {axis.method}, "
+        f"of the stage {inert(file.name)}",
+        header="fmu_controller.h",
+        macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
+        f"#define FMU_INPUT_AT_START {start!r}\n",
+        variables=variables(
+            (f"reference_{unit}", "input", unit, start, "Wanted; NaN keeps the last one."),
+            (f"measured_{unit}", "input", unit, start, reading),
+            ("voltage_V", "output", "V", None, "To put out; always finite and inside the limits."),
+            ("status", "output", None, None, status),
+            ("start_voltage_V", "parameter", "V", 0.0, begun),
+        ),
+        sources=sources,
+        period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
+        samples=SAMPLES,
+    )

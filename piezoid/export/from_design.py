@@ -20,7 +20,7 @@ from piezoid.export.runtime_names import (
 )
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.polynomial import roots_of
-from piezoid.runtime.values import complete
+from piezoid.runtime.library import complete
 
 # A measurement this much beyond the reachable range, as a part of it, is not believed.
 _DISBELIEF = 0.25

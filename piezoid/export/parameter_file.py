@@ -20,9 +20,8 @@ from piezoid.numerics.arrays import Array, expect_shapes, freeze
 from piezoid.provenance import seal, unseal
 from piezoid.record_json import from_json as records_from_json
 from piezoid.record_json import to_json as records_to_json
-from piezoid.runtime.library import PRECISIONS, library
+from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
-from piezoid.runtime.values import SEALED, Values, complete
 from piezoid.upstairs import upstairs
 
 # What a C enumerator and a file name can both carry.

@@ -74,6 +74,8 @@ def displacement_budget(
 
 def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
     freedom = max(axis.uncertainty.blocks - 1, 1)
+    moved_m = max((float(np.ptp(start.zero_m)) for start in axis.starts), default=0.0)
+    standard_m = moved_m / 2.0 / math.sqrt(3.0)
     return (
         _residual(axis, freedom),
         Contribution(
@@ -82,7 +84,12 @@ def _from_data(axis: AxisModel) -> tuple[Contribution, ...]:
             standard=_standard(float(np.max(axis.uncertainty.loading_half_m)), freedom),
             freedom=freedom,
         ),
-        _zero_within(axis),
+        Contribution(
+            name="zero during a run, from end to end of what was followed",
+            kind="A",
+            standard=standard_m,
+            shape="rectangular",
+        ),
         *_lag(axis, freedom),
     )
 
@@ -106,17 +113,6 @@ def _zero_between_m(axis: AxisModel) -> float | None:
     """Return the standard deviation of the zero from run to run; None for a single one."""
     zeros = np.array([float(np.mean(start.zero_m)) for start in axis.starts])
     return float(np.std(zeros, ddof=1)) if len(zeros) > 1 else None
-
-
-def _zero_within(axis: AxisModel) -> Contribution:
-    moved_m = max((float(np.ptp(start.zero_m)) for start in axis.starts), default=0.0)
-    standard_m = moved_m / 2.0 / math.sqrt(3.0)
-    return Contribution(
-        name="zero during a run, from end to end of what was followed",
-        kind="A",
-        standard=standard_m,
-        shape="rectangular",
-    )
 
 
 def _lag(axis: AxisModel, freedom: int) -> tuple[Contribution, ...]:

@@ -37,7 +37,10 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
         )
     displacement_m = np.full(recording.samples, np.nan)
     for part, start in zip(pieces, starts, strict=True):
-        displacement_m[part] = _piece(axis_model, recording, part, start)
+        where = where_of(recording, axis_model.axis, part)
+        voltage_V = recording.voltage_V(axis_model.axis)[part]
+        moved_m = axis_model.moved(voltage_V, start.memory_V, where)
+        displacement_m[part] = axis_model.read(zero_of(start, where.samples) + moved_m)
     return displacement_m
 
 
@@ -57,13 +60,6 @@ def where_of(recording: Recording, axis: str, part: slice) -> Where:
         samples=part.stop - part.start,
         others_V=others,
     )
-
-
-def _piece(axis_model: AxisModel, recording: Recording, part: slice, start: PieceStart) -> Array:
-    where = where_of(recording, axis_model.axis, part)
-    voltage_V = recording.voltage_V(axis_model.axis)[part]
-    moved_m = axis_model.moved(voltage_V, start.memory_V, where)
-    return axis_model.read(zero_of(start, where.samples) + moved_m)
 
 
 def zero_of(start: PieceStart, samples: int) -> Array:

@@ -25,8 +25,8 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
 from piezoid.readable import told
+from piezoid.runtime.library import Values
 from piezoid.runtime.schema import METHODS
-from piezoid.runtime.values import Values
 
 _SHARES = np.linspace(0.05, 1.0, 20)  # of the nominal inverse, among which L is chosen
 _MOST_LEFT = 0.95  # of the error by a period: less is no progress worth a recording

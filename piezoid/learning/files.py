@@ -58,7 +58,14 @@ def learned_files(
         voltage_V=learned.table_V,
     )
     if learned.closed_loop:
-        files[f"{learned.axis}_feedforward.h"] = _header(learned).encode()
+        files[f"{learned.axis}_feedforward.h"] = _HEADER.format(
+            axis=learned.axis,
+            upper=learned.axis.upper(),
+            points=len(learned.table_V),
+            rate=learned.sampling_rate_Hz,
+            volts=_literals(learned.table_V),
+            wanted=_literals(learned.wanted_m),
+        ).encode()
     elif converter_V is not None and bits is not None:
         table = coded(table, converter_V, bits)
         _refuse_beyond(table, converter_V)
@@ -119,17 +126,6 @@ def read_reference(place: Path, sampling_rate_Hz: float) -> Array:
 def _dimension(column: Column) -> Dimension | None:
     unit = column.heading.unit
     return None if unit is None else unit.dimension
-
-
-def _header(learned: Learned) -> str:
-    return _HEADER.format(
-        axis=learned.axis,
-        upper=learned.axis.upper(),
-        points=len(learned.table_V),
-        rate=learned.sampling_rate_Hz,
-        volts=_literals(learned.table_V),
-        wanted=_literals(learned.wanted_m),
-    )
 
 
 def _literals(values: Array) -> str:

@@ -9,7 +9,7 @@ from scipy.linalg import lapack
 
 from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.bounded import bounded_minimum
+from piezoid.numerics.derivative_free import bounded_minimum
 
 _TOLERANCE = 1e-10
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not

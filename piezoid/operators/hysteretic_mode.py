@@ -6,6 +6,12 @@
 
 Source: Bouc (1967); Wen, J. Eng. Mech. 102 (1976); Iwan, J. Appl. Mech. 33 (1966). A drive of a
 piezo stage stands for the force it makes, so m, c, k, h and w_i are per unit of the drive.
+
+The Bouc-Wen state: one state that saturates smoothly and whose small loops do not close.
+
+    dz/du = 1 - |z|^n (gamma + beta sgn(z du))
+
+Source: Bouc (1967); Wen, J. Eng. Mech. 102 (1976).
 """
 
 from dataclasses import dataclass
@@ -16,6 +22,8 @@ from scipy.signal import resample_poly
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
+
+LONGEST = 0.01  # step of the drive; the midpoint rule then errs by some 1e-5 of the state
 
 Hold = Literal["band_limited", "zero_order"]
 
@@ -155,3 +163,22 @@ def fine_drive(drive: Array, sampling_rate_Hz: float, steps: int, hold: Hold) ->
     return FineDrive(
         values=contiguous(values), samples=len(given), steps=steps, step_s=step_s, hold=hold
     )
+
+
+def bouc_wen_states(
+    drive: Array, beta: float, gamma: float, exponent: float, start: float = 0.0
+) -> Array:
+    """Return the state along a drive.
+
+    drive            (samples,)  of the order of one
+    beta, gamma      scalars     loading and unloading; 1 / unit of the drive, to the power n
+    exponent         scalar      n >= 1, sharpness of the knee
+    start            scalar      z at the first sample
+    returned         (samples,)  unit of the drive
+    """
+    given = contiguous(drive)
+    found, state = np.empty_like(given), np.array([start])
+    KERNELS.pk_bouc_wen(
+        len(given), address(given), beta, gamma, exponent, LONGEST, address(state), address(found)
+    )
+    return found

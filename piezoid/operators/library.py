@@ -1,12 +1,11 @@
 """The compiled kernels, seen from Python: opened once, each function with its argument types."""
 
 import ctypes
-from importlib.util import find_spec
 
 import numpy as np
 
-from piezoid.errors import RuntimeLibraryError
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.compiled import opened
 
 _SIZE = ctypes.c_size_t
 _DOUBLE = ctypes.c_double
@@ -54,23 +53,9 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
 }
 
 
-def _open() -> ctypes.CDLL:
-    module = find_spec("piezoid.operators._kernels")
-    if module is None or module.origin is None:
-        raise RuntimeLibraryError(
-            "the compiled kernels piezoid.operators._kernels are not beside the package",
-            needed="an installation that compiled them",
-            remedy="Install piezoid with a C compiler present: pip install .",
-        )
-    library = ctypes.CDLL(module.origin)
-    for name, arguments in _SIGNATURES.items():
-        function = getattr(library, name)
-        function.argtypes = arguments
-        function.restype = None
-    return library
-
-
-KERNELS = _open()
+KERNELS = opened(
+    "piezoid.operators._kernels", {name: (None, takes) for name, takes in _SIGNATURES.items()}
+)
 
 
 def address(array: Array | None) -> ctypes.c_void_p | None:

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
-from piezoid.runtime.library import library
+from piezoid.runtime.library import complete, library
 from piezoid.runtime.schema import PARAMETERS
-from piezoid.runtime.values import complete
 
 
 class Status(IntFlag):

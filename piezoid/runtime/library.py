@@ -1,17 +1,23 @@
 """The compiled runtime, seen from Python: opened in either precision, its layout compared."""
 
 import ctypes
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.numerics.arrays import Array
-from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter, structure
-from piezoid.runtime.values import SEALED, Values
+from piezoid.numerics.compiled import Signatures, opened
+from piezoid.runtime.schema import INDEX, METHODS, PARAMETERS, VERSION, Parameter, structure
+
+Values = Mapping[str, Array]
+
+# Computed from the others when they are packed for one precision.
+SEALED = ("schema", "size_bytes", "checksum")
 
 PRECISIONS = {
     "double": ("piezoid.runtime._runtime", ctypes.c_double),
@@ -96,29 +102,21 @@ def library(precision: str = "double") -> Library:
     precision  ``double`` or ``float``
     """
     name, real = PRECISIONS[precision]
-    module = find_spec(name)
-    if module is None or module.origin is None:
-        raise RuntimeLibraryError(
-            f"the compiled runtime {name} is not beside the package",
-            needed="an installation that compiled it",
-            remedy="Install piezoid with a C compiler present: pip install .",
-        )
-    code = ctypes.CDLL(module.origin)
-    _declare(code, real)
-    opened = Library(
+    code = opened(name, _signatures(real))
+    found = Library(
         precision=precision,
         code=code,
         real=real,
         parameters=structure(real),
         state_size=code.pz_size_of_state(),
     )
-    compare_layout(opened)
-    return opened
+    compare_layout(found)
+    return found
 
 
-def _declare(code: ctypes.CDLL, real: Any) -> None:
+def _signatures(real: Any) -> Signatures:
     pointer, size = ctypes.c_void_p, ctypes.c_size_t
-    signatures: dict[str, tuple[Any, tuple[Any, ...]]] = {
+    return {
         "pz_size_of_state": (size, ()),
         "pz_size_of_real": (size, ()),
         "pz_describe": (ctypes.POINTER(_field(real)), (ctypes.c_int32,)),
@@ -132,10 +130,6 @@ def _declare(code: ctypes.CDLL, real: Any) -> None:
         "pz_log": (real, (real,)),
         "pz_run_many": (None, (pointer, pointer, size, *[pointer] * 4)),
     }
-    for name, (answer, arguments) in signatures.items():
-        function = getattr(code, name)
-        function.restype = answer
-        function.argtypes = arguments
 
 
 def compare_layout(opened: Library) -> None:
@@ -184,3 +178,60 @@ def _other_layout(what: str, found: object, expected: object) -> RuntimeLibraryE
         needed=f"{expected}, as in piezoid.runtime.schema",
         remedy="Install piezoid again, so that the runtime is compiled from this source.",
     )
+
+
+def complete(given: Mapping[str, ArrayLike | str]) -> Values:
+    """Return every parameter of the schema, padded to its full shape, read-only.
+
+    given     by name; arrays may be shorter than the schema's (they go into the first places), one
+              number fills all places; ``method`` may be a name; whatever is missing takes the
+              schema's default
+    returned  float64 arrays of the schema's shapes, in the schema's order
+
+    Raises ``ParameterFileError`` for an unknown name, too many numbers, a fraction where an
+    integer is needed, or a number outside its bounds.
+    """
+    unknown = sorted(set(given) - set(INDEX))
+    if unknown:
+        raise ParameterFileError(
+            f"unknown parameter {unknown[0]!r}",
+            needed=f"one of the {len(INDEX)} names of the schema",
+            remedy="Compare the spelling with piezoid.runtime.schema.PARAMETERS.",
+        )
+    return {p.name: _padded(p, given.get(p.name, p.default)) for p in PARAMETERS}
+
+
+def _padded(parameter: Parameter, value: ArrayLike | str) -> Array:
+    if parameter.name == "method" and isinstance(value, str):
+        value = METHODS.index(value) if value in METHODS else -1
+    numbers = np.asarray(value, dtype=np.float64)
+    full = np.zeros(parameter.shape)
+    if numbers.ndim == 0:
+        full[...] = numbers
+    elif numbers.ndim != full.ndim or any(
+        n > m for n, m in zip(numbers.shape, full.shape, strict=True)
+    ):
+        raise ParameterFileError(
+            f"{parameter.name} has the shape {numbers.shape}",
+            needed=f"at most {parameter.shape}",
+            remedy="Reduce the model's order, or build the runtime with larger tables.",
+        )
+    else:
+        full[tuple(slice(n) for n in numbers.shape)] = numbers
+    _within_bounds(parameter, full)
+    full += 0.0  # a negative zero becomes a zero: what is not written is a zero too
+    full.setflags(write=False)
+    return full
+
+
+def _within_bounds(parameter: Parameter, full: Array) -> None:
+    good = (full >= parameter.lower) & (full <= parameter.upper)
+    if parameter.kind == "integer":
+        good &= full == np.floor(full)
+    if not good.all():
+        worst = full.ravel()[int(np.flatnonzero(~good.ravel())[0])]
+        raise ParameterFileError(
+            f"{parameter.name} is {worst:.9g} {parameter.unit} ({parameter.meaning})",
+            needed=f"{parameter.kind} numbers from {parameter.lower:.9g} to {parameter.upper:.9g}",
+            remedy="Check its unit: everything is in SI units.",
+        )

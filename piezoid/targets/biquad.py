@@ -29,8 +29,7 @@ from piezoid.numerics.frequency import (
     unit_circle,
 )
 from piezoid.readable import told
-from piezoid.targets.box import Box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, run_box
 from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid
 from piezoid.targets.pid_search import tuned_pid
@@ -45,7 +44,7 @@ from piezoid.targets.section_boxes import BOXES, CASCADE, PARALLEL, Programmed, 
 from piezoid.targets.section_boxes import programmed as held_by
 from piezoid.verification.approach import led_to, room_of
 from piezoid.verification.plant import AxisPlant
-from piezoid.verification.trajectories import constant_angular_velocity
+from piezoid.verification.scenarios import constant_angular_velocity
 
 SEED = 0
 _SPIRAL_Hz, _TURNS = 10.0, 5.0

@@ -13,8 +13,8 @@ from piezoid.targets.box import Box
 from piezoid.verification.approach import Room, led_to
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import AxisPlant
+from piezoid.verification.scenarios import Path
 from piezoid.verification.tracking import Tracking, track
-from piezoid.verification.trajectories import Path
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -24,7 +24,7 @@ from piezoid.readable import told
 from piezoid.targets.exported import Exported, shipped_position_m
 from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
 from piezoid.verification.approach import room_of
-from piezoid.verification.trajectories import raster
+from piezoid.verification.scenarios import raster
 
 SEED = 0
 _LINE_Hz = 1.0  # to and fro

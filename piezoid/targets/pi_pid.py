@@ -12,7 +12,7 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.readable import told
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import run_box
 from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid, PidBox
 from piezoid.targets.pid_search import Tuned, tuned_pid
@@ -24,8 +24,8 @@ from piezoid.targets.price import (
     shipped_rejection_dB,
 )
 from piezoid.verification.approach import led_to, room_of
+from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.tracking import Tracking
-from piezoid.verification.trajectories import constant_angular_velocity
 
 SEED = 0
 _SPIRALS_Hz = (10.0, 50.0)

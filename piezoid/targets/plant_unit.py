@@ -1,16 +1,35 @@
 """The target `fmu`: each axis' controller, and the identified plant that verification runs.
 
 Sources: Functional Mock-up Interface Specification 2.0.4 and 3.0.1, Modelica Association.
+
+plant_of_axis.h: an identified plant, at rest, as constants of plant_loop.c's structure.
+
+What the header holds is read back from the structure that verification runs, so that there is one
+forward model; numbers are printed as the shortest decimals that read as the same doubles.
 """
 
-from collections.abc import Mapping, Sequence
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 
-from piezoid.export.fmu_unit import Unit, Variable
+import numpy as np
+
+from piezoid.export.fmu_unit import Unit, variables
 from piezoid.export.golden import SAMPLES
 from piezoid.export.inert import inert
-from piezoid.targets.plant_header import plant_header
+from piezoid.numerics.arrays import Array
+from piezoid.verification.loop_library import Kept, Linear, LoopPlant, Map
+from piezoid.verification.loop_plant import begun_plant
 from piezoid.verification.plant import AxisPlant, Junction
+
+_SCALARS = (
+    *("substeps", "late", "kind", "plays", "low_V", "high_V"),
+    *("activation_step", "activation_m", "irreversible_m", "second_plays", "second_powers"),
+    *("second_centre_V", "second_reach_V", "cyclic_orders", "cyclic_per_m", "polarity"),
+    *("voltage_offset_V", "displacement_offset_m", "current_A", "current_most"),
+    *("slew_step", "driven", "w"),
+    *("reading_zero", "reading_lsb", "reading_least", "reading_most"),
+)
 
 _SOURCES = ("fmu_plant.h", "plant_loop.c")
 
@@ -29,65 +48,138 @@ def _unit(name: str, plant: AxisPlant) -> Unit:
     place = files("piezoid.verification")
     sources = {source: place.joinpath(source).read_bytes() for source in _SOURCES}
     sources["plant_of_axis.h"] = plant_header(plant).encode()
-    moved = Variable(
-        name="withdrawn_m" if is_tip else "disturbance_m",
-        causality="input",
-        unit="m",
-        start=0.0,
-        description="How far the surface is below where it was at rest"
-        if is_tip
-        else "What moves the stage beside its drive",
-    )
-    said = f"{moved.description}, at the end of the period; reached in a straight line."
-    variables = (
-        Variable(
-            name="voltage_V",
-            causality="input",
-            unit="V",
-            start=plant.rest_voltage_V,
-            description="The command, held for a period.",
-        ),
-        Variable(
-            name=moved.name,
-            causality=moved.causality,
-            unit=moved.unit,
-            start=moved.start,
-            description=said,
-        ),
-        Variable(
-            name=f"measured_{unit}",
-            causality="output",
-            unit=unit,
-            description="What the sensor shows at the sampling instant, noise and rounding in it.",
-        ),
-        Variable(
-            name=f"position_{unit}",
-            causality="output",
-            unit=unit,
-            description="In front of the sensor at that instant.",
-        ),
-        Variable(
-            name="noise_factor",
-            causality="parameter",
-            unit="1",
-            start=1.0,
-            description="Of the identified noise and lines in the reading; 0: none.",
-        ),
-        Variable(
-            name="noise_seed",
-            causality="parameter",
-            start=0,
-            description="Of the noise: the same seed, the same noise.",
-        ),
-    )
+    moved, what = "disturbance_m", "What moves the stage beside its drive"
+    if is_tip:
+        moved, what = "withdrawn_m", "How far the surface is below where it was at rest"
+    path = f"{what}, at the end of the period; reached in a straight line."
+    reading = "What the sensor shows at the sampling instant, noise and rounding in it."
+    noise = "Of the identified noise and lines in the reading; 0: none."
     return Unit(
         identifier=f"piezoid_{plant.axis}_plant",
         description=f"Identified plant of axis {plant.axis} of the stage {inert(name)}, "
         f"at rest at {plant.rest_voltage_V!r} V",
         header="fmu_plant.h",
         macros="",
-        variables=variables,
+        variables=variables(
+            ("voltage_V", "input", "V", plant.rest_voltage_V, "The command, held for a period."),
+            (moved, "input", "m", 0.0, path),
+            (f"measured_{unit}", "output", unit, None, reading),
+            (f"position_{unit}", "output", unit, None, "In front of the sensor at that instant."),
+            ("noise_factor", "parameter", "1", 1.0, noise),
+            ("noise_seed", "parameter", None, 0, "Of the noise: the same seed, the same noise."),
+        ),
         sources=sources,
         period_s=1.0 / plant.sampling_rate_Hz,
         samples=SAMPLES,
     )
+
+
+def plant_header(plant: AxisPlant) -> str:
+    """Return the text of plant_of_axis.h; ``ParameterFileError`` where the loop has no room."""
+    kept = Kept()
+    begun = begun_plant(plant, kept, 0.0)
+    lines = ["/* The identified plant of an axis at rest, written by piezoid. SI units. */"]
+    lines += _macros(plant, begun)
+    arrays = dict(_arrays(begun)) | dict(_hums(plant))
+    lines += [_array(name, values) for name, values in arrays.items()]
+    members = [f".{name} = {_number(getattr(begun, name))}" for name in _SCALARS]
+    members += [
+        f".before = {_linear('before', begun.before)}",
+        f".after = {_linear('after', begun.after)}",
+        f".envelope = {_map('envelope', begun.envelope)}",
+        f".zones = {_map('zones', begun.zones)}",
+    ]
+    shared = (
+        *("threshold_V", "weight", "second_threshold_V", "second_weight_m"),
+        *("cyclic_cosine_m", "cyclic_sine_m"),
+    )
+    members += [f".{name} = plant_{name}" for name in shared]
+    inside = "".join(f"    {member},\n" for member in members)
+    return "\n".join([*lines, f"static const pl_plant plant_at_rest = {{\n{inside}}};", ""])
+
+
+def _macros(plant: AxisPlant, begun: LoopPlant) -> Iterator[str]:
+    response, rate_Hz = plant.response, plant.sampling_rate_Hz
+    decay, offset = 1.0, 0.0
+    if isinstance(response, Junction):
+        decay, offset = response.decay_per_m, response.gain_nepers_per_V * plant.rest_voltage_V
+    pole = 0.0
+    if plant.noise_bandwidth_Hz is not None:
+        pole = float(np.exp(-2.0 * np.pi * plant.noise_bandwidth_Hz / rate_Hz))
+    given = {
+        "RATE_Hz": rate_Hz,
+        "REST_V": plant.rest_voltage_V,
+        "DISTURBANCE_FACTOR": decay,
+        "DISTURBANCE_AT_REST": offset,
+        "NOISE_RMS": plant.noise_rms,
+        "NOISE_POLE": pole,
+        "NOISE_KICK": float(np.sqrt(1.0 - pole**2)),
+        "LATE": max(begun.late, 1),
+        "BEFORE_STATES": begun.before.states,
+        "AFTER_STATES": max(begun.after.states, 1),
+        "PLAYS": max(begun.plays, 1),
+        "SECOND_PLAYS": max(begun.second_plays, 1),
+        "HUMS": max(len(plant.hums), 1),
+    }
+    for name, value in given.items():
+        yield f"#define PLANT_{name} {_number(value)}"
+
+
+def _arrays(begun: LoopPlant) -> Iterator[tuple[str, Array]]:
+    for name in ("before", "after"):
+        block: Linear = getattr(begun, name)
+        n = block.states
+        yield f"{name}_A", _at(block.A, n * n)
+        for vector in ("B_old", "B_new", "x"):
+            yield f"{name}_{vector}", _at(getattr(block, vector), n)
+        yield f"{name}_C", _at(block.C, 2 * n)
+    n = begun.after.states
+    moved = np.eye(n) - _at(begun.after.A, n * n).reshape(n, n)
+    driven = _at(begun.after.B_old, n) + _at(begun.after.B_new, n)
+    yield "after_settled", np.asarray(np.linalg.solve(moved, driven), dtype=np.float64)
+    for name in ("envelope", "zones"):
+        part: Map = getattr(begun, name)
+        yield f"{name}_knot", _at(part.knot, part.knots)
+        yield f"{name}_slope", _at(part.slope, part.knots + 1 if part.slope else 0)
+    for name in ("threshold_V", "weight", "play_V"):
+        yield name, _at(getattr(begun, name), begun.plays)
+    for name in ("second_threshold_V", "second_play_V"):
+        yield name, _at(getattr(begun, name), begun.second_plays)
+    yield "second_weight_m", _at(begun.second_weight_m, begun.second_plays * begun.second_powers)
+    for name in ("cyclic_cosine_m", "cyclic_sine_m"):
+        yield name, _at(getattr(begun, name), begun.cyclic_orders)
+    yield "late_V", _at(begun.late_V, begun.late)
+
+
+def _hums(plant: AxisPlant) -> Iterator[tuple[str, Array]]:
+    yield "hum_Hz", np.array([frequency_Hz for frequency_Hz, _ in plant.hums])
+    yield "hum", np.array([amplitude for _, amplitude in plant.hums])
+
+
+def _at(address: int | None, count: int) -> Array:
+    """Return a copy of so many doubles, none where there is no address."""
+    if not address or not count:
+        return np.zeros(0)
+    return np.array((ctypes.c_double * count).from_address(address))
+
+
+def _number(value: float) -> str:
+    if isinstance(value, float) and np.isinf(value):
+        return "HUGE_VAL" if value > 0 else "-HUGE_VAL"
+    return repr(int(value)) if isinstance(value, int) else repr(float(value))
+
+
+def _array(name: str, values: Array) -> str:
+    inside = ", ".join(_number(float(value)) for value in values) or "0.0"
+    return f"static const double plant_{name}[] = {{{inside}}};"
+
+
+def _linear(name: str, block: Linear) -> str:
+    pointers = ", ".join(f".{part} = plant_{name}_{part}" for part in ("A", "B_old", "B_new", "C"))
+    direct = ", ".join(_number(float(value)) for value in block.D)
+    return f"{{.states = {block.states}, {pointers}, .D = {{{direct}}}}}"
+
+
+def _map(name: str, part: Map) -> str:
+    pointers = f".knot = plant_{name}_knot, .slope = plant_{name}_slope"
+    return f"{{.knots = {part.knots}, {pointers}, .zero = {part.zero}}}"

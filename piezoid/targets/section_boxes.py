@@ -9,16 +9,14 @@ import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 
 import numpy as np
 
-from piezoid.errors import RuntimeLibraryError
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.compiled import opened
 from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
-from piezoid.targets.box_loop import Compiled
+from piezoid.targets.box import Compiled
 
-_MODULE = "piezoid.targets._sections"
 _MOST_SECTIONS = 14
 _QUICKEST_Hz = 250e3  # a faster box is given the same reading several times, for up to 4 us
 SINGLE, PARALLEL, CASCADE = range(3)
@@ -306,14 +304,5 @@ class _State(ctypes.Structure):
 
 @cache
 def section_library() -> ctypes.CDLL:
-    """Open the compiled sections, or say that they are missing."""
-    module = find_spec(_MODULE)
-    if module is None or module.origin is None:
-        raise RuntimeLibraryError(
-            f"the compiled sections {_MODULE} are not beside the package",
-            needed="an installation that compiled them",
-            remedy="Install piezoid with a C compiler present: pip install .",
-        )
-    code = ctypes.CDLL(module.origin)
-    code.sb_step.restype = ctypes.c_double
-    return code
+    """Open the compiled sections."""
+    return opened("piezoid.targets._sections", {"sb_step": (ctypes.c_double, None)})

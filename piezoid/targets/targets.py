@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.fmu import controller_units
-from piezoid.export.fmu_unit import packed
+from piezoid.export.fmu_unit import controller_units, packed
 from piezoid.export.shared_library import shared_library_files
 from piezoid.targets.biquad import biquad_files
 from piezoid.targets.exported import Exported

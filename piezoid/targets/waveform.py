@@ -20,12 +20,11 @@ from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.readable import told
-from piezoid.targets.box import Box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, run_box
 from piezoid.targets.exported import Exported, shipped_position_m
 from piezoid.verification.approach import room_of
 from piezoid.verification.plant import AxisPlant, Hysteresis
-from piezoid.verification.trajectories import raster
+from piezoid.verification.scenarios import raster
 
 SEED = 0
 _PERIODS = 3  # the last is looked at: plays have closed their loops after the first

@@ -28,8 +28,8 @@ import numpy as np
 
 from piezoid.design.certificate import Certificate, peak_gain, without_difference
 from piezoid.design.design import Design, LoopDesign
-from piezoid.design.replicates import draw_replicates
-from piezoid.design.requirements import noise_rms
+from piezoid.design.feasibility import noise_rms
+from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel

@@ -43,17 +43,16 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.linear import recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.operators.recursive_filter import recursive_filter
 from piezoid.records.recording import Recording
 from piezoid.verification.bench import Bench, Compensator, Other, bench_of
 from piezoid.verification.closed_loop import LoopRecord, Stepped
 from piezoid.verification.criteria import Limits
 from piezoid.verification.plant import AxisPlant, Hysteresis
-from piezoid.verification.scenarios import SCENARIOS, Scenario
+from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tracking import Tracking
-from piezoid.verification.trajectories import Path
 from piezoid.verification.verification import FieldRow
 from piezoid.verification.verify import all_pasts, lateral_runs, tracked
 

@@ -127,10 +127,13 @@ def prove_axis(
         flags = f"-DAXIS={place} {PRECISIONS[precision]}".strip()
         alarms, why_not = _analysed(folder, flags, lines, limit_s)
         seconds = _seconds(folder / "time.txt")
+        done = run(
+            (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
+        )
         return LimitProof(
             axis=axis.axis,
             precision=precision,
-            tool=_version(folder),
+            tool=f"Frama-C {done.stdout.strip() or 'of unknown version'}, EVA",
             claims=("no operation of the C fails", *claims),
             alarms=alarms,
             why_not=why_not,
@@ -187,13 +190,6 @@ def _told(rows: Iterable[Mapping[str, str]]) -> Iterable[str]:
         if row["status"] not in _GOOD:
             place = f"{row['file']}:{row['line']} ({row['function']})"
             yield f"{place} {row['property kind']}: {row['property']}"
-
-
-def _version(folder: Path) -> str:
-    done = run(
-        (TOOL, "-version"), cwd=folder, capture_output=True, text=True, timeout=60, check=False
-    )
-    return f"Frama-C {done.stdout.strip() or 'of unknown version'}, EVA"
 
 
 def _seconds(place: Path) -> int:

@@ -2,14 +2,12 @@
 
 import ctypes
 from functools import cache
-from importlib.util import find_spec
 from typing import Any
 
-from piezoid.errors import RuntimeLibraryError
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.compiled import opened
 
 MAX_STATES = 64
-_MODULE = "piezoid.verification._plant_loop"
 
 RESPOND = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_double)
 
@@ -107,20 +105,15 @@ class LoopRun(ctypes.Structure):
 
 @cache
 def loop_library() -> ctypes.CDLL:
-    """Open the compiled plant loop, or say that it is missing."""
-    module = find_spec(_MODULE)
-    if module is None or module.origin is None:
-        raise RuntimeLibraryError(
-            f"the compiled plant loop {_MODULE} is not beside the package",
-            needed="an installation that compiled it",
-            remedy="Install piezoid with a C compiler present: pip install .",
-        )
-    code = ctypes.CDLL(module.origin)
-    code.pl_response.restype = ctypes.c_double
-    code.pl_response.argtypes = (ctypes.c_void_p, ctypes.c_double, ctypes.c_double)
-    code.pl_loop.restype = None
-    code.pl_loop.argtypes = (ctypes.c_void_p, ctypes.c_void_p)
-    return code
+    """Open the compiled plant loop."""
+    pointer, number = ctypes.c_void_p, ctypes.c_double
+    return opened(
+        "piezoid.verification._plant_loop",
+        {
+            "pl_response": (number, (pointer, number, number)),
+            "pl_loop": (None, (pointer, pointer)),
+        },
+    )
 
 
 class Kept:

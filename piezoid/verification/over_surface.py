@@ -1,6 +1,7 @@
 """The tip over a rough surface, taken where the lateral axes go."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,14 +10,38 @@ from piezoid.verification import criteria
 from piezoid.verification.bench import Bench, Run
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.plant import AxisPlant, Junction
-from piezoid.verification.scenarios import Scenario
-from piezoid.verification.surface import RoughSurface
-from piezoid.verification.trajectories import Path
+from piezoid.verification.scenarios import Path, Scenario
 from piezoid.verification.verification import CurrentRow
+
+_WAVES = 40
 
 _ROUGHNESS_m = 0.1e-9
 _WAVELENGTH = 0.5  # of the radius, the surface's shortest
 _WITHOUT_PATH_m = 1e-6  # radius a tip is given that has no lateral axes
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoughSurface:
+    """A sum of plane waves of random direction, equal height and wavelengths over a decade.
+
+    rms_m       roughness, > 0
+    shortest_m  wavelength, > 0; the longest is ten times that
+    seed        which surface
+    """
+
+    rms_m: float
+    shortest_m: float
+    seed: int = 0
+
+    def height(self, x_m: Array, y_m: Array) -> Array:
+        """Return the height at each point, (samples,) m; 0 at the origin."""
+        rng = np.random.default_rng(self.seed)
+        wavelength = self.shortest_m * 10.0 ** rng.uniform(0.0, 1.0, _WAVES)
+        direction, phase = rng.uniform(0.0, 2.0 * np.pi, (2, _WAVES))
+        found = np.zeros_like(x_m)
+        for w, d, p in zip(2.0 * np.pi / wavelength, direction, phase, strict=True):
+            found += np.cos(w * (x_m * np.cos(d) + y_m * np.sin(d)) + p) - np.cos(p)
+        return np.asarray(self.rms_m * np.sqrt(2.0 / _WAVES) * found)
 
 
 def judge_tips(

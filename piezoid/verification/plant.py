@@ -12,9 +12,8 @@ from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import cascade
-from piezoid.operators.linear import ContinuousSystem
+from piezoid.operators.linear import ContinuousSystem, recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
-from piezoid.operators.recursive_filter import recursive_filter
 
 Respond = Callable[[float], float]
 

@@ -1,16 +1,28 @@
 """The bundle compiled again: by the host's compiler, and for an emulated Cortex-M4F."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from shutil import which
+from subprocess import run
 from tempfile import TemporaryDirectory
 
-from piezoid.errors import ParameterFileError
+import numpy as np
+
+from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.export.bundle import bundle
-from piezoid.export.parameter_file import ParameterFile
+from piezoid.export.golden import inputs
+from piezoid.export.parameter_file import AxisParameters, ParameterFile
+from piezoid.numerics.arrays import Array
+from piezoid.runtime.controller import Controller
+from piezoid.runtime.library import PRECISIONS
 from piezoid.verification.longest_path import longest_path, loop_counts
 from piezoid.verification.proof import Proof
-from piezoid.verification.replay import called, compare, lay_out, source
+
+SAMPLES = 6000  # of each axis, the first 1000 of them an ordinary day's
+_HOSTILE = (np.nan, np.inf, -np.inf, 0.0, -0.0, 1e30, -1e30, 1e-42)
+_SECONDS = 60  # after which a build or a run counts as failed
 
 _HOST = ("cc", "gcc", "clang")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
@@ -29,6 +41,130 @@ _EMULATED = (
     *("-display", "none", "-serial", "none", "-monitor", "none"),
     *("-semihosting-config", "enable=on,target=native", "-kernel", "replay.elf"),
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answers:
+    """What a build answered.
+
+    differing     samples with another bit in voltage or status than the packaged library
+    samples       compared
+    instructions  per ordinary sample, by axis; none where the build cannot count
+    most          of any sample, hostile ones included, likewise
+    stack_bytes, state_bytes   as it reported
+    """
+
+    differing: int
+    samples: int
+    instructions: dict[str, float]
+    most: dict[str, int]
+    stack_bytes: int
+    state_bytes: int
+
+
+def source(name: str) -> bytes:
+    """Return a file of the folder ``cortex_m4``, byte for byte."""
+    return files("piezoid.verification").joinpath("cortex_m4", name).read_bytes()
+
+
+def lay_out(folder: Path, contents: Mapping[str, bytes], file: ParameterFile, real: str) -> int:
+    """Write sources and inputs for one precision; return how many samples are ordinary.
+
+    contents  the bundle's files
+    real      ``double`` or ``float``
+    """
+    for name, content in contents.items():
+        (folder / name).write_bytes(content)
+    (folder / "replay.c").write_bytes(source("replay.c"))
+    pairs = [inputs_of(axis, place) for place, axis in enumerate(file.axes)]
+    ordinary = len(inputs(file.axes[0], np.random.default_rng(0))[0])
+    counts = np.array([SAMPLES, ordinary], dtype="<u4").tobytes()
+    dtype = "<f8" if real == "double" else "<f4"
+    with np.errstate(over="ignore"):
+        data = [np.stack(pair, axis=1).astype(dtype).tobytes() for pair in pairs]
+    (folder / "inputs.bin").write_bytes(counts + b"".join(data))
+    return ordinary
+
+
+def inputs_of(axis: AxisParameters, place: int) -> tuple[Array, Array]:
+    """Return references and measurements: an ordinary day, then hostile ones.
+
+    One in five of the hostile samples is no number, infinite, enormous or the smallest there is;
+    the rest jumps anywhere within twice the range.
+    """
+    rng = np.random.default_rng([place, SAMPLES])
+    found = []
+    for usual in inputs(axis, np.random.default_rng(place)):
+        good = usual[np.isfinite(usual)]
+        centre, half = (good.max() + good.min()) / 2, good.max() - good.min()
+        wild = centre + half * rng.uniform(-1.0, 1.0, SAMPLES - len(usual))
+        bad = rng.random(len(wild)) < 0.2
+        wild[bad] = rng.choice(_HOSTILE, int(bad.sum()))
+        found.append(np.concatenate([usual, wild]))
+    return found[0], found[1]
+
+
+def expected(file: ParameterFile, real: str) -> bytes:
+    """Return what the packaged library answers, as replay.c writes it."""
+    number = PRECISIONS[real][1]
+    record = np.dtype([("voltage_V", np.dtype(number)), ("status", "<u4")])
+    answers = []
+    for place, axis in enumerate(file.axes):
+        reference, measured = inputs_of(axis, place)
+        controller = Controller(axis.values, precision=real)
+        with np.errstate(over="ignore"):
+            controller.start(0.0, float(measured[0]))
+            done = controller.run(reference, measured)
+        rows = np.empty(len(reference), dtype=record)
+        rows["voltage_V"], rows["status"] = done.voltage_V, done.status
+        answers.append(rows.tobytes())
+    return b"".join(answers)
+
+
+def compare(
+    folder: Path, command: Sequence[str], file: ParameterFile, real: str, ordinary: int
+) -> Answers:
+    """Run a build in its folder and compare every sample.
+
+    Raises ``RuntimeLibraryError`` where it fails or answers another number of samples.
+    """
+    said = called(command, folder)
+    found = (folder / "answers.bin").read_bytes()
+    wanted = expected(file, real)
+    if len(found) != len(wanted):
+        raise RuntimeLibraryError(
+            f"{command[0]} wrote {len(found)} bytes of answers",
+            needed=f"{len(wanted)}, one for every sample",
+            remedy="Run it by hand in a folder with the bundle's files.",
+        )
+    samples = SAMPLES * len(file.axes)
+    shape = (samples, len(wanted) // samples)
+    rows = [np.frombuffer(content, dtype=np.uint8).reshape(shape) for content in (found, wanted)]
+    numbers = [[int(word) for word in line.split()] for line in said.splitlines()]
+    return Answers(
+        differing=int(np.any(rows[0] != rows[1], axis=1).sum()),
+        samples=samples,
+        instructions={file.axes[axis].axis: n / ordinary for axis, n, *_ in numbers if n},
+        most={file.axes[axis].axis: most for axis, n, most, *_ in numbers if n},
+        stack_bytes=max(stack for *_, stack, _ in numbers),
+        state_bytes=numbers[0][4],
+    )
+
+
+def called(command: Sequence[str], folder: Path) -> str:
+    """Run a program in a folder and return what it printed.
+
+    Raises ``RuntimeLibraryError`` with the program's own words where it fails.
+    """
+    done = run(command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False)
+    if done.returncode != 0:
+        words = (done.stderr or done.stdout)[:800]
+        raise RuntimeLibraryError(
+            f"{' '.join(command)} ended with {done.returncode}: {words}",
+            needed="a build that compiles and runs",
+            remedy="Compare the bundle with a fresh export, and the compiler with C99.",
+        )
+    return done.stdout
 
 
 def rebuild(file: ParameterFile, contents: Mapping[str, bytes] | None = None) -> tuple[Proof, ...]:

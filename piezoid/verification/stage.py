@@ -8,27 +8,31 @@ import numpy as np
 from piezoid.design.converters import converters_of
 from piezoid.design.design import Design
 from piezoid.design.from_junction import junction_family, reading_range_A
+from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.loop_model import at_corner
+from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.loop_model import LoopPlant
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.operators.tunnelling import decay_of_barrier
 from piezoid.records.lab import Lab
-from piezoid.verification.criteria import Limits
+from piezoid.verification.criteria import Limits, limits_from
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.limits import limits_from
 from piezoid.verification.plant import (
     AxisPlant,
+    Hysteresis,
     junction_axis_plant,
     lateral_plant,
     with_gain,
 )
 from piezoid.verification.proof import Proof
-from piezoid.verification.uncertainty import varied_plants
 from piezoid.verification.verification import Verification
 from piezoid.verification.verify import verify
+
+_TRIED = 20  # draws for each plant wanted: those without an inverse are not kept
 
 DRAWS = 6
 
@@ -194,3 +198,31 @@ def _family(plant: AxisPlant, loop: LoopPlant, lab: Lab, count: int) -> tuple[Ax
     extreme = sorted(ratios, key=lambda ratio: -abs(np.log(ratio)))
     repeated = [extreme[k % len(extreme)] for k in range(count)]
     return tuple(with_gain(plant, ratio, f"gain x{ratio:.3g}") for ratio in repeated)
+
+
+def varied_plants(
+    plant: AxisPlant, model: AxisModel, *, count: int, rng: np.random.Generator
+) -> tuple[AxisPlant, ...]:
+    """Draw operators from the fit's covariance, with poles and modes between their ends.
+
+    plant  the identified one
+    count  how many at most: fewer where too few draws have an inverse
+    """
+    drawn = draw_replicates(model, rng, draws=_TRIED * count)[:count]
+    found = []
+    for place, operator in enumerate(drawn, start=1):
+        slower, sharper = rng.uniform(-1.0, 1.0, 2).tolist()
+        moved = lateral_plant(
+            at_corner(model, slower, sharper), sampling_rate_Hz=plant.sampling_rate_Hz
+        )
+        assert isinstance(moved.response, Hysteresis)
+        found.append(
+            replace(
+                moved,
+                label=f"draw {place}",
+                response=replace(moved.response, operator=operator),
+                reading_step=plant.reading_step,
+                reading_range=plant.reading_range,
+            )
+        )
+    return tuple(found)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.verification.scenarios import Path
 from piezoid.verification.tracking import Tracking, shape_error
-from piezoid.verification.trajectories import Path
 
 POINTS = 300
 TRACED_Hz = (10.0, 100.0)  # spirals of these frequencies are kept

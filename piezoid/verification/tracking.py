@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.verification.trajectories import Path
+from piezoid.verification.scenarios import Path
 
 _LONGEST_DELAY_s = 5e-3
 _QUARTER = 0.25  # of a turn: beyond it another delay would fit as well

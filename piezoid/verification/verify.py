@@ -20,11 +20,10 @@ from piezoid.verification.motion import BESIDE, SHOWN, Motion, motions_of
 from piezoid.verification.over_surface import judge_tips, run_tips
 from piezoid.verification.plant import AxisPlant, with_pasts
 from piezoid.verification.proof import Proof
-from piezoid.verification.scenarios import SCENARIOS, Scenario
+from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
 from piezoid.verification.tip_trials import TIP_TRIALS, TipTrial, judge_trials
 from piezoid.verification.trace import is_traced, trace_of
 from piezoid.verification.tracking import Tracking, track
-from piezoid.verification.trajectories import Path
 from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification
 
 

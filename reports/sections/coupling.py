@@ -16,24 +16,20 @@ def render(page: Page) -> Section | None:
     coupled = page.model.coupled
     if coupled is None:
         return None
-    return Section(
-        anchor="coupling",
-        title="Coupled axes",
-        lead="Every drive moves every displacement. The matrix is that well below the first mode; "
-        "behind its inverse, scaled so that an axis keeps its own gain, each axis answers to its "
-        "own drive. All chapters on single axes are about these decoupled displacements.",
-        parts=tuple(_parts(page, coupled)),
-    )
-
-
-def _parts(page: Page, coupled: CoupledStage) -> list[Part]:
     parts: list[Part] = [_picture(coupled), _matrix(coupled), _errors(coupled)]
     parts += [_modes(coupled), *_gain(coupled)]
     if page.design is not None and page.design.decoupling is not None:
         parts.append(Prose(text=page.design.decoupling.text))
     if page.verification is not None and page.verification.coupling:
         parts.append(_closed(page))
-    return parts
+    return Section(
+        anchor="coupling",
+        title="Coupled axes",
+        lead="Every drive moves every displacement. The matrix is that well below the first mode; "
+        "behind its inverse, scaled so that an axis keeps its own gain, each axis answers to its "
+        "own drive. All chapters on single axes are about these decoupled displacements.",
+        parts=tuple(parts),
+    )
 
 
 def _picture(coupled: CoupledStage) -> Figure:
@@ -61,8 +57,7 @@ def _picture(coupled: CoupledStage) -> Figure:
         f"entry, the largest {largest}.",
         look="Good: large squares along the rising diagonal. Bad: a large one beside it, which "
         "the decoupling must take away, or a small one on it.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=layers,
     )
 

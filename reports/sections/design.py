@@ -122,9 +122,9 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
         canvas.band(
             "model-band", "plant family", decades, shown[0].min(axis=0), shown[0].max(axis=0)
         ),
-        canvas.line("model", "nominal", decades, shown[0][0])[0],
+        canvas.line("model", "nominal", decades, shown[0][0]),
     ]
-    layers += [canvas.line("limit", name, decades, limit)[0] for name, limit in limits]
+    layers += [canvas.line("limit", name, decades, limit) for name, limit in limits]
     what, look = FUNCTIONS[function]
     return Figure(
         title=f"Axis {axis.axis}: {what}, |{function}|",
@@ -135,8 +135,7 @@ def _figure(axis: AxisDesign, loop: LoopDesign, function: str) -> Figure:
             f"{told(loop.bandwidth_Hz, 'Hz')}: every member attenuates by 3 dB there."
         ),
         look=look,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
     )
 

@@ -3,12 +3,11 @@
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.something_else import NAME
 from piezoid_reports.compared import Compared, compared
-from piezoid_reports.effect_figures import figure_of
+from piezoid_reports.effect_figures import figure_of, unnamed_figure
 from piezoid_reports.effect_words import CONTROL, size_of, words
 from piezoid_reports.not_found import last_sentences, tables
 from piezoid_reports.page import Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import percent, significant, told
-from piezoid_reports.unnamed_figure import unnamed_figure
 from piezoid_reports.what_is_left import largest_first, nothing_named
 
 LEAST_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much

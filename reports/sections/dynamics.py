@@ -7,30 +7,25 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
     measure_behind_hysteresis,
 )
-from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
 from piezoid.identification.dynamics.hammerstein_record import JointFit
+from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.quantiles import NORMAL_95
 from piezoid.readable import UNKNOWN
-from piezoid_reports.chart import Axis, Canvas, axis_over, decades_over
-from piezoid_reports.distortion_figure import distortion_parts
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.response_figures import response_parts
+from piezoid_reports.response_figures import (
+    coherence_figure,
+    distortion_parts,
+    response_figure,
+    response_parts,
+)
 
 WIDEST = 100.0  # an interval over more than two decades says that the number is not known
-LOOKS = {
-    "gain": "Good: the model runs through the measured band. Bad: peaks in the measurement that "
-    "the model passes by, or a band as wide as the plot.",
-    "phase": "Good: both fall together. Bad: they part towards high frequency, which is a delay "
-    "that was not found.",
-    "coherence": "Good: near 1 over the band that is fitted. Bad: holes, which are noise, "
-    "interference or what is not linear.",
-}
 
 
 def render(page: Page) -> Section | None:
@@ -71,82 +66,51 @@ def _figures(page: Page, axis: AxisModel, dynamics: LinearDynamics) -> list[Part
     measured = measure_behind_hysteresis(axis, held[0][0])
     lines = np.flatnonzero(measured.frequency_Hz <= 2.0 * dynamics.band_Hz[1])
     measured = measured.at_lines(lines)
-    x = decades_over("frequency", [np.log10(measured.frequency_Hz)], "Hz")
     return [
-        _gain(axis, dynamics, measured, x),
-        _phase(axis, dynamics, measured, x),
-        _coherence(axis, measured, x),
+        _gain(axis, dynamics, measured),
+        _phase(axis, dynamics, measured),
+        coherence_figure(
+            f"Axis {axis.axis}: coherence",
+            f"{int((~measured.is_rejected).sum())} of {len(measured.frequency_Hz)} lines lie "
+            f"above {significant(measured.least_coherence, 2)}, the least that is used.",
+            np.log10(measured.frequency_Hz),
+            measured.coherence[:, 0],
+            measured.least_coherence,
+        ),
     ]
 
 
-def _gain(
-    axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse, x: Axis
-) -> Figure:
-    decades, level = np.log10(measured.frequency_Hz), np.abs(measured.response[:, 0, 0])
+def _gain(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse) -> Figure:
+    level = np.abs(measured.response[:, 0, 0])
     half = NORMAL_95 * np.sqrt(measured.variance[:, 0, 0] / 2.0)
     floor = 1e-3 * float(level[~measured.is_rejected[:, 0]].max())
     low_dB, high_dB, mid_dB = (
         decibel(np.maximum(values, floor)) for values in (level - half, level + half, level)
     )
-    model_dB = decibel(np.abs(_modelled(dynamics, measured)))
-    y = axis_over("gain [dB of 1 m/V]", [low_dB, high_dB, model_dB], "")
-    canvas = Canvas(x=x, y=y)
     low_Hz, high_Hz = dynamics.band_Hz
-    return Figure(
-        title=f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
-        numbers=f"Fitted to coherent lines from {told(low_Hz, 'Hz')} to {told(high_Hz, 'Hz')}; "
+    return response_figure(
+        "gain",
+        f"Axis {axis.axis}: gain from the hysteresis' output to the displacement",
+        f"Fitted to coherent lines from {told(low_Hz, 'Hz')} to {told(high_Hz, 'Hz')}; "
         f"the cost is {significant(dynamics.cost_ratio)} times what noise alone would leave. The "
         "band is the measurement's 95 % interval.",
-        look=LOOKS["gain"],
-        x=x,
-        y=y,
-        layers=(
-            canvas.band("rising-band", "measured, 95 %", decades, low_dB, high_dB),
-            canvas.line("measured", "measured", decades, mid_dB)[0],
-            canvas.line("model", "model", decades, model_dB)[0],
-        ),
+        np.log10(measured.frequency_Hz),
+        (mid_dB, decibel(np.abs(_modelled(dynamics, measured)))),
+        band=(low_dB, high_dB),
     )
 
 
-def _phase(
-    axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse, x: Axis
-) -> Figure:
-    decades, used = np.log10(measured.frequency_Hz), ~measured.is_rejected[:, 0]
+def _phase(axis: AxisModel, dynamics: LinearDynamics, measured: FrequencyResponse) -> Figure:
+    used = ~measured.is_rejected[:, 0]
     everywhere = np.ones(len(used), dtype=np.bool_)
-    model_deg = _degrees(_modelled(dynamics, measured), axis.polarity, everywhere)
-    shown_deg = _degrees(measured.response[:, 0, 0], axis.polarity, used)
-    y = axis_over("phase [degrees]", [model_deg, shown_deg], "")
-    canvas = Canvas(x=x, y=y, height=260)
-    return Figure(
-        title=f"Axis {axis.axis}: phase",
-        numbers="Lines that are not coherent are left out.",
-        look=LOOKS["phase"],
-        x=x,
-        y=y,
-        height=canvas.height,
-        layers=(
-            canvas.line("measured", "measured", decades, shown_deg)[0],
-            canvas.line("model", "model", decades, model_deg)[0],
-        ),
-    )
-
-
-def _coherence(axis: AxisModel, measured: FrequencyResponse, x: Axis) -> Figure:
-    decades = np.log10(measured.frequency_Hz)
-    y = axis_over("coherence", [np.array([0.0, 1.0])], "")
-    canvas = Canvas(x=x, y=y, height=200)
-    limit = np.full(2, measured.least_coherence)
-    return Figure(
-        title=f"Axis {axis.axis}: coherence",
-        numbers=f"{int((~measured.is_rejected).sum())} of {len(decades)} lines lie above "
-        f"{significant(measured.least_coherence, 2)}, the least that is used.",
-        look=LOOKS["coherence"],
-        x=x,
-        y=y,
-        height=canvas.height,
-        layers=(
-            canvas.line("measured", "coherence", decades, measured.coherence[:, 0])[0],
-            canvas.line("limit", "least used", decades[[0, -1]], limit)[0],
+    return response_figure(
+        "phase",
+        f"Axis {axis.axis}: phase",
+        "Lines that are not coherent are left out.",
+        np.log10(measured.frequency_Hz),
+        (
+            _degrees(measured.response[:, 0, 0], axis.polarity, used),
+            _degrees(_modelled(dynamics, measured), axis.polarity, everywhere),
         ),
     )
 

@@ -42,7 +42,7 @@ def _curve(axis: AxisModel) -> Figure:
     x = axis_over("rise of the drive", [found.reach_V], "V")
     y = axis_over("displacement", [low_m, high_m], "m")
     canvas = Canvas(x=x, y=y)
-    line, _ = canvas.line("model", "loading curve", found.reach_V, found.loading_m)
+    line = canvas.line("model", "loading curve", found.reach_V, found.loading_m)
     return Figure(
         title=f"Axis {axis.axis}: loading curve",
         numbers=(
@@ -51,8 +51,7 @@ def _curve(axis: AxisModel) -> Figure:
             f"each of {found.blocks} blocks of cycles."
         ),
         look=LOOK_CURVE,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=(
             canvas.band("model-band", "95 % interval", found.reach_V, low_m, high_m),
             line,
@@ -69,8 +68,8 @@ def _bend(axis: AxisModel) -> Figure:
     x = axis_over("rise of the drive", [reach_V], "V")
     y = axis_over("loading curve minus its chord", [low_m, high_m, np.zeros(1)], "m")
     canvas = Canvas(x=x, y=y, height=260)
-    line, _ = canvas.line("model", "bow", reach_V, bow_m)
-    zero, _ = canvas.line("zero", "no hysteresis", reach_V[[0, -1]], np.zeros(2))
+    line = canvas.line("model", "bow", reach_V, bow_m)
+    zero = canvas.line("zero", "no hysteresis", reach_V[[0, -1]], np.zeros(2))
     width_m, half_m = found.loop_width_m
     return Figure(
         title=f"Axis {axis.axis}: how far the loading curve bends",
@@ -79,8 +78,6 @@ def _bend(axis: AxisModel) -> Figure:
             "(95 % interval)."
         ),
         look=LOOK_BEND,
-        x=x,
-        y=y,
-        height=canvas.height,
+        canvas=canvas,
         layers=(canvas.band("model-band", "95 % interval", reach_V, low_m, high_m), zero, line),
     )

@@ -102,19 +102,16 @@ def _figure(
     is_small = size is not None
     points = min(page.points, SMALL_POINTS) if is_small else page.points
     (measured, far), (model, far_too) = (
-        canvas.line(name, name, trace.voltage_V, values, points=points, timed=is_small)
+        canvas.line_within(name, name, trace.voltage_V, values, points=points, timed=is_small)
         for name, values in zip(("measured", "model"), curves, strict=True)
     )
     return Figure(
         title=title,
         numbers=f"{numbers} Curves are drawn to within {told(max(far, far_too), 'm', 2)}.",
         look=look,
-        x=canvas.x,
-        y=canvas.y,
+        canvas=canvas,
         layers=(measured, model),
         flicker=() if is_small else ("measured", "model"),
-        width=width,
-        height=height,
         is_small=is_small,
     )
 

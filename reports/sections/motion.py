@@ -96,9 +96,7 @@ def _over_time(
         title=title,
         numbers=numbers,
         look=look,
-        x=x,
-        y=y,
-        height=HEIGHT,
+        canvas=canvas,
         layers=tuple(layers),
     )
 
@@ -115,4 +113,4 @@ def _marks(canvas: Canvas, time_s: Array, kept: NDArray[np.bool_]) -> Layer:
     low = canvas.y.low * canvas.y.scale.factor
     x = np.column_stack([ends, np.full(len(ends), np.nan)]).ravel()
     y = np.where(np.isfinite(x), low, np.nan)
-    return canvas.line("missing", "left out of the fit", x, y)[0]
+    return canvas.line("missing", "left out of the fit", x, y)

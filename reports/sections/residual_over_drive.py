@@ -57,8 +57,7 @@ def _figure(axis: AxisModel, traces: tuple[Trace, ...]) -> Figure:
             f"falling; sensor noise {told(axis.quality.noise_rms_m, 'm')} rms."
         ),
         look=LOOK,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=(*_layers(canvas, "rising", up), *_layers(canvas, "falling", down)),
     )
 
@@ -88,7 +87,7 @@ def _layers(canvas: Canvas, role: str, classes: Array) -> tuple[Layer, ...]:
     if len(classes) < 2:
         return ()
     middle, low, median, high = classes.T
-    line, _ = canvas.line(role, f"{role}: median", middle, median)
+    line = canvas.line(role, f"{role}: median", middle, median)
     return canvas.band(f"{role}-band", f"{role}: middle 90 %", middle, low, high), line
 
 

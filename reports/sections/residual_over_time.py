@@ -83,13 +83,11 @@ def _envelope(trace: Trace, axis: AxisModel) -> Figure:
         f"the model {told(rms(trace.residual_m), 'm')}, the sensor's noise is "
         f"{told(noise_m, 'm')}; windows of {told(window_s, 's')}.",
         look=LOOK_ENVELOPE,
-        x=x,
-        y=y,
-        height=HEIGHT,
+        canvas=canvas,
         layers=(
-            canvas.line("before", "straight line", time_s, level[0])[0],
-            canvas.line("model", "model", time_s, level[1])[0],
-            canvas.line("limit", "sensor noise", trace.time_s[[0, -1]], noise)[0],
+            canvas.line("before", "straight line", time_s, level[0]),
+            canvas.line("model", "model", time_s, level[1]),
+            canvas.line("limit", "sensor noise", trace.time_s[[0, -1]], noise),
         ),
     )
 
@@ -121,12 +119,10 @@ def _histogram(trace: Trace, axis: AxisModel) -> Figure:
         f"the samples within {told(float(np.median(np.abs(there))), 'm')}, 95 % within "
         f"{told(float(np.quantile(np.abs(there), 0.95)), 'm')}.",
         look=LOOK_HISTOGRAM,
-        x=x,
-        y=y,
-        height=HEIGHT,
+        canvas=canvas,
         layers=(
             canvas.band("count", "residual", corners, np.zeros(len(corners)), np.repeat(share, 2)),
-            canvas.line("model", "noise alone", middle, noise)[0],
+            canvas.line("model", "noise alone", middle, noise),
         ),
     )
 
@@ -153,10 +149,7 @@ def after(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None)
             "samples, where noise alone would leave 95 %."
         ),
         look=LOOK_AFTER,
-        x=x,
-        y=y,
-        width=width,
-        height=height,
+        canvas=canvas,
         is_small=size is not None,
         layers=(
             canvas.range_over_time("model", "residual", trace.time_s, residual_m),
@@ -169,7 +162,7 @@ def _limits(canvas: Canvas, trace: Trace, noise_m: float) -> Layer:
     """Draw a line at plus and one at minus twice the noise, broken in between."""
     time_s = trace.time_s[[0, -1, -1, 0, -1]]
     level_m = SIGMAS * noise_m * np.array([1.0, 1.0, np.nan, -1.0, -1.0])
-    return canvas.line("limit", "± 2 sensor noise", time_s, level_m)[0]
+    return canvas.line("limit", "± 2 sensor noise", time_s, level_m)
 
 
 def _inside(residual_m: Array, noise_m: float) -> str:

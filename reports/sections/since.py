@@ -167,17 +167,15 @@ def _difference(one: Curves) -> Figure:
     canvas = Canvas(x=x, y=y, height=240)
     layers: tuple[Layer, ...] = (
         canvas.band("rising-band", "where both agree", one.rise_V, -reach_m, reach_m),
-        canvas.line("model", "now minus then", one.rise_V, apart_m)[0],
-        canvas.line("zero", "no change", one.rise_V[[0, -1]], np.zeros(2))[0],
+        canvas.line("model", "now minus then", one.rise_V, apart_m),
+        canvas.line("zero", "no change", one.rise_V[[0, -1]], np.zeros(2)),
     )
     return Figure(
         title=f"Axis {one.axis}: how far the same drive moves it now, and then",
         numbers=f"{_signed(apart_m)} at a rise of {told(float(one.rise_V[-1]), 'V')}, where both "
         f"intervals together are ± {told(float(reach_m[-1]), 'm')}.",
         look=LOOK,
-        x=x,
-        y=y,
-        height=canvas.height,
+        canvas=canvas,
         layers=layers,
     )
 

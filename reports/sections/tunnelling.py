@@ -175,11 +175,11 @@ def _curve(
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
     seen = line > floor - 1.0  # far below the noise the law has nothing to be compared with
     layers: list[Layer] = [
-        canvas.line("measured", f"sweep {k + 1}", height, log, points=400)[0]
+        canvas.line("measured", f"sweep {k + 1}", height, log, points=400)
         for k, ((height, _), log) in enumerate(zip(rows, logs, strict=True))
     ]
-    layers.append(canvas.line("model", "gap law", heights[seen], line[seen])[0])
-    layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor))[0])
+    layers.append(canvas.line("model", "gap law", heights[seen], line[seen]))
+    layers.append(canvas.line("zero", "noise, rms", heights[[0, -1]], np.full(2, floor)))
     return Figure(
         title=f"Current over height, {len(curves)} sweep{'s' if len(curves) != 1 else ''}",
         numbers=(
@@ -188,11 +188,8 @@ def _curve(
             f"below zero after taking off the offset are used but cannot be drawn here."
         ),
         look=LOOK_CURVE,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
-        width=width,
-        height=height_px,
         is_small=size is not None,
     )
 
@@ -207,9 +204,7 @@ def _residual(
     width, height_px = size or (Canvas.width, 260)
     canvas = Canvas(x=x, y=y, width=width, height=height_px)
     rms_A = float(np.sqrt(np.mean(np.concatenate([residual for _, residual in left]) ** 2)))
-    zero, _ = canvas.line(
-        "zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2)
-    )
+    zero = canvas.line("zero", "gap law", np.array([x.low, x.high]) * x.scale.factor, np.zeros(2))
     return Figure(
         title="What the gap law leaves",
         numbers=(
@@ -217,15 +212,12 @@ def _residual(
             f"{told(law.floor_A, 'A')}, and the rest grows with the current."
         ),
         look=LOOK_RESIDUAL,
-        x=x,
-        y=y,
-        width=width,
-        height=height_px,
+        canvas=canvas,
         is_small=size is not None,
         layers=(
             zero,
             *(
-                canvas.line("measured", f"sweep {k + 1}", height, residual, points=400)[0]
+                canvas.line("measured", f"sweep {k + 1}", height, residual, points=400)
                 for k, (height, residual) in enumerate(left)
             ),
         ),

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
+from piezoid.identification.tunnelling.barrier_fit import JointBarrier
 from piezoid.identification.tunnelling.junction import noise_of_loop
-from piezoid.identification.tunnelling.loop_files import LoopRig, is_loop, read_loop
+from piezoid.identification.tunnelling.loop_files import LoopRecord, LoopRig, is_loop, read_loop
 from piezoid.identification.tunnelling.loop_model import LoopPlant, LoopSummary
 from piezoid.identification.tunnelling.loop_noise import MainsLine, power_density
-from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.model import GapLaw
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, decades_over
@@ -189,16 +188,15 @@ def _spectra(loop: LoopPlant, rig: LoopRig, summary: LoopSummary, record: LoopRe
             f"mains, {line.frequency_Hz:.0f} Hz",
             np.full(2, np.log10(line.frequency_Hz)),
             ends,
-        )[0]
+        )
         for line in mains
     ]
-    layers += [canvas.line(role, name, f, level, points=900)[0] for role, name, f, level in curves]
+    layers += [canvas.line(role, name, f, level, points=900) for role, name, f, level in curves]
     return Figure(
         title=f"Spectra in the closed loop: {summary.recording}",
         numbers=_numbers(summary),
         look=LOOK_SPECTRA,
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
     )
 

@@ -132,14 +132,10 @@ def _figure(found: DisplacementBudget, bound_m: float) -> Figure:
         f"{held.positions} positions the largest is within {told(held.largest[1], 'm')} in "
         f"97.5 % of cases; the certificate bounds every one by {told(bound_m, 'm')}.",
         look=LOOK,
-        x=x,
-        y=y,
-        height=canvas.height,
+        canvas=canvas,
         layers=(
-            canvas.line("rising", "a single position", single_m, share)[0],
-            canvas.line("falling", f"the largest of {held.positions} positions", largest_m, share)[
-                0
-            ],
-            canvas.line("limit", "certified bound", np.full(2, bound_m), upright)[0],
+            canvas.line("rising", "a single position", single_m, share),
+            canvas.line("falling", f"the largest of {held.positions} positions", largest_m, share),
+            canvas.line("limit", "certified bound", np.full(2, bound_m), upright),
         ),
     )

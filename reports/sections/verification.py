@@ -8,10 +8,9 @@ from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
 from piezoid.verification.verification import ComparisonRow, Verification
 from piezoid_reports.chart import Canvas, decades_over
-from piezoid_reports.motions import motions
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, spiral
+from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, motions, spiral
 
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 _EVERY = "all"
@@ -105,7 +104,7 @@ def _shape_figure(found: Verification) -> Figure:
     x = decades_over("turns a second", [p[0] for p in points.values()], "Hz")
     y = decades_over("shape error", [p[1] for p in points.values()], "nm")
     canvas = Canvas(x=x, y=y)
-    layers = [canvas.line(STROKES[m], METHODS[m], *points[m])[0] for m in methods]
+    layers = [canvas.line(STROKES[m], METHODS[m], *points[m]) for m in methods]
     shipped = curves[methods[0]]
     return Figure(
         title="Shape error on spirals, method by method",
@@ -117,8 +116,7 @@ def _shape_figure(found: Verification) -> Figure:
         "another method: above that frequency the other one is better. Without feedback the past "
         "of the stage decides: drive it over its whole range before you rely on the inverse "
         "alone.",
-        x=x,
-        y=y,
+        canvas=canvas,
         layers=tuple(layers),
     )
 

@@ -12,7 +12,7 @@ from distributed import Client, LocalCluster
 from piezoid.provenance import digest_of_bytes, unseal
 from piezoid_cli import stage_task
 from piezoid_cli.batch import done_by, write_summary
-from piezoid_cli.batch_folder import stages_of
+from piezoid_cli.batch_cluster import stages_of
 from piezoid_cli.stage_task import StageTask, work_off
 from piezoid_reports.fleet.records import (
     CRASHED,

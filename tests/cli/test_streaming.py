@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from piezoid_cli.streaming import calibrate_streamed
+from piezoid_cli.fit import calibrate_streamed
 from tests.journeys.test_readme import ROOT
 
 

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from piezoid.design.cones import (
+from piezoid.design.family_grid import FamilyGrid, family_grid
+from piezoid.design.plant import PlantFamily
+from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST
+from piezoid.design.sensitivity import sensitivities
+from piezoid.design.youla import (
     _LEAST_REAL,
     _SLACK_PRICE,
     Cones,
@@ -13,10 +17,6 @@ from piezoid.design.cones import (
     _solved,
     cones_around,
 )
-from piezoid.design.family_grid import FamilyGrid, family_grid
-from piezoid.design.plant import PlantFamily
-from piezoid.design.rst import INTEGRATOR, OPEN_AT_NYQUIST
-from piezoid.design.sensitivity import sensitivities
 from piezoid.numerics.arrays import Array
 from tests.design.rig import loop, vertical_family, vertical_specification
 

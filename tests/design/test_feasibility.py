@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from piezoid.design.design import LoopDesign
-from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible
+from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, unmet
 from piezoid.design.lateral import design_lateral
 from piezoid.design.observer_loop import linear_controller
 from piezoid.design.plant import PlantFamily
-from piezoid.design.requirements import unmet
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template, Violation
 from piezoid.design.tuning import tune_observer

@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.design.design import SCHEMA, design_from_json
 from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_half
-from piezoid.design.replicates import draw_replicates
+from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError

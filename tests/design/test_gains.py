@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from piezoid.design.chain import plant_from_chain
-from piezoid.design.kalman import kalman_gain
-from piezoid.design.observer import ObserverFrame, disturbance_model, extended
-from piezoid.design.state_feedback import placement_form
+from piezoid.design.observer import ObserverFrame, disturbance_model, extended, placement_form
+from piezoid.design.tuning import kalman_gain
 from piezoid.errors import DesignError
 from piezoid.numerics.polynomial import from_roots
 from tests.design.placed import plant_from_fraction

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from piezoid.design.band_stop import BandStop, band_stop_polynomials
 from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.rst import (
     OPEN_AT_NYQUIST,
@@ -12,6 +11,7 @@ from piezoid.design.rst import (
     place,
 )
 from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.design.shaping import BandStop, band_stop_polynomials
 from piezoid.errors import DesignError, UnstableLoopError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product

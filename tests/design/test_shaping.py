@@ -7,8 +7,8 @@ import pytest
 
 from piezoid.design import youla
 from piezoid.design.chain import Section
+from piezoid.design.feasibility import unmet
 from piezoid.design.plant import PlantFamily
-from piezoid.design.requirements import unmet
 from piezoid.design.sensitivity import margins
 from piezoid.design.shaping import shape, shaped
 from piezoid.design.templates import Template

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.design.slope_ratio import static_difference
+from piezoid.design.hysteresis_bounds import static_difference
 from piezoid.operators.dead_zone import from_slopes
 
 

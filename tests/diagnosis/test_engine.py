@@ -23,7 +23,7 @@ from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
-from piezoid.operators.bouc_wen import bouc_wen_states
+from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 

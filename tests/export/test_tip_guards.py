@@ -7,7 +7,7 @@ import pytest
 
 from piezoid.design.from_junction import vertical_task
 from piezoid.errors import LabFileError
-from piezoid.export.tip_guards import extension_of, tip_guards
+from piezoid.export.stage import extension_of, tip_guards
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.records.lab import Acquisition, Tunnelling
 from tests.design.junction_lab import LAB, loop_plant

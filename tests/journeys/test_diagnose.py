@@ -11,7 +11,6 @@ from typer.testing import CliRunner
 
 import piezoid.diagnosis.diagnose as engine
 import piezoid.identification.fit
-import piezoid_reports.calibrated
 import piezoid_reports.render
 from piezoid.diagnosis.diagnosis import Diagnosis, HeldOut
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
@@ -136,7 +135,7 @@ def test_a_fault_of_ours_in_a_diagnosis_leaves_model_and_report_and_ends_with_st
         return "a page"
 
     monkeypatch.setattr(engine, "diagnose", stumbling)
-    monkeypatch.setattr(piezoid_reports.calibrated, "render", drawing)
+    monkeypatch.setattr(piezoid_reports.render, "render", drawing)
     done = fitted(sweeps)
     assert done.exit_code == 1, done.output
     said = "axis x is not diagnosed: a mistake of ours, RuntimeError: an index too far"

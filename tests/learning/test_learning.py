@@ -12,17 +12,16 @@ from piezoid.learning.contraction import learning_filter, table_response
 from piezoid.learning.learn import (
     first_table,
     learned_from_json,
+    measured_response,
     next_table,
     refuse_changed,
 )
-from piezoid.learning.measured import measured_response
-from piezoid.learning.period import learning_shares
-from piezoid.learning.playing import play
+from piezoid.learning.period import learning_shares, play
 from piezoid.numerics.frequency import unit_circle
 from piezoid.records.recording import Recording
 from piezoid.verification.approach import room_of
 from piezoid.verification.plant import Plugged, lateral_plant
-from piezoid.verification.trajectories import raster
+from piezoid.verification.scenarios import raster
 from tests.targets.known_boxes import chain, exported
 from tests.verification.known_fit import fitted
 from tests.verification.rig import GAIN_m_per_V, RATE_Hz, lateral, lateral_parameters

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from threading import Barrier
 
-from piezoid.numerics.once import Once
+from piezoid.numerics.executor import Once
 
 TOGETHER = Barrier(2, timeout=10.0)
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import recursive_filter
 
 COEFFICIENT = st.floats(-2.0, 2.0)
 FRACTIONS = st.tuples(

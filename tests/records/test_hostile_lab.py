@@ -7,7 +7,7 @@ import pytest
 from piezoid.errors import LabFileError
 from piezoid.records.inspection import inspect_file
 from piezoid.records.lab import read_lab
-from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.criteria import limits_from_toml
 
 ENTRY = '[[recording]]\nfile = "run.csv"\n'
 

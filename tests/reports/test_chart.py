@@ -10,8 +10,17 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import Scale
-from piezoid_reports.chart import FINE, HEIGHT, WIDTH, Axis, Canvas, axis_over
-from piezoid_reports.polyline import envelope, thinned, whole_parts
+from piezoid_reports.chart import (
+    FINE,
+    HEIGHT,
+    WIDTH,
+    Axis,
+    Canvas,
+    axis_over,
+    envelope,
+    thinned,
+    whole_parts,
+)
 from piezoid_reports.quantities import MINUS
 
 
@@ -119,7 +128,7 @@ def test_an_envelope_keeps_the_one_spike_in_a_hundred_thousand_samples() -> None
 def test_a_path_read_back_lies_on_the_samples_to_half_a_step() -> None:
     voltage_V, displacement_m = np.array([0.0, 1.0, 3.0, 2.0]), np.array([0.0, 4e-6, 1e-6, 2e-6])
     canvas = Canvas(x=axis_over("u", [voltage_V], "V"), y=axis_over("y", [displacement_m], "m"))
-    layer, _ = canvas.line("model", "model", voltage_V, displacement_m)
+    layer = canvas.line("model", "model", voltage_V, displacement_m)
     (points,) = _points(layer.path)
     x_V = canvas.x.low + points[:, 0] / (WIDTH * FINE) * (canvas.x.high - canvas.x.low)
     y_um = canvas.y.high - points[:, 1] / (HEIGHT * FINE) * (canvas.y.high - canvas.y.low)
@@ -131,7 +140,7 @@ def test_a_curve_is_broken_where_the_model_says_nothing() -> None:
     y = np.array([0.0, 1.0, np.nan, np.nan, 1.0, 0.0, np.nan])
     assert whole_parts(y) == [slice(0, 2), slice(4, 6)]
     canvas = Canvas(x=axis_over("t", [np.arange(7.0)], "s"), y=axis_over("y", [y], "m"))
-    assert len(_points(canvas.line("model", "model", np.arange(7.0), y)[0].path)) == 2
+    assert len(_points(canvas.line("model", "model", np.arange(7.0), y).path)) == 2
 
 
 @given(st.floats(-1e3, 1e3), st.floats(1e-3, 1e3))

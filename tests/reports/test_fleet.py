@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
+from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.findings import FALSE_ALARMS, distributions
 from piezoid_reports.fleet.quantities import QUANTITIES
 from piezoid_reports.fleet.records import (
@@ -19,7 +20,6 @@ from piezoid_reports.fleet.records import (
     FleetStage,
     stage_from_json,
 )
-from piezoid_reports.fleet.render import render_fleet
 from tests.reports.anatomy import Anatomy
 
 MIDDLE = {"sensitivity_m_per_V": 3.3e-6, "noise_rms_m": 1e-8, "held_out_rms_percent": 0.1}

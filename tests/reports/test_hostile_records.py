@@ -13,8 +13,8 @@ from piezoid.errors import PiezoidError
 from piezoid.identification.store import read_model, write_model
 from piezoid.provenance import seal
 from piezoid.verification.verification import verification_from_json
+from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json
-from piezoid_reports.fleet.render import render_fleet
 from piezoid_reports.render import render, render_design
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model

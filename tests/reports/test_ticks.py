@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from piezoid_reports.chart import decade_ticks, even_ticks
 from piezoid_reports.quantities import MINUS
-from piezoid_reports.ticks import decade_ticks, even_ticks
 
 
 def _number(label: str) -> float:

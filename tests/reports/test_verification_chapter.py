@@ -15,11 +15,10 @@ from piezoid.verification.verification import (
     verification_from_json,
 )
 from piezoid.verification.verify import verify
-from piezoid_reports.motions import motions
 from piezoid_reports.page import Page, Section
 from piezoid_reports.render import render
 from piezoid_reports.sections import verification
-from piezoid_reports.spirals import SHADES, spiral
+from piezoid_reports.spirals import SHADES, motions, spiral
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
 from tests.verification.rig import PLANTS, stage

@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.runtime.library import library
+from piezoid.runtime.library import complete, library
 from piezoid.runtime.schema import MAX_TAPS
-from piezoid.runtime.values import complete
 from tests.runtime.compiler import PRECISION, SOURCE, found, run
 from tests.runtime.test_schema import LATERAL, tunnelling
 

@@ -13,9 +13,8 @@ from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.runtime import library as library_module
 from piezoid.runtime import schema
 from piezoid.runtime.controller import Status
-from piezoid.runtime.library import compare_layout, library
+from piezoid.runtime.library import compare_layout, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS
-from piezoid.runtime.values import complete
 from tests.runtime.observer_design import observer_parameters
 from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, tunnelling
 

@@ -9,8 +9,7 @@ import pytest
 
 from piezoid.errors import DesignError, ParameterFileError
 from piezoid.targets.biquad import biquad_files, held_axis
-from piezoid.targets.box import Box, read_box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, read_box, run_box
 from piezoid.targets.pid import Notch
 from piezoid.targets.section_boxes import BOXES, programmed
 from piezoid.verification.plant import Plugged

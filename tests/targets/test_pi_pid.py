@@ -14,8 +14,7 @@ from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.specification import default_specification
 from piezoid.design.templates import Template
 from piezoid.errors import DesignError
-from piezoid.targets.box import Box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, run_box
 from piezoid.targets.pi_pid import pi_pid_files, priced_pid
 from piezoid.targets.pid import Notch, PidBox
 from piezoid.targets.pid_search import tuned_pid

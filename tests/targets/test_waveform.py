@@ -9,8 +9,7 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.identification.extensions.linear_mode import LinearMode
-from piezoid.targets.box import Box, read_box
-from piezoid.targets.box_loop import run_box
+from piezoid.targets.box import Box, read_box, run_box
 from piezoid.targets.waveform import compared, waveform_files, waveform_of
 from piezoid.verification.plant import Hysteresis, lateral_plant
 from tests.targets.known_boxes import exported

@@ -24,8 +24,8 @@ from piezoid.identification.extensions.extension import Where
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import Lag
 from piezoid.operators.limits import slewed
+from piezoid.runtime.library import complete
 from piezoid.runtime.schema import MAX_RELAXATIONS
-from piezoid.runtime.values import complete
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.loop_plant import SUBSTEPS, rest_position
 from piezoid.verification.plant import lateral_plant

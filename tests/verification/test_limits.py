@@ -5,8 +5,7 @@ from dataclasses import fields
 import pytest
 
 from piezoid.errors import LabFileError
-from piezoid.verification.criteria import Limits
-from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.criteria import Limits, limits_from_toml
 
 
 def test_a_limit_that_is_written_replaces_the_default_and_no_other() -> None:

@@ -14,8 +14,7 @@ from piezoid.identification.tunnelling.junction_plant import DriveMode
 from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.plant import Hysteresis, junction_axis_plant, lateral_plant
-from piezoid.verification.stage import verify_stage
-from piezoid.verification.uncertainty import varied_plants
+from piezoid.verification.stage import varied_plants, verify_stage
 from tests.design.junction_lab import LAB
 from tests.identification.dynamics.stage import truth
 from tests.verification.known_fit import fitted, junction_model, shipped

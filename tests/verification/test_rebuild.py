@@ -7,8 +7,7 @@ from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.export.bundle import bundle
 from piezoid.verification import rebuild as rebuilding
 from piezoid.verification.proof import Proof
-from piezoid.verification.rebuild import emulate, rebuild
-from piezoid.verification.replay import SAMPLES, compare, expected, inputs_of
+from piezoid.verification.rebuild import SAMPLES, compare, emulate, expected, inputs_of, rebuild
 from tests.runtime.compiler import found
 from tests.verification.rig import stage
 

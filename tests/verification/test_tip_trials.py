@@ -6,8 +6,7 @@ import pytest
 
 from piezoid.errors import LabFileError
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.verification.criteria import Limits
-from piezoid.verification.limits import limits_from_toml
+from piezoid.verification.criteria import Limits, limits_from_toml
 from piezoid.verification.tip_trials import TIP_TRIALS
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, stage

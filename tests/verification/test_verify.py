@@ -16,10 +16,9 @@ from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Limits, survived
 from piezoid.verification.plant import Plugged, with_gain
 from piezoid.verification.proof import Proof
-from piezoid.verification.scenarios import SCENARIOS
+from piezoid.verification.scenarios import SCENARIOS, Path
 from piezoid.verification.tip_trials import TIP_TRIALS
 from piezoid.verification.tracking import track
-from piezoid.verification.trajectories import Path
 from piezoid.verification.verification import verification_from_json
 from piezoid.verification.verify import verify
 from tests.verification.rig import PLANTS, GAIN_m_per_V, junction, lateral, stage

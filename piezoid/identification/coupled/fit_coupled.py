@@ -37,11 +37,11 @@ from piezoid.identification.coupled.projected_fit import (
     Problem,
     fitted,
 )
-from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.identification.dynamics.vector_fitting import start_poles, vector_fit
 from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Rule
-from piezoid.numerics.one_thread import on_one_thread
 
 LAGS_PER_DECADE = 1.3  # real poles below the first mode: a ladder for creep
 SMOOTHED = 5  # lines the start is averaged over: single ones give poles of noise

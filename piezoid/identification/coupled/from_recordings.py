@@ -17,8 +17,7 @@ import numpy as np
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import BEYOND, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
-from piezoid.identification.dynamics.periodic_data import PeriodicData
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
 from piezoid.identification.dynamics.repetition import (
     FEWEST,
     STILL,

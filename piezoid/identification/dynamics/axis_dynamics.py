@@ -17,11 +17,11 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     measure_behind_hysteresis,
     measure_from_drive,
 )
-from piezoid.identification.dynamics.confidence import resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.hammerstein import fit_jointly
 from piezoid.identification.dynamics.hammerstein_record import JointFit
+from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
 from piezoid.identification.dynamics.response_judgement import ResponseJudged, judge_response

@@ -173,7 +173,7 @@ def _without_fall(found: _Gains, stated_Hz: float | None) -> BandwidthVerdict:
         peak_ratio=ratio,
         peak_Hz=peak_Hz,
         highest_Hz=float(f[-1]),
-        text=_stated(stated_Hz) + _capital(text),
+        text=_stated(stated_Hz) + (text[0].upper() + text[1:]),
     )
 
 
@@ -230,7 +230,3 @@ def _stated(stated_Hz: float | None) -> str:
 def _remedy(stated_Hz: float | None) -> str:
     far = "until the gain has fallen" if stated_Hz is None else f"to {3.0 * stated_Hz:g} Hz"
     return f"Record a chirp or a multisine {far}."
-
-
-def _capital(text: str) -> str:
-    return text[0].upper() + text[1:]

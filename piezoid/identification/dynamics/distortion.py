@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.dynamics.periodic_data import PeriodicData
-from piezoid.identification.dynamics.periodic_estimate import estimate_response, interpolated
+from piezoid.identification.dynamics.periodic_estimate import (
+    PeriodicData,
+    estimate_response,
+    interpolated,
+)
 from piezoid.identification.dynamics.repetition import periodic_recordings
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.records.recording import Recording

@@ -3,10 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import IdentificationError
-from piezoid.identification.dynamics.curvature import ModalFit, Point, with_covariance
 from piezoid.identification.dynamics.frequency_response import ComplexArray
+from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import (
     Lines,
     Structure,
@@ -17,6 +18,7 @@ from piezoid.identification.dynamics.modal_basis import (
 )
 from piezoid.identification.dynamics.vector_fitting import stacked
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import (
     Eliminated,
     NormalEquations,
@@ -24,7 +26,6 @@ from piezoid.numerics.levenberg_marquardt import (
     eliminated,
     minimise,
 )
-from piezoid.numerics.once import Once
 
 EVALUATIONS = 40
 ENOUGH = 1e-2  # half of it is the gain in log likelihood: a tenth of a standard deviation
@@ -32,6 +33,138 @@ STEP = 1e-5  # of the central differences: truncation 1e-10, rounding 1e-11
 LONGEST_MOVE = 0.3  # of a log frequency or log damping in one round
 OUT_OF_BAND = 4.0  # largest damping, and how far beyond the band a pole may lie
 LEAST_DAMPING = 1e-5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalFit:
+    """The minimum of sum |G_hat - G|^2 / variance, and its curvature.
+
+    shape             (shapes,)             as in ``modal_basis.basis``
+    gains             (outputs, inputs, columns)
+    cost              twice the negative log likelihood but for a constant
+    shape_covariance  (shapes, shapes)      inflated where the residual is larger than its variance
+    mode_worth        (modes,)              rise of the cost if a mode were left out
+    gain_std          (outputs, inputs, columns)
+    static_std        (outputs, inputs)     of the gain at frequency zero
+    values            complex values that counted
+    """
+
+    shape: Array
+    gains: Array
+    cost: float
+    shape_covariance: Array
+    gain_std: Array
+    static_std: Array
+    mode_worth: Array
+    values: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Point:
+    """One evaluation: cost, gradient and curvature with the gains eliminated.
+
+    line_scores  (lines, shapes)  share of each line in the gradient
+    gain_roots   for each path, outputs first: K with gain covariance K K^T / 2 at a fixed shape
+    gain_slopes  for each path: d gains / d shape
+    """
+
+    shape: Array
+    cost: float
+    gains: Array
+    gradient: Array
+    curvature: Array
+    line_scores: Array
+    gain_roots: list[Array]
+    gain_slopes: list[Array]
+
+
+def with_covariance(point: Point, weight: Array, structure: Structure) -> ModalFit:
+    """Curvature and the sandwich over lines, whichever is wider for each parameter.
+
+    A complex value of variance one has parts of variance one half, hence the halves. The sandwich
+    counts a line as one draw: distortion is shared by all outputs at that line.
+    """
+    values = int((weight > 0).sum())
+    unknowns = structure.shapes + point.gains.size
+    spare = max(values - unknowns / 2, 1.0)
+    excess = max(1.0, point.cost / spare)
+    inverse = _scaled_inverse(point.curvature)
+    plain = 0.5 * excess * inverse
+    lines = int((weight > 0).any(axis=(1, 2)).sum())
+    meat = point.line_scores.T @ point.line_scores * lines / max(lines - unknowns / 2, 1.0)
+    sandwich = inverse @ meat @ inverse
+    ratio = np.diag(sandwich) / np.maximum(np.diag(plain), np.finfo(float).tiny)
+    wider = np.sqrt(np.maximum(ratio, 1.0))
+    covariance = plain * np.outer(wider, wider)
+    gain_std, static_std = _gain_spread(point, covariance, excess, structure)
+    return ModalFit(
+        shape=point.shape,
+        gains=point.gains,
+        cost=point.cost,
+        shape_covariance=covariance,
+        gain_std=gain_std,
+        static_std=static_std,
+        mode_worth=_mode_worth(point, structure),
+        values=values,
+    )
+
+
+def _scaled_inverse(curvature: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(curvature), np.finfo(float).tiny))
+    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-14, hermitian=True)
+    return np.asarray(inverse / np.outer(scale, scale))
+
+
+def _gain_spread(
+    point: Point, covariance: Array, excess: float, structure: Structure
+) -> tuple[Array, Array]:
+    static = structure.static_columns()
+    spread, static_spread = [], []
+    for root, drag in zip(point.gain_roots, point.gain_slopes, strict=True):
+        whole = 0.5 * excess * root @ root.T + drag @ covariance @ drag.T
+        spread.append(np.sqrt(np.diag(whole)))
+        static_spread.append(np.sqrt(max(float(static @ whole @ static), 0.0)))
+    shape = point.gains.shape
+    return np.reshape(spread, shape), np.reshape(static_spread, shape[:2])
+
+
+def _mode_worth(point: Point, structure: Structure) -> Array:
+    """g_S^T (K_S K_S^T)^-1 g_S over all paths, S the columns of a mode."""
+    gains = point.gains.reshape(len(point.gain_roots), -1)
+    worth = np.zeros(structure.modes)
+    for m, term in enumerate(terms_of(structure)[: structure.modes]):
+        chosen = list(term.columns)
+        for g, root in zip(gains, point.gain_roots, strict=True):
+            spread = root[chosen] @ root[chosen].T
+            worth[m] += float(g[chosen] @ np.linalg.solve(spread, g[chosen]))
+    return worth
+
+
+def resolved_modes(dynamics: LinearDynamics) -> NDArray[np.bool_]:
+    """Tell which modes the data determine, (modes,).
+
+    The others are overdamped, or known to no better than a factor: they stand for what lies
+    outside the band, and their numbers mean nothing by themselves.
+    """
+    frequency = dynamics.mode_frequency_interval_Hz()
+    damping = dynamics.mode_damping_interval()
+    known = (frequency[:, 1] < 1.1 * frequency[:, 0]) & (damping[:, 1] < 3 * damping[:, 0])
+    return np.asarray(known & (dynamics.mode_damping < 1.0), dtype=np.bool_)
+
+
+def phase_delay_s(dynamics: LinearDynamics, frequency_Hz: float) -> Array:
+    """Return how late each output follows a slow sine, all lags together, (outputs, inputs), s.
+
+        - arg(G(j w) / G(0)) / w
+
+    frequency_Hz  well below the first resonance
+
+    At low frequency only the sum of all time constants can be known; how a fit shares it between
+    the pure delay and terms outside the band depends on its structure, and the interval of
+    ``delay_s`` holds for that structure alone. This sum does not depend on it.
+    """
+    relative = dynamics.response([frequency_Hz])[0] / dynamics.static_gain_m_per_V
+    return np.asarray(-np.angle(relative) / (2 * np.pi * frequency_Hz))
 
 
 def maximise_likelihood(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
 

@@ -66,7 +66,13 @@ def judge_response(
     at_rest = float(found.dynamics.static_gain_m_per_V[0, 0])
     sign = 1 if at_rest * axis.polarity > 0.0 else -1
     record = _record(axis, response, found, at_rest, sign)
-    gains = _gains(axis, record)
+    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    gains = (
+        f"Small quick drives move it by {told(record.gain_m_per_V, 'm')}/V, "
+        f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
+        f"({told(least, 'm')}/V to {told(greatest, 'm')}/V): the hysteresis keeps its own gain, "
+        "and a controller is designed for both"
+    )
     if shown is not None:
         by_recording = _gain_beside(shown[0], found.dynamics)
         record = record.scaled(by_recording)
@@ -224,16 +230,6 @@ def slope_words(found: ResponseFound) -> str:
     if low <= 0.0 <= high:
         return f"no creep is seen, {slope}"
     return f"the gain changes by {slope}, which is no creep and was not taken out"
-
-
-def _gains(axis: AxisModel, record: ResponseFit) -> str:
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
-    return (
-        f"Small quick drives move it by {told(record.gain_m_per_V, 'm')}/V, "
-        f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
-        f"({told(least, 'm')}/V to {told(greatest, 'm')}/V): the hysteresis keeps its own gain, "
-        "and a controller is designed for both"
-    )
 
 
 def _ends(interval: Iterable[float], unit: str, digits: int = 3) -> str:

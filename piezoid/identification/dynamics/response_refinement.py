@@ -94,7 +94,17 @@ def refined(
     """
     from scipy.optimize import least_squares
 
-    form = _form(lines, dynamics, slow)
+    chain = np.ones(len(lines.frequency_Hz), dtype=np.complex128)
+    for known in dynamics.declared:
+        chain = chain * known.system().response(lines.frequency_Hz)[:, 0, 0]
+    form = _Form(
+        dynamics=dynamics,
+        slow=slow,
+        frequency_Hz=lines.frequency_Hz,
+        chain=chain,
+        delay_scale_s=1.0 / (2.0 * np.pi * float(lines.frequency_Hz[-1])),
+        gain_m_per_V=abs(float(dynamics.static_gain_m_per_V[0, 0])),
+    )
     weight = 1.0 / np.sqrt(lines.variance[:, 0, 0])
 
     def left(vector: Array) -> Array:
@@ -109,20 +119,6 @@ def refined(
         left, start, bounds=(low, high), x_scale="jac", max_nfev=MOST_STEPS, method="trf"
     ).x
     return _told(form, lines, found, *_covariance(left, found, len(whole)))
-
-
-def _form(lines: FrequencyResponse, dynamics: LinearDynamics, slow: SlowPart) -> _Form:
-    chain = np.ones(len(lines.frequency_Hz), dtype=np.complex128)
-    for known in dynamics.declared:
-        chain = chain * known.system().response(lines.frequency_Hz)[:, 0, 0]
-    return _Form(
-        dynamics=dynamics,
-        slow=slow,
-        frequency_Hz=lines.frequency_Hz,
-        chain=chain,
-        delay_scale_s=1.0 / (2.0 * np.pi * float(lines.frequency_Hz[-1])),
-        gain_m_per_V=abs(float(dynamics.static_gain_m_per_V[0, 0])),
-    )
 
 
 def _covariance(left: Callable[[Array], Array], vector: Array, lines: int) -> tuple[Array, float]:

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import recursive_filter
 
 
 def rung(moved: Array, frequency_Hz: float, quality: float, rate_Hz: float) -> Array:

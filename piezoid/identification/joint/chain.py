@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.hysteresis.filters import lagged, relaxed
-from piezoid.identification.joint.parts import Part
-from piezoid.identification.joint.vector import State
+from piezoid.identification.joint.vector import Part, State
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii

@@ -26,12 +26,12 @@ from piezoid.numerics.levenberg_marquardt import (
     eliminated,
     minimise,
 )
-from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.hysteretic_mode import (
     BoucWenSpring,
     Hold,
     HystereticMode,
     MaxwellSlip,
+    bouc_wen_states,
     fine_drive,
 )
 from piezoid.operators.play import play_columns

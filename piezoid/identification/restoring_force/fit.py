@@ -16,8 +16,8 @@ from piezoid.errors import ExcitationError, IdentificationError
 from piezoid.identification.restoring_force.equation_error import Start
 from piezoid.identification.restoring_force.task import Task, drive_and_motion, task_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
-from piezoid.numerics.one_thread import on_one_thread
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.hysteretic_mode import (
     BoucWenSpring,

@@ -21,11 +21,10 @@ from piezoid.identification.restoring_force.equation_error import second_order, 
 from piezoid.identification.restoring_force.fit import FAINT, LAWS, simulated_apart
 from piezoid.identification.restoring_force.task import BLOCKS, Task, drive_and_motion, task_of
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Rows, Rule, minimise
-from piezoid.numerics.one_thread import on_one_thread
 from piezoid.numerics.quantiles import student_quantile
-from piezoid.operators.bouc_wen import bouc_wen_states
-from piezoid.operators.hysteretic_mode import Hold, fine_drive
+from piezoid.operators.hysteretic_mode import Hold, bouc_wen_states, fine_drive
 from piezoid.operators.play import play_columns
 from piezoid.record_json import Unbounded
 from piezoid.records.recording import Recording

@@ -1,4 +1,21 @@
-"""BarrierFit: the decay and apparent barrier of a junction, with interval and confidence."""
+"""BarrierFit: the decay and apparent barrier of a junction, with interval and confidence.
+
+Covariance of an estimate whose residuals are correlated: leave out one block at a time.
+
+Neighbouring points of a sweep share drift, creep and vibration; an interval that counts them as
+independent is far too narrow. Blocks of neighbours, each holding an equal share of what is known
+about the decay, are left out in turn, which also charges the estimate for a model that does not
+quite fit (jackknife form of the clustered sandwich; Bell & McCaffrey 2002).
+
+One barrier from sweeps and closed loop, where the two agree; where they do not, the reason.
+
+Both measure k, a sweep over the height it was given, the loop over the extension per volt it was
+given. Their ratio is free of the barrier:
+
+    k_loop / k_sweep = (true extension per volt) / (declared one)    if the sweep's height is true
+
+so that a disagreement says that one of the two calibrations, or the spot, is another.
+"""
 
 import math
 from collections.abc import Sequence
@@ -7,11 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import ApproachCurve
-from piezoid.identification.tunnelling.blocks import (
-    equal_information_blocks,
-    leave_one_block_out,
-    partial_score,
-)
 from piezoid.identification.tunnelling.confidence import (
     Confidence,
     Reason,
@@ -30,11 +42,93 @@ from piezoid.identification.tunnelling.weighted_fit import (
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
+from piezoid.record_json import Interval
+
+_NORMAL_95 = 1.959963984540054
 
 # Few enough that neighbours in different blocks are nearly independent: under a gap with 1/f
 # unrest of 2 pm, ten blocks held 83 % of 60 truths, five 98 %, a third wider.
 _BLOCKS = 8
 NORMAL_95 = 1.959963984540054
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointBarrier:
+    """What sweeps and loop say together.
+
+    ratio           k of the loop over k of the sweeps, and its 95 % interval
+    agree           whether that interval holds 1
+    decay_per_m     weighted mean of both; None where they disagree
+    decay_interval_per_m  95 % of it; where they disagree, from the lower end of the lower to the
+                    upper end of the higher
+    barrier_eV, barrier_interval_eV  of the decay
+    """
+
+    ratio: float
+    ratio_interval: Interval
+    agree: bool
+    decay_per_m: float | None
+    decay_interval_per_m: Interval
+    barrier_eV: float | None
+    barrier_interval_eV: Interval
+
+
+def join_barriers(
+    sweeps: Sequence[tuple[float, Interval]], loop: tuple[float, Interval]
+) -> JointBarrier:
+    """Combine decays with their 95 % intervals, in the logarithm, by inverse variance.
+
+    sweeps  (decay, interval), 1/m, of all sweeps together or of parts that tell nothing of drift
+    loop    (decay, interval), 1/m
+
+    Parts that differ by more than their intervals allow widen the mean by that much
+    (Birge's ratio). An interval without an end counts as no information.
+    """
+    sweep, sweep_variance = _mean([_log(*pair) for pair in sweeps])
+    loop_log, loop_variance = _log(*loop)
+    half = _NORMAL_95 * math.sqrt(sweep_variance + loop_variance)
+    between = loop_log - sweep
+    agree = abs(between) <= half
+    joint = _mean([(sweep, sweep_variance), (loop_log, loop_variance)]) if agree else None
+    decay = None if joint is None else math.exp(joint[0])
+    ends = [*(interval for _, interval in sweeps), loop[1]]
+    interval = min(low for low, _ in ends), max(high for _, high in ends)
+    if joint is not None:
+        interval = _ends(joint[0], _NORMAL_95 * math.sqrt(joint[1]))
+    return JointBarrier(
+        ratio=math.exp(between),
+        ratio_interval=_ends(between, half),
+        agree=agree,
+        decay_per_m=decay,
+        decay_interval_per_m=interval,
+        barrier_eV=None if decay is None else barrier_of_decay(decay),
+        barrier_interval_eV=(barrier_of_decay(interval[0]), barrier_of_decay(interval[1])),
+    )
+
+
+def _log(decay: float, interval: Interval) -> tuple[float, float]:
+    low, high = interval
+    if not (low > 0.0 and math.isfinite(high)):
+        return math.log(decay), math.inf
+    return math.log(decay), (math.log(high / low) / (2.0 * _NORMAL_95)) ** 2
+
+
+def _mean(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean and variance, widened where the parts scatter more than their variances say."""
+    weights = [1.0 / max(variance, 1e-30) for _, variance in parts]
+    total = sum(weights)
+    if not total > 0.0:
+        return sum(value for value, _ in parts) / len(parts), math.inf
+    mean = sum(w * value for w, (value, _) in zip(weights, parts, strict=True)) / total
+    known = [(w, value) for w, (value, _) in zip(weights, parts, strict=True) if w > 0.0]
+    excess = sum(w * (value - mean) ** 2 for w, value in known) / max(len(known) - 1, 1)
+    return mean, max(excess, 1.0) / total
+
+
+def _ends(center: float, half: float) -> Interval:
+    if not math.isfinite(half):
+        return 0.0, math.inf
+    return math.exp(center - half), math.exp(center + half)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,3 +333,58 @@ def _slope_change(state: WeightedFit) -> float:
         slopes.append(np.polyfit(height_m[half], state.log_residual[half], 1, w=root[half])[0])
     near, far = (state.fit.decay_per_m - slope for slope in slopes)
     return float(far / near - 1.0)
+
+
+def equal_information_blocks(height_m: Array, score: Array, *, count: int) -> Array:
+    """Return the block of each point, (points,) whole numbers, neighbours in height together.
+
+    height_m  (points,)  m; points of several sweeps at one height share a block
+    score     (points,)  what each point knows about the parameter of interest, >= 0
+    count     blocks at most; fewer when single heights hold more than a share
+    """
+    heights, place = np.unique(height_m, return_inverse=True)
+    known = np.bincount(place, weights=score, minlength=len(heights))
+    share = (np.cumsum(known) - 0.5 * known) / max(float(known.sum()), 1e-300)
+    raw = np.minimum((share * count).astype(int), count - 1)
+    block: Array = np.unique(raw, return_inverse=True)[1][place].astype(np.float64)
+    return block
+
+
+def leave_one_block_out(jacobian: Array, residual: Array, block: Array) -> Array:
+    """Return the jackknife covariance of a least squares estimate, (parameters, parameters).
+
+        C = (G - 1)/G sum_g delta_g delta_g',   delta_g = -(H - H_g)^-1 J_g' r_g,   H = J' J
+
+    J  jacobian  (points, parameters)  whitened: divided by each point's standard deviation
+    r  residual  (points,)             whitened
+    g  block     (points,)             whole numbers from 0
+
+    What only one block knows (an amplitude inside it) is left to the pseudo-inverse.
+    """
+    information = jacobian.T @ jacobian
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    scaled = jacobian * scale
+    whole = scaled.T @ scaled
+    count = int(block.max()) + 1
+    covariance = np.zeros_like(whole)
+    for g in range(count):
+        part = scaled[block == g]
+        delta = np.linalg.pinv(whole - part.T @ part, rcond=1e-10) @ (
+            part.T @ residual[block == g]
+        )
+        covariance += np.outer(delta, delta)
+    unscaled: Array = covariance * (count - 1) / max(count, 1) * np.outer(scale, scale)
+    return unscaled
+
+
+def partial_score(jacobian: Array, column: int) -> Array:
+    """Return each point's share in the information about one parameter, the others unknown.
+
+    jacobian  (points, parameters)  whitened
+    returned  (points,)             squared, so that the sum is 1 / variance
+    """
+    others = np.delete(jacobian, column, axis=1)
+    wanted = jacobian[:, column]
+    explained = others @ np.linalg.lstsq(others, wanted, rcond=None)[0]
+    share: Array = (wanted - explained) ** 2
+    return share

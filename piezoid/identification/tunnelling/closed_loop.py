@@ -27,7 +27,7 @@ from piezoid.identification.tunnelling.instrument_fit import (
     fit_with_instrument,
 )
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import (
     LoopSpectra,
     spectra_of_all,

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.analogue import resonance
-from piezoid.operators.linear import ContinuousSystem
-from piezoid.operators.recursive_filter import recursive_filter
+from piezoid.operators.linear import ContinuousSystem, recursive_filter
 
 ComplexArray = NDArray[np.complex128]
 

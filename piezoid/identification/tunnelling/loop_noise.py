@@ -15,7 +15,7 @@ import numpy as np
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.current_noise import CurrentChain
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import lines_of
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.quantiles import student_quantile

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.numerics.arrays import Array
 
 ComplexArray = NDArray[np.complex128]

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.barrier_fit import BarrierFit
+from piezoid.identification.tunnelling.barrier_fit import BarrierFit, JointBarrier
 from piezoid.identification.tunnelling.confidence import Confidence
-from piezoid.identification.tunnelling.directions import DirectionShift
-from piezoid.identification.tunnelling.joint_barrier import JointBarrier
 from piezoid.identification.tunnelling.loop_model import LoopPlant
-from piezoid.identification.tunnelling.sweep_pairs import DriftFreeDecay, judge_together
+from piezoid.identification.tunnelling.sweep_pairs import (
+    DirectionShift,
+    DriftFreeDecay,
+    judge_together,
+)
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 

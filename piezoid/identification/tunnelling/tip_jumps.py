@@ -45,8 +45,10 @@ def find_jump(log_residual: Array, log_deviation: Array) -> tuple[int, float] | 
     """
     if len(log_residual) < 4 * _SIDE:
         return None
-    steps = _differences(np.median(_windows(log_residual), axis=1))
-    noise = _MEDIAN_OF_SIDE * np.sqrt(_sums(np.mean(_windows(log_deviation) ** 2, axis=1)))
+    medians = np.median(_windows(log_residual), axis=1)
+    steps = medians[_SIDE:] - medians[:-_SIDE]
+    variances = np.mean(_windows(log_deviation) ** 2, axis=1)
+    noise = _MEDIAN_OF_SIDE * np.sqrt(variances[_SIDE:] + variances[:-_SIDE])
     relative = steps / np.maximum(noise, 1e-300)
     apart = np.abs(relative - np.median(relative))
     large = np.where(np.abs(steps) > _SMALLEST_NEPERS, apart, 0.0)
@@ -59,11 +61,3 @@ def find_jump(log_residual: Array, log_deviation: Array) -> tuple[int, float] | 
 def _windows(values: Array) -> Array:
     windows: Array = np.lib.stride_tricks.sliding_window_view(values, _SIDE)
     return windows
-
-
-def _differences(medians: Array) -> Array:
-    return medians[_SIDE:] - medians[:-_SIDE]
-
-
-def _sums(variances: Array) -> Array:
-    return variances[_SIDE:] + variances[:-_SIDE]

@@ -160,21 +160,17 @@ def _settle(start: WeightedFit) -> WeightedFit:
     state = start
     for _ in range(_ROUNDS):
         before = state.fit.decay_per_m
-        state = _reweighted(state)
+        deviation = np.sqrt(state.noise.variance(state.mean_A))
+        pulled_A = np.clip(state.residual_A, -OUTLIER * deviation, OUTLIER * deviation)
+        noise = estimate_noise(pulled_A, state.mean_A, state.noise.chain)
+        variance = noise.variance(state.mean_A)
+        whitened = np.abs(state.residual_A) / np.sqrt(variance)
+        weight = np.minimum(1.0, OUTLIER / np.maximum(whitened, 1e-300)) / variance
+        points = replace(state.points, weight=weight)
+        state = replace(state, points=points, noise=noise, fit=fit_exponential(points))
         if abs(state.fit.decay_per_m - before) < _SETTLED * before:
             break
     return state
-
-
-def _reweighted(state: WeightedFit) -> WeightedFit:
-    deviation = np.sqrt(state.noise.variance(state.mean_A))
-    pulled_A = np.clip(state.residual_A, -OUTLIER * deviation, OUTLIER * deviation)
-    noise = estimate_noise(pulled_A, state.mean_A, state.noise.chain)
-    variance = noise.variance(state.mean_A)
-    whitened = np.abs(state.residual_A) / np.sqrt(variance)
-    weight = np.minimum(1.0, OUTLIER / np.maximum(whitened, 1e-300)) / variance
-    points = replace(state.points, weight=weight)
-    return replace(state, points=points, noise=noise, fit=fit_exponential(points))
 
 
 def _next_jump(state: WeightedFit, sweeps: int) -> TipJump | None:

@@ -5,7 +5,7 @@ import numpy as np
 from piezoid.identification.dynamics.fit_dynamics import Declaration
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
-from piezoid.identification.dynamics.periodic_data import PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.excitation import DriveLimits

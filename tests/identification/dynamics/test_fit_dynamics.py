@@ -8,17 +8,20 @@ import pytest
 
 from benchmarks.structure_choice import choose_structure, relative_rms
 from piezoid.errors import IdentificationError
-from piezoid.identification.dynamics.confidence import phase_delay_s, resolved_modes
 from piezoid.identification.dynamics.fit_dynamics import (
     Declaration,
     _start_shape,
     _trial_delays,
+    exchange_modes,
     fit_dynamics,
 )
-from piezoid.identification.dynamics.maximum_likelihood import maximise_likelihood
+from piezoid.identification.dynamics.maximum_likelihood import (
+    maximise_likelihood,
+    phase_delay_s,
+    resolved_modes,
+)
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Lines, Structure
-from piezoid.identification.dynamics.mode_exchange import exchange_modes
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from tests.identification.dynamics.stage import (
     DAMPING,

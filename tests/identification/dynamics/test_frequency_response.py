@@ -9,7 +9,7 @@ from scipy.signal import chirp
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics import periodic_estimate
-from piezoid.identification.dynamics.coherence_estimate import estimate_response_by_coherence
+from piezoid.identification.dynamics.behind_hysteresis import estimate_response_by_coherence
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
 from piezoid.operators.linear import sample

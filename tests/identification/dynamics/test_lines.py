@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.axis_dynamics import STRUCTURES, _possible
-from piezoid.identification.dynamics.periodic_data import EXCITED_FRACTION, PeriodicData
+from piezoid.identification.dynamics.periodic_estimate import EXCITED_FRACTION, PeriodicData
 
 
 @pytest.mark.parametrize("samples", [100, 101])

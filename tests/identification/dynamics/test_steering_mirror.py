@@ -9,8 +9,7 @@ from benchmarks.structure_choice import relative_rms
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Structure
-from piezoid.identification.dynamics.periodic_data import PeriodicData
-from piezoid.identification.dynamics.periodic_estimate import estimate_response
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
 
 BAND_HZ = (850.0, 1150.0)  # three modes; the whole band is the benchmark's
 STRUCTURE = Structure(modes=4, rate_gains=True, direct=True)

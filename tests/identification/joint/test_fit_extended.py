@@ -21,8 +21,7 @@ from piezoid.identification.extensions import (
 )
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.joint.fit_extended import fit_extended
-from piezoid.identification.joint.parts import FOLDS, KEPT, parts_of
-from piezoid.identification.joint.vector import Structure
+from piezoid.identification.joint.vector import FOLDS, KEPT, Structure, parts_of
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
 

@@ -12,9 +12,8 @@ from piezoid.identification.extensions import (
 )
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.joint.chain import follow
-from piezoid.identification.joint.parts import Part, parts_of
-from piezoid.identification.joint.tangents import tangents_of
-from piezoid.identification.joint.vector import State, Structure, state_of
+from piezoid.identification.joint.fit_extended import tangents_of
+from piezoid.identification.joint.vector import Part, State, Structure, parts_of, state_of
 from piezoid.numerics.arrays import Array
 from tests.identification.joint.stage import known_model, recordings_of
 

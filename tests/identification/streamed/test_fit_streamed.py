@@ -16,10 +16,9 @@ from piezoid.identification.hysteresis.rows import column_places, rows_of
 from piezoid.identification.hysteresis.start import kuhnen_start
 from piezoid.identification.store import read_model, write_model
 from piezoid.identification.streamed.convex import grid_of, halves, starts_of_program
-from piezoid.identification.streamed.fit_streamed import fit_streamed
+from piezoid.identification.streamed.fit_streamed import fit_streamed, lag_s_of, survey
 from piezoid.identification.streamed.passes import Task, blocks_of, gathered, rms_of
 from piezoid.identification.streamed.stream import streams_of
-from piezoid.identification.streamed.survey import lag_s_of, survey
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.records.ingest import ingest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from piezoid.identification.streamed.survey import _Watch
+from piezoid.identification.streamed.fit_streamed import _Watch
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

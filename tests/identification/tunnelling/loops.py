@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit, identify_closed_loop
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions
 
 PERIOD_SAMPLES = 2000

@@ -13,7 +13,7 @@ from piezoid.identification.tunnelling.confidence import Confidence
 from piezoid.identification.tunnelling.family import mean_of, spread_family
 from piezoid.identification.tunnelling.instrument_fit import fit_with_instrument
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
-from piezoid.identification.tunnelling.loop_record import LoopRecord
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import LoopSpectra, spectra_of_dither
 from piezoid.operators.linear import ContinuousSystem, sample
 from piezoid_datasets.virtual_lab.junction import Junction, multisine, simulate_junctions

@@ -10,8 +10,8 @@ from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.family import spread_family
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
+from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_model import describe_loop_plant
-from piezoid.identification.tunnelling.loop_record import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
 from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
 from piezoid.record_json import from_json, to_json

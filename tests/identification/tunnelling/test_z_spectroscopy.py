@@ -7,8 +7,7 @@ import pytest
 
 from piezoid.errors import RecordingError, UnitError
 from piezoid.identification.tunnelling.approach import Direction
-from piezoid.identification.tunnelling.junction import curves_of
-from piezoid.identification.tunnelling.z_spectroscopy import read_z_spectroscopy
+from piezoid.identification.tunnelling.junction import curves_of, read_z_spectroscopy
 from piezoid.records.table import Column, RawTable
 from tests.identification.tunnelling.sweeps import real_sweep, real_table
 
