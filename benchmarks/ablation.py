@@ -31,10 +31,9 @@ from piezoid.diagnosis import (
     diagnose,
     forward_selection,
     model_comparison,
-    repair,
     search,
 )
-from piezoid.diagnosis.blocks import paired_z
+from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.something_else import without_names
@@ -101,17 +100,6 @@ def _structure_speaks(with_rule: Any, without: Any) -> bool:
 JUDGED = candidate.Candidate
 RULES = (
     Rule(
-        name="slips in forward selection",
-        places=((forward_selection, "_with_slips"),),
-        without=lambda *_: None,
-    ),
-    Rule(
-        name="slips in the place of a filter",
-        places=((forward_selection, "_with_slips_in_place"),),
-        without=lambda *_: None,
-    ),
-    Rule(name="two at once", places=((forward_selection, "_with_pair"),), without=lambda *_: None),
-    Rule(
         name="the other side of the hysteresis",
         places=((forward_selection, "moved_to_other_side"),),
         without=lambda *_: None,
@@ -147,13 +135,13 @@ RULES = (
     ),
     Rule(
         name="other initial states before faults",
-        places=((repair, "with_own_initial_states"), (repair, "with_shared_initial_state")),
+        places=((search, "with_own_initial_states"), (search, "with_shared_initial_state")),
         without=lambda view, *_: view,
         matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
         name="shared before own initial states",
-        places=((forward_selection, "shared_does_as_well"), (repair, "shared_does_as_well")),
+        places=((forward_selection, "shared_does_as_well"), (search, "shared_does_as_well")),
         without=lambda *_: False,
     ),
     Rule(

@@ -5,12 +5,11 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
-from piezoid.diagnosis.consistency import is_consistent
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
-from piezoid.diagnosis.folds import CrossValidated, compared
+from piezoid.diagnosis.extended import SelectedEffect, offset_of, undisturbed_for
+from piezoid.diagnosis.folds import CrossValidated, compared, paired_z
+from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
 
@@ -27,6 +26,10 @@ DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 # the bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
 STRUCTURAL = 0.8
 FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
+NUDGE = 0.1  # of a parameter's width
+TELLING = 0.15  # of the longest column: what a track's column must keep beside the null
+APART = 0.35  # of the fitted time
+SURE = 4.0  # standard errors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,3 +224,32 @@ def _structure_of(found: ScoreTest, final: View) -> Candidate:
         without=final,
         view=final,
     )
+
+
+def is_consistent(one: SelectedEffect, view: View) -> bool:
+    """Tell whether no track asks for a clearly different time than the fitted one.
+
+    A filter of the chain is the same in every recording that can show it. At the fitted time each
+    track may have a time of its own,
+
+        y = h(t - tau) + sum_k d_k dh/dtau [track k],
+
+    and a d_k that surely differs from none by a good part of tau belongs to that recording alone.
+    """
+    name = next(iter(one.free))
+    there = stepped(one, name, NUDGE)
+    ratio = there.parameters[name] / one.parameters[name] - 1.0
+    change = offset_of(view, [there]) - offset_of(view, [one])
+    edges = view.nuisance.edges
+    columns = np.column_stack(
+        [
+            view.of_track(k, change[edges[k] : edges[k + 1]] / ratio)
+            for k in range(len(view.tracks))
+        ]
+    )
+    length = np.linalg.norm(view.null.without(columns), axis=0)
+    columns = columns[:, length > TELLING * length.max()]
+    across = view.null.without(columns)
+    apart = np.linalg.lstsq(across, view.null.residual, rcond=1e-9)[0]
+    error = np.sqrt(np.diag(view.null.doubt(columns)))
+    return not bool(np.any((np.abs(apart) > APART) & (np.abs(apart) > SURE * error)))

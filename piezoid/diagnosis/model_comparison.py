@@ -10,11 +10,11 @@ Source: Vuong, Econometrica 57 (1989).
 
 from collections.abc import Sequence
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
+from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test

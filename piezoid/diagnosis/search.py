@@ -20,10 +20,15 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.forward_selection import SLIP, SelectionState, select_forward
+from piezoid.diagnosis.initial_state_search import (
+    OTHER_INITIAL_STATES,
+    shared_does_as_well,
+    with_own_initial_states,
+    with_shared_initial_state,
+)
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
-from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.numerics.executor import SERIAL, Executor
 
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
@@ -31,6 +36,8 @@ MOST = 0.65  # and of what is no noise, in power
 UNEXPLAINED = 1.3  # times the sensor's noise: what no search should leave
 FAR_LESS = 0.85  # of the error: what another beginning must leave to be believed
 QUIET = 1.5  # times the sensor's noise: so little they may leave
+MOST_REPAIRS = 3
+EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,3 +184,32 @@ def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
         name: (*near, effect.name) if name in effect.confounded else near
         for name, near in confounded.items()
     }
+
+
+def repaired(view: View, executor: Executor, *, but: str = "") -> tuple[View, dict[str, Fault]]:
+    """Return the view without the faults that can be undone, and all of them by effect.
+
+    The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
+
+    but  name of a fault that is not looked for
+    """
+    faults: dict[str, Fault] = {}
+    shared = with_shared_initial_state(view, executor)
+    own = with_own_initial_states(view, shared)
+    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
+    believed = shared if evident else view
+    # a wrong initial state looks like readings that are lost
+    view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
+    for effect in EFFECTS:
+        if effect.fault is None or effect.name == but:
+            continue
+        for _ in range(MOST_REPAIRS):
+            executor.report(f"looking for {effect.name.replace('_', ' ')}")
+            fault = effect.fault(view)
+            if fault is None:
+                break
+            faults[effect.name] = fault.after(faults.get(effect.name))
+            if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
+                break
+            view = with_tracks(view, fault.tracks)
+    return with_shared_reversals(view, believed.nuisance.reversals), faults

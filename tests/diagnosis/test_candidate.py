@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.candidate import Candidate, exceeds_structure
 from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
@@ -17,7 +16,7 @@ from piezoid.diagnosis.effects import (
     resonance,
     thermal_drift,
 )
-from piezoid.diagnosis.folds import CrossValidated
+from piezoid.diagnosis.folds import CrossValidated, paired_z
 from piezoid.diagnosis.score_test import _best
 
 BLOCKS = 40

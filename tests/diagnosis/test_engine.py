@@ -6,21 +6,18 @@ from functools import cache
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
-from piezoid.diagnosis.candidate import judged
-from piezoid.diagnosis.consistency import is_consistent
+from piezoid.diagnosis.candidate import is_consistent, judged
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.extended import SelectedEffect, extended
-from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.friction import REACH
+from piezoid.diagnosis.folds import Null, paired_z
 from piezoid.diagnosis.initial_state_search import (
     with_own_initial_states,
     with_shared_initial_state,
 )
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.shape import PLAYS, SHARED, shape, shape_columns
+from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import delayed, with_displacement
 from piezoid.diagnosis.view import View, cycled
 from piezoid.operators.bouc_wen import bouc_wen_states

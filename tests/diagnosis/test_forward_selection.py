@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezoid.diagnosis import forward_selection, repair
+from piezoid.diagnosis import forward_selection, search
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.initial_state_search import AS_GOOD, NEARLY, POOR, shared_does_as_well
 from piezoid.numerics.executor import SERIAL
@@ -23,9 +23,6 @@ def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.
     view = of_memory(CYCLED, 1.0, noise)
     stand_ins = {
         "refit_shortlist": lambda *_: list(tried),
-        "_with_pair": lambda *_: None,
-        "_with_slips": lambda *_: None,
-        "_with_slips_in_place": lambda *_: None,
         "with_shared_initial_state": lambda *_: of_memory(HABIT, shared, noise),
         "with_own_initial_states": lambda *_: of_memory(OWN, own, noise),
         "with_best_bouc_wen": lambda *_: view,
@@ -106,26 +103,9 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
         seen.append(view.nuisance.reversals)
 
     effect = SimpleNamespace(name="timestamp_fault", fault=fault)
-    monkeypatch.setattr(repair, "EFFECTS", (effect,))
-    monkeypatch.setattr(repair, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
-    monkeypatch.setattr(repair, "with_own_initial_states", lambda *_: of_memory(OWN, own))
-    monkeypatch.setattr(repair, "with_shared_reversals", lambda _, reversals: reversals)
-    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), SERIAL)
+    monkeypatch.setattr(search, "EFFECTS", (effect,))
+    monkeypatch.setattr(search, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
+    monkeypatch.setattr(search, "with_own_initial_states", lambda *_: of_memory(OWN, own))
+    monkeypatch.setattr(search, "with_shared_reversals", lambda _, reversals: reversals)
+    clean, faults = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
     assert (seen, clean, faults) == ([looked_at], left_with, {})
-
-
-@pytest.mark.parametrize(
-    ("pair", "replaced", "selected"),
-    [(("a", "b"), (), ("old", "a", "b")), ((), ("old", "c"), ("old", "c")), ((), (), None)],
-)
-def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
-    monkeypatch, pair, replaced, selected
-) -> None:
-    monkeypatch.setattr(forward_selection, "pair_of", lambda *_: pair)
-    monkeypatch.setattr(forward_selection, "pair_in_place", lambda *_: replaced)
-    state = forward_selection.SelectionState(
-        clean=CYCLED, selected=("old",), faults={}, screened={}
-    )
-    beside = forward_selection.SelectionContext(clean=CYCLED, selected=("old",), view=None)
-    next_state = forward_selection._with_pair(state, beside, [], SERIAL)
-    assert (None if next_state is None else next_state.selected) == selected

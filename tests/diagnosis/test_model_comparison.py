@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.effects import delay, lag, thermal_drift
+from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.model_comparison import SEPARABLE, is_confounded, replaces_it
 
 BLOCKS = 40

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
@@ -12,10 +11,9 @@ import piezoid.diagnosis.model_comparison as confounded
 import piezoid.diagnosis.search as search
 from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
+from piezoid.diagnosis.effects import creep, initial_state, non_congruence, thermal_drift
 from piezoid.diagnosis.forward_selection import SelectionState
 from piezoid.diagnosis.simulation import Simulated
-from piezoid.diagnosis.slip_alternative import SlipAlternative, fault_beside_cause
 from piezoid.diagnosis.something_else import without_names
 from piezoid.numerics.executor import SERIAL
 
@@ -145,21 +143,6 @@ def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> No
     assert thermal_drift.EFFECT.name in found
     assert not {initial_state.EFFECT.name, non_congruence.EFFECT.name} & found.keys()
     assert all(one.bound > 0.0 for one in found.values())
-
-
-def test_slips_that_are_hardly_better_than_a_lag_say_that_it_may_be_one() -> None:
-    draw = np.random.default_rng(4)
-    lost = draw.uniform(1.0, 2.0, 40)
-
-    def left(sums):
-        block = np.repeat(np.arange(40), 1)
-        null = SimpleNamespace(energy=sums, block=block, edges=np.arange(40))
-        return SimpleNamespace(null=null, rms=float(np.sqrt(sums.mean())))
-
-    fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
-    for better, alike in ((0.5 * lost, ()), (lost + draw.normal(-0.01, 0.3, 40), ("lag",))):
-        slips = SlipAlternative(clean=None, view=left(better), fault=fault)
-        assert fault_beside_cause(slips, lag.EFFECT.name, left(lost)).alike == alike
 
 
 def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
