@@ -7,29 +7,20 @@ import numpy as np
 
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect, offset_of, undisturbed_for
-from piezoid.diagnosis.folds import CrossValidated, compared, paired_z
-from piezoid.diagnosis.refinement import stepped
+from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
+from piezoid.diagnosis.folds import CrossValidated, compared
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
 
-CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
-SMALL = 0.5  # may be that part of the gain which is asked for
-OVER_PLACEBO = 1.6  # times the placebo's gain, or
-BEYOND_PLACEBO = 0.9  # times what the placebo leaves, or leaves above the noise, and that
+MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong cause is worse than one not named
+MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not looked for
+OVER_PLACEBO = 1.6  # times the placebo's gain
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
-STRANGE = 1.25  # times the noise: what a class leaves of a material that it does not follow
-STILL = 2.5  # standard errors of what is there beside it
 DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 # Size over structural residual that a name needs. On 200 stages of thirteen laws wrong names (but
 # initial states) lie at 0.43 to 1.5, half of them below it; the smallest right ones are a creep of
 # the bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
 STRUCTURAL = 0.8
-FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
-NUDGE = 0.1  # of a parameter's width
-TELLING = 0.15  # of the longest column: what a track's column must keep beside the null
-APART = 0.35  # of the fitted time
-SURE = 4.0  # standard errors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,7 +52,7 @@ class Candidate:
     @property
     def is_significant(self) -> bool:
         """Tell whether this is evidence, of more than the least size that is looked for."""
-        return self.is_evidence and self.share > self.effect.minimum_share
+        return self.is_evidence and self.share > MINIMUM_SHARE
 
     @property
     def has_a_name(self) -> bool:
@@ -87,27 +78,14 @@ class Candidate:
         """Tell whether this is sure, worth it, physical, and better than its placebos."""
         return (
             self.physical
-            and self.cv.z > self.effect.minimum_z
-            and self.cv.gain > self.effect.minimum_gain * self._asked
+            and self.cv.z > MINIMUM_Z
+            and self.cv.gain > self.effect.minimum_gain
             and self._beats_placebo
         )
 
     @property
-    def _asked(self) -> float:
-        """Return which part of the worth is asked for."""
-        if self.effect.in_every_material:
-            return 1.0
-        return SMALL if self.cv.z > CERTAIN else asked(self.without)
-
-    @property
     def _beats_placebo(self) -> bool:
-        if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
-            return True
-        clear = paired_z(self.placebo.loss, self.cv.loss)
-        if self.cv.rms < BEYOND_PLACEBO * self.placebo.rms:
-            return clear > FAR_SURER
-        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.cv, self.placebo))
-        return own < BEYOND_PLACEBO**2 * others and clear > SURER
+        return self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
@@ -134,12 +112,6 @@ def part_explained(gain: float, left: float, noise: float) -> float:
     return (before - left**2) / max(before - noise**2, DOUBTFUL * noise**2)
 
 
-def asked(without: View) -> float:
-    """Return which part of a worth is asked for where little is left but noise."""
-    excess = max(1.0 - (without.noise / without.rms) ** 2, 0.0)
-    return max(SMALL, sqrt(excess))
-
-
 def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -> Candidate:
     """Judge an effect beside others.
 
@@ -154,8 +126,7 @@ def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -
         cv=compared(without.null, view.null),
         placebo=seen.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        physical=one.within_limits
-        and (one.effect.response_filter is None or is_consistent(one, view)),
+        physical=one.within_limits,
         without=without,
         view=view,
     )
@@ -191,24 +162,17 @@ def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candid
     """Judge a part of the nuisance class itself, with all causes at work; None without trials.
 
     The class without it may have a Bouc-Wen state instead. Where that leaves as little, the part
-    has to speak beside the state that serves that class best; where little is at stake, in a
-    material that no class here follows, it has to be there beside it still.
+    has to speak beside the state that serves that class best.
     """
     found = score_test(effect, final)
     if found is None:
         return None
     structure = _structure_of(found, final)
-    if not (structure.is_significant and effect.minimum_beside_bouc_wen and effect.null_without):
+    if not (structure.is_significant and effect.may_be_bouc_wen and effect.null_without):
         return found, structure
     bent = with_bouc_wen_of(final, effect.null_without)
-    as_well = effect.null_without(bent).rms < AS_LITTLE * final.rms
     again = score_test(effect, bent)
-    small = (
-        structure.cv.gain < effect.minimum_beside_bouc_wen and final.rms > STRANGE * final.noise
-    )
-    if again is None or not (as_well or small):
-        return found, structure
-    if not as_well and again.physical and again.cv.z > STILL:
+    if again is None or effect.null_without(bent).rms >= AS_LITTLE * final.rms:
         return found, structure
     return again, _structure_of(again, bent)
 
@@ -224,32 +188,3 @@ def _structure_of(found: ScoreTest, final: View) -> Candidate:
         without=final,
         view=final,
     )
-
-
-def is_consistent(one: SelectedEffect, view: View) -> bool:
-    """Tell whether no track asks for a clearly different time than the fitted one.
-
-    A filter of the chain is the same in every recording that can show it. At the fitted time each
-    track may have a time of its own,
-
-        y = h(t - tau) + sum_k d_k dh/dtau [track k],
-
-    and a d_k that surely differs from none by a good part of tau belongs to that recording alone.
-    """
-    name = next(iter(one.free))
-    there = stepped(one, name, NUDGE)
-    ratio = there.parameters[name] / one.parameters[name] - 1.0
-    change = offset_of(view, [there]) - offset_of(view, [one])
-    edges = view.nuisance.edges
-    columns = np.column_stack(
-        [
-            view.of_track(k, change[edges[k] : edges[k + 1]] / ratio)
-            for k in range(len(view.tracks))
-        ]
-    )
-    length = np.linalg.norm(view.null.without(columns), axis=0)
-    columns = columns[:, length > TELLING * length.max()]
-    across = view.null.without(columns)
-    apart = np.linalg.lstsq(across, view.null.residual, rcond=1e-9)[0]
-    error = np.sqrt(np.diag(view.null.doubt(columns)))
-    return not bool(np.any((np.abs(apart) > APART) & (np.abs(apart) > SURE * error)))

@@ -16,7 +16,6 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
-    shared_does_as_well,
     with_own_initial_states,
     with_shared_initial_state,
 )
@@ -25,12 +24,12 @@ from piezoid.diagnosis.other_side import moved_to_other_side
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.shortlist import SelectionContext, best_candidate, refit_shortlist
+from piezoid.diagnosis.slip_alternative import slips_in_place
 from piezoid.diagnosis.view import (
     View,
     with_bouc_wen,
     with_free_memory,
     with_reversals,
-    with_shared_reversals,
 )
 from piezoid.numerics.executor import Executor
 
@@ -82,7 +81,7 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
     """
     beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
     tried = refit_shortlist(state.screened.values(), beside, executor)
-    best = best_candidate(tried, beside)
+    best = best_candidate(tried)
     least = best.view.rms if best else np.inf
     moved = moved_to_other_side(beside, best)
     if moved is not None:
@@ -96,17 +95,29 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
         return replace(state, clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
     # an effect that is evidence but too small to name speaks against other initial states
     least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
-    if shared.rms < min(OTHER_INITIAL_STATES * view.rms, least) and shared_does_as_well(
-        shared, own, view
-    ):
-        return replace(state, clean=with_shared_reversals(state.clean, shared.nuisance.reversals))
     if own.rms < min(OTHER_INITIAL_STATES * view.rms, least):
         return replace(
             state, clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals))
         )
     if best is None:
-        return None
+        return _with_slips_in_place(state, view)
     return replace(state, selected=_settled(state.clean, [*state.selected, best.selected]))
+
+
+def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | None:
+    """Take in slips that stand better than a filter selected before, in its place."""
+    known = state.faults.get(SLIP)
+    if known is None:
+        return None
+    for one in state.selected:
+        if one.effect.response_filter is None:
+            continue
+        rest = tuple(other for other in state.selected if other is not one)
+        slips = slips_in_place(state.clean, rest, view, known)
+        if slips is not None:
+            faults = {**state.faults, SLIP: slips[1].after(known)}
+            return replace(state, clean=slips[0], selected=rest, faults=faults)
+    return None
 
 
 def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:

@@ -15,7 +15,7 @@ once. A slip that is one has beta near one.
 Source: Rao (1948) for the score; Page, Biometrika 41 (1954) for the running sums.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,9 +226,16 @@ def width_of(samples: int) -> int:
     return int(2.5 * samples / INSTANTS) + 2
 
 
-def placed(view: View, slip: Slip, *, fixed: bool = False) -> Slip:
+def placed(
+    view: View,
+    slip: Slip,
+    *,
+    again: Callable[[Sequence[Track]], View] | None = None,
+    fixed: bool = False,
+) -> Slip:
     """Return the slip at the sample and of the whole length that fit best, all samples compared.
 
+    again  fits tracks put right as the view was fitted, where effects are at work in it
     fixed  the length is known, the instant is not
 
     The static response is fitted again with the slip undone; what tracks have of their own (zero,
@@ -238,7 +245,7 @@ def placed(view: View, slip: Slip, *, fixed: bool = False) -> Slip:
     slip = replace(slip, samples=samples)
     width = width_of(len(view.tracks[k].drive))
     for _ in range(ROUNDS):
-        there = undone(view, slip)
+        there = again(undone(view, slip).tracks) if again else undone(view, slip)
         track, static = there.tracks[k], there.static[k]
         here = there.null.residual[slice(*there.nuisance.edges[k : k + 2])]
         own = track.response[track.place] - here - static[track.place]

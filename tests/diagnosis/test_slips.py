@@ -150,3 +150,9 @@ def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
     some = [one for one in recordings if one.name in ("sweep.csv", "check.csv", "other_axis.csv")]
     assert len(some) == 3
     assert diagnose(some, lab=lab).names == ()
+
+
+def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
+    """Slow stretches tell nothing of it: to all others the fast half of a sweep comes late."""
+    recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
+    assert diagnose(recordings, lab=lab).names == ("timestamp_fault",)
