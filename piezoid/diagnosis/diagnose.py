@@ -10,7 +10,7 @@ from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import attributed
-from piezoid.diagnosis.candidate import CERTAIN, Candidate
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
@@ -40,6 +40,7 @@ from piezoid.records.rest import is_at_rest
 Progress = Callable[[str], None]
 
 MOST_PLACES = 5  # that are told of a fault
+CERTAIN = 8.0  # standard errors: so sure a cause holds no part of another
 
 
 def diagnose(
