@@ -100,13 +100,8 @@ def _diagnosed(
         against = "" if model.verdict.applies else model.verdict.reason
     found = _nothing_in(view, against, executor) if against else explained(view, executor)
     progress("refitting the simulation")
-    if model is None:
-        found, numbers = _worth_most(found, simulated)
-        if numbers.final > 2.0 * UNEXPLAINED and not against:
-            against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
-            found = _nothing_in(view, against, executor)
-            numbers = simulated(found)
-    else:
+    weighed = simulated
+    if model is not None:
         weighed = partial(
             attributed,
             recordings=chosen,
@@ -115,7 +110,11 @@ def _diagnosed(
             scales=scales,
             progress=progress,
         )
-        found, numbers = _worth_most(found, weighed)
+    found, numbers = _worth_most(found, weighed)
+    if numbers.final > 2.0 * UNEXPLAINED and not against:
+        against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
+        found = _nothing_in(view, against, executor)
+        numbers = weighed(found)
     found = _without_idle_slips(found, numbers)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
