@@ -173,7 +173,7 @@ def _far_from_noise(judged: Judged) -> Weakness | None:
     if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
         return None
     far = f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise"
-    left = left_of(judged.diagnosis)
+    left = left_of(judged.diagnosis, judged.axis)
     return Weakness(
         what=f"an error {far}{left.short}",
         why=f"The held-out error is {far}{left.why}",

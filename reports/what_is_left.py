@@ -10,6 +10,7 @@ from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
+from piezoid.identification.model import AxisModel
 from piezoid.readable import told
 from piezoid_reports.effect_words import words
 
@@ -54,11 +55,14 @@ class Mover:
     experiment: str
 
 
-def left_of(found: Diagnosis | None) -> Left:
-    """Return what a diagnosis, or the lack of one, says of an error far above the noise."""
+def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
+    """Return what a diagnosis, or the lack of one, says of an error far above the noise.
+
+    axis  of whose fit the error is, for what its recordings can show; None: nothing more is said
+    """
     if found is None:
         return Left(short="", why=": something in the data is not in this model.", remedy=SPEEDS)
-    shape = shape_lacked(found)
+    shape = shape_lacked(found, axis)
     if not found.findings and shape:
         return Left(
             short=", which lies in the shape of its loops",
@@ -81,12 +85,16 @@ def left_of(found: Diagnosis | None) -> Left:
     )
 
 
-def shape_lacked(found: Diagnosis) -> str:
+def shape_lacked(found: Diagnosis, axis: AxisModel | None) -> str:
     """Say of a simulation how much of its error a wider class of hysteresis does not make.
 
-    Empty where that class, on the same blocks left out, leaves as much of the power itself.
+    Empty where that class, on the same blocks left out, leaves as much of the power itself; and
+    where speed, size or repetition were never varied, or the class does not apply: then a wide
+    class imitates a lag, a drift, or whatever else the recordings do not tell from a loop.
     """
     left_m, wide_m = found.final.rms_m, found.envelope_rms_m
+    if axis is None or not axis.verdict.applies or axis.quality.limits:
+        return ""
     if not wide_m**2 < (1.0 - MOST) * left_m**2:
         return ""
     return (
