@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Shape
+from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, no_lag
 from piezoid.identification.hysteresis.loops import Loop, loops_of
 from piezoid.identification.hysteresis.order import Choice, attempt
 from piezoid.identification.hysteresis.pieces import Piece
@@ -124,14 +125,19 @@ def reason_of_lag(
     settings: Settings,
     progress: Callable[[str], None] = lambda _: None,
 ) -> str:
-    """Return that a lag alone does as well as the best fit of a wide loop, or an empty text."""
+    """Return that a lag alone does as well as the best fit of a wide loop, or an empty text.
+
+    A lag that leaves half of what no lag leaves is none, however little the hysteresis does: a
+    wrong cable, two clocks or a slip are followed by neither.
+    """
     widest = widest_opening(pieces)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
     if widest < WIDE * height:
         return ""
     progress("a lag alone, without hysteresis")
     zones = min(choice.best.shape.below, 2)
-    within = AS_GOOD * choice.best.held_out_rms
+    none = no_lag(pieces, settings.longest_lag_s).held_out_rms
+    within = min(AS_GOOD * choice.best.held_out_rms, EXPLAINED * none, UNEXPLAINED * height)
     for lag in ("first_order", "delay"):
         shape = Shape(plays=0, below=zones, above=zones, lag=lag)
         trial = attempt(pieces, shape, replace(settings, lag_s=None), within=within)

@@ -20,7 +20,7 @@ from piezoid.identification.hysteresis.cycles import trends_over_cycles
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
-from piezoid.identification.hysteresis.lag_rivals import lag_rivals
+from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, lag_rivals
 from piezoid.identification.hysteresis.order import (
     ORDERS,
     Choice,
@@ -56,7 +56,6 @@ from piezoid.records.sweep import noise_of, reversals_of
 FIRST_SHAPE = Shape(plays=8, below=2, above=2)
 CHOOSING_ROWS = 4000
 FINAL_ROWS = 40_000
-EXPLAINED = 0.5  # of what the same curve leaves without it: a lag that takes off less is no loop
 POLISH = 4  # Jacobians over every row once the thinned search is done
 Progress = Callable[[str], None]
 Orders = Sequence[tuple[int, int]]

@@ -22,6 +22,7 @@ from piezoid.operators.chain import Samples
 ROWS = 3000  # of all pieces together: three numbers need no more
 SAMPLES = 6000  # of one piece
 EVALUATIONS = 40
+EXPLAINED = 0.5  # of what the same curve leaves without it: a lag that takes off less is no loop
 POWERS = (1, 2, 3)
 NO_LAG = np.array([np.log(1e-6), 0.0, 0.0])  # as shares of the longest: none
 
@@ -49,8 +50,13 @@ def lag_rivals(
 ) -> tuple[LagRival, LagRival, LagRival]:
     """Return the best second-order lag without and with a delay, and none: the cubic alone."""
     thin = tuple(map(_thinned, pieces))
-    plain, late, none = (_fitted(thin, longest_lag_s, numbers=count) for count in (2, 3, 0))
-    return plain, late, none
+    plain, late = (_fitted(thin, longest_lag_s, numbers=count) for count in (2, 3))
+    return plain, late, no_lag(pieces, longest_lag_s)
+
+
+def no_lag(pieces: Sequence[Piece], longest_lag_s: float) -> LagRival:
+    """Return the cubic alone: a lag is one if it leaves less than EXPLAINED of what this does."""
+    return _fitted(tuple(map(_thinned, pieces)), longest_lag_s, numbers=0)
 
 
 def _thinned(piece: Piece) -> Piece:

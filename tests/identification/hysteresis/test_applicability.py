@@ -117,3 +117,11 @@ def test_a_loop_crosses_where_three_standard_errors_say_so(scatter: float, is_to
     assert ("opens the wrong way by 20.00 %" in told) is is_told
     assert ("widest opening 100.00 %" in told) is is_told
     assert not applicability._crossing(loops, 1.0, 0.03)  # type: ignore[arg-type]
+
+
+def test_a_reading_of_something_else_is_not_called_lag() -> None:
+    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    elsewhere = np.sin(2.0 * np.pi * 0.37 / 80.0 * np.arange(len(drive)))
+    verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
+    assert not verdict.applies
+    assert "phase lag" not in verdict.reason
