@@ -18,7 +18,7 @@ import numpy as np
 
 from piezoid.design.plant import Fraction
 from piezoid.errors import DesignError, ParameterFileError
-from piezoid.export.inert import inert
+from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import (

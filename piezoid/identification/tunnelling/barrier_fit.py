@@ -32,10 +32,10 @@ from piezoid.identification.tunnelling.confidence import (
 )
 from piezoid.identification.tunnelling.current_noise import CurrentChain, CurrentNoise
 from piezoid.identification.tunnelling.exponential_fit import fit_exponential, profile_interval
-from piezoid.identification.tunnelling.tip_jumps import TipJump
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
+    TipJump,
     WeightedFit,
     fit_sweeps,
 )
