@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.design.observer import DisturbanceModel, DisturbanceObserver
 from piezoid.numerics.arrays import Array, freeze
-
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
