@@ -12,11 +12,12 @@ def first_order(frequency_Hz: float) -> ContinuousSystem:
     return ContinuousSystem(A=-w * one, B=w * one, C=one, D=np.zeros((1, 1)))
 
 
-def resonance(frequency_Hz: float, damping: float) -> ContinuousSystem:
-    """Return w^2 / (s^2 + 2 zeta w s + w^2), one mode of unit gain at rest.
+def resonance(frequency_Hz: float, damping: float, rate_gain_s: float = 0.0) -> ContinuousSystem:
+    """Return (1 + h s) w^2 / (s^2 + 2 zeta w s + w^2), one mode of unit gain at rest.
 
     w     2 pi frequency_Hz  > 0
     zeta  damping            > 0
+    h     rate_gain_s        s; not zero where a mode is not in phase with its drive
 
     The states are the displacement over w^2 and its rate over w, so both are of like size.
     """
@@ -24,7 +25,7 @@ def resonance(frequency_Hz: float, damping: float) -> ContinuousSystem:
     return ContinuousSystem(
         A=np.array([[0.0, w], [-w, -2 * damping * w]]),
         B=np.array([[0.0], [w]]),
-        C=np.array([[1.0, 0.0]]),
+        C=np.array([[1.0, rate_gain_s * w]]),
         D=np.zeros((1, 1)),
     )
 
