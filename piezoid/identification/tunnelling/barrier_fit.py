@@ -40,7 +40,7 @@ from piezoid.identification.tunnelling.weighted_fit import (
     fit_sweeps,
 )
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 
