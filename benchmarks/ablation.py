@@ -31,10 +31,9 @@ from piezoid.diagnosis import (
     diagnose,
     forward_selection,
     model_comparison,
-    repair,
     search,
 )
-from piezoid.diagnosis.blocks import paired_z
+from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.initial_state_search import OTHER_INITIAL_STATES
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.something_else import without_names
@@ -42,7 +41,6 @@ from piezoid.diagnosis.something_else import without_names
 Decision = Callable[..., Any]
 Place = tuple[ModuleType | type, str]
 Rows = dict[tuple[str, str], dict[str, Any]]  # by stage and rule, "" for none
-SURE = 4.0  # standard errors: one level for all effects, in the place of a level for each
 
 
 def _changed(with_rule: Any, without: Any) -> bool:
@@ -79,15 +77,12 @@ def _surely_close(alternative: Any, cause: Any) -> bool:
     return paired_z(alternative.cv.loss, cause.cv.loss) < model_comparison.SEPARABLE
 
 
-def _evidence(
-    *, worth: bool = True, level: bool = True, placebos: bool = True, less: bool = True
-) -> Decision:
+def _evidence(*, worth: bool = True, placebos: bool = True) -> Decision:
     def is_evidence(one: candidate.Candidate) -> bool:
-        least = one.effect.minimum_gain * (one._asked if less else 1.0)
         return (
             one.physical
-            and one.cv.z > (one.effect.minimum_z if level else SURE)
-            and (one.cv.gain > least or not worth)
+            and one.cv.z > candidate.MINIMUM_Z
+            and (one.cv.gain > one.effect.minimum_gain or not worth)
             and (one._beats_placebo or not placebos)
         )
 
@@ -100,17 +95,6 @@ def _structure_speaks(with_rule: Any, without: Any) -> bool:
 
 JUDGED = candidate.Candidate
 RULES = (
-    Rule(
-        name="slips in forward selection",
-        places=((forward_selection, "_with_slips"),),
-        without=lambda *_: None,
-    ),
-    Rule(
-        name="slips in the place of a filter",
-        places=((forward_selection, "_with_slips_in_place"),),
-        without=lambda *_: None,
-    ),
-    Rule(name="two at once", places=((forward_selection, "_with_pair"),), without=lambda *_: None),
     Rule(
         name="the other side of the hysteresis",
         places=((forward_selection, "moved_to_other_side"),),
@@ -128,53 +112,26 @@ RULES = (
         matters=_leaves_less(forward_selection.BOUC_WEN),
     ),
     Rule(
-        name="another beginning",
-        places=((search, "_best_selection"),),
-        without=lambda clean, faults, hands: forward_selection.select_forward(
-            clean, faults, hands
-        ),
-        matters=lambda state, _: state.clean.nuisance.bouc_wen is not None,
-        dear=True,
-    ),
-    Rule(
         name="other initial states",
-        places=(
-            (forward_selection, "with_own_initial_states"),
-            (forward_selection, "with_shared_initial_state"),
-        ),
+        places=((forward_selection, "with_own_initial_states"),),
         without=lambda view, *_: view,
         matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
         name="other initial states before faults",
-        places=((repair, "with_own_initial_states"), (repair, "with_shared_initial_state")),
+        places=((search, "with_own_initial_states"), (search, "with_shared_initial_state")),
         without=lambda view, *_: view,
         matters=_leaves_less(OTHER_INITIAL_STATES),
     ),
     Rule(
         name="shared before own initial states",
-        places=((forward_selection, "shared_does_as_well"), (repair, "shared_does_as_well")),
-        without=lambda *_: False,
-    ),
-    Rule(
-        name="a rival takes the place",
-        places=((model_comparison, "replaces_it"),),
+        places=((search, "shared_does_as_well"),),
         without=lambda *_: False,
     ),
     Rule(
         name="alike is close", places=((model_comparison, "is_confounded"),), without=_surely_close
     ),
-    Rule(
-        name="one time in all tracks",
-        places=((candidate, "is_consistent"),),
-        without=lambda *_: True,
-    ),
     Rule(name="placebos", places=((JUDGED, "is_evidence"),), without=_evidence(placebos=False)),
-    Rule(
-        name="less asked near the noise",
-        places=((JUDGED, "is_evidence"),),
-        without=_evidence(less=False),
-    ),
     Rule(
         name="not small beside structure",
         places=((candidate, "exceeds_structure"),),
@@ -189,22 +146,6 @@ RULES = (
         name="a least gain",
         places=((JUDGED, "is_evidence"),),
         without=_evidence(worth=False),
-    ),
-    Rule(
-        name="a level for each effect",
-        places=((JUDGED, "is_evidence"),),
-        without=_evidence(level=False),
-    ),
-    Rule(
-        name="structure beside a Bouc-Wen state",
-        places=((search, "structural_candidate"),),
-        without=_plain_structure,
-        matters=_structure_speaks,
-    ),
-    Rule(
-        name="structure clear of causes",
-        places=((search, "_stands"),),
-        without=lambda *_, **__: True,
     ),
     Rule(
         name="what has no name",

@@ -165,10 +165,14 @@ def _show_controllers(made: "Controllers", ranges_m: "Mapping[str, float]") -> N
 def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
     if not found.model.axes:
         return ("diagnosis: no axis with a drive and a displacement",)
-    named = [
-        f"diagnosis of axis {one.axis}: {', '.join(one.names) or 'nothing'} named"
-        for one in found.diagnoses
-    ]
+    from piezoid.counts import in_counts
+    from piezoid_reports.what_is_left import shape_lacked
+
+    named = []
+    for one in found.diagnoses:
+        shape = shape_lacked(one, found.model.axes.get(one.axis))
+        said = f"{', '.join(one.names) or 'nothing'} named{f'; {shape}' if shape else ''}"
+        named.append(f"diagnosis of axis {one.axis}: {in_counts(said, one.counted)}")
     return (*named, *found.undiagnosed)
 
 

@@ -120,7 +120,8 @@ COORDINATES: tuple[Coordinate, ...] = (
         unit="s",
         kind="time",
         along=_about_middle,
-        reading="Times the side of the range. A change of gain: a step to one side for good.",
+        reading="Times the side of the range. A change of gain: a step to one side for good, or a "
+        "slope from end to end.",
     ),
     Coordinate(
         effects=("delay", "lag", "rate_dependence", "slew_limit"),

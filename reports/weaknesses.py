@@ -10,7 +10,7 @@ from piezoid_reports.effect_words import words
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 
-NEAR_NOISE = 2.0
+NEAR_NOISE = 1.2  # what is left beside the noise is two thirds of it, and hides there
 LOOSE = 0.2  # of the loop's width: an interval wider than that leaves the width open
 FEW_BLOCKS = 10
 
@@ -173,7 +173,7 @@ def _far_from_noise(judged: Judged) -> Weakness | None:
     if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
         return None
     far = f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise"
-    left = left_of(judged.diagnosis)
+    left = left_of(judged.diagnosis, judged.axis)
     return Weakness(
         what=f"an error {far}{left.short}",
         why=f"The held-out error is {far}{left.why}",
@@ -209,7 +209,8 @@ def _sensor_limits(judged: Judged) -> Weakness | None:
         return None
     return Weakness(
         what="the sensor, which sees no more",
-        why="The held-out error is within twice the sensor noise: this sensor sees no more.",
+        why=f"The held-out error is {_times(quality.held_out_rms_m, quality.noise_rms_m)} the "
+        "sensor noise: this sensor sees no more.",
         remedy="Nothing is needed; a quieter sensor or averaging would show what is left.",
     )
 

@@ -10,6 +10,7 @@ from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
+from piezoid.identification.model import AxisModel
 from piezoid.readable import told
 from piezoid_reports.effect_words import words
 
@@ -20,6 +21,10 @@ SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # 
 SPEEDS = (
     "Repeat the same drive at three speeds a decade apart: what grows with speed is dynamics, "
     "what shrinks with it is creep or drift."
+)
+MOST = 0.5  # of the power of an error: from there on it is said to be that
+OTHER_SHAPE = (
+    "No recording of this kind lowers it: feedback takes it up, which bound and certificate count."
 )
 SHAPE = (
     "Record reversals of many sizes at several biases, each reached from above and from below: "
@@ -50,10 +55,20 @@ class Mover:
     experiment: str
 
 
-def left_of(found: Diagnosis | None) -> Left:
-    """Return what a diagnosis, or the lack of one, says of an error far above the noise."""
+def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
+    """Return what a diagnosis, or the lack of one, says of an error far above the noise.
+
+    axis  of whose fit the error is, for what its recordings can show; None: nothing more is said
+    """
     if found is None:
         return Left(short="", why=": something in the data is not in this model.", remedy=SPEEDS)
+    shape = shape_lacked(found, axis)
+    if not found.findings and shape:
+        return Left(
+            short=", which lies in the shape of its loops",
+            why=f", and its cause is the class of the model: {shape}.",
+            remedy=OTHER_SHAPE,
+        )
     if not found.findings:
         return Left(
             short=", for which the diagnosis finds no cause",
@@ -61,11 +76,31 @@ def left_of(found: Diagnosis | None) -> Left:
             remedy=SHAPE,
         )
     leading = _leading(found)
-    rest = _or_rival(leading) or "; no other cause is visible in what is left"
+    rest = f"; {shape or 'no other cause is visible in what is left'}"
+    rest = _or_rival(leading) or rest
     return Left(
         short=f", with {named(found)} already taken out{_or_rival(leading)}",
         why=f", with {named(found)}, as the diagnosis finds, already taken out{rest}.",
         remedy=leading.next_experiment,
+    )
+
+
+def shape_lacked(found: Diagnosis, axis: AxisModel | None) -> str:
+    """Say of a simulation how much of its error a wider class of hysteresis does not make.
+
+    Empty where that class, on the same blocks left out, leaves as much of the power itself; and
+    where speed, size or repetition were never varied, or the class does not apply: then a wide
+    class imitates a lag, a drift, or whatever else the recordings do not tell from a loop.
+    """
+    left_m, wide_m = found.final.rms_m, found.envelope_rms_m
+    if axis is None or not axis.verdict.applies or axis.quality.limits:
+        return ""
+    if not wide_m**2 < (1.0 - MOST) * left_m**2:
+        return ""
+    return (
+        f"where the simulation leaves {told(left_m, 'm')}, the widest class of hysteresis leaves "
+        f"{told(wide_m, 'm')}; between them lie loops of a shape that plays and dead zones do not "
+        "have"
     )
 
 

@@ -71,7 +71,10 @@ def linear_response(data: piezoid.PeriodicData, left_out: int) -> float:
 def without_terms(model: piezoid.CoupledStage) -> piezoid.CoupledStage:
     """Return the model with the linear part alone."""
     return replace(
-        model, term_V=np.zeros_like(model.term_V), linear_V=np.zeros_like(model.linear_V)
+        model,
+        term_V=np.zeros_like(model.term_V),
+        linear_V=np.zeros_like(model.linear_V),
+        distortion_m=None,
     )
 
 

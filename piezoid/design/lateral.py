@@ -33,7 +33,8 @@ from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation
 from piezoid.design.tuning import DAMPED, METHODS, TunedObserver, tune_observer
-from piezoid.errors import TemplateError
+from piezoid.errors import DesignError, TemplateError
+from piezoid.runtime.schema import MAX_ORDER
 
 NO_DISTURBANCES = Disturbances()
 SLEW_SHARE = 0.5  # of what the amplifier follows: the rest is the feedback's
@@ -55,7 +56,8 @@ def design_lateral(
     families  by form, ``inverse`` and/or ``affine``: the affine form leaves the slope sector of
               the hysteresis in the loop, so its family has more gain variation; see
               ``with_sector``
-    model     what the observer computes with; a nominal member by default
+    model     what the observer computes with; by default a nominal member, a delay for which the
+              runtime has no states as a pole (``Plant.with_late_pole``)
     bounds    by form, for the certificate; a form without has none
     reference_slew_m_per_s  of the fastest reference; by default a sine at the scan frequency
               whose amplitude uses the drive for which the bounds hold, or what the
@@ -73,7 +75,7 @@ def design_lateral(
             axis=axis,
             form=form,
             family=families[form],
-            model=model,
+            model=model or _with_room(axis, families[form].nominal, specification),
             bounds=(bounds or {}).get(form),
             reference_slew_m_per_s=reference_slew_m_per_s,
             disturbances=disturbances,
@@ -106,6 +108,22 @@ def with_sector(family: PlantFamily, bounds: HysteresisBounds) -> PlantFamily:
         for slope in (bounds.slope_min, bounds.slope_max)
     ]
     return PlantFamily(members=(*family.members, *ends))
+
+
+def _with_room(axis: str, plant: Plant, specification: Specification) -> Plant:
+    """Return the plant with no more states than the runtime holds beside its oscillators."""
+    most = MAX_ORDER - 2 * len(specification.oscillation_Hz)
+    excess = len(plant.realised()[0]) - most
+    if excess <= 0:
+        return plant
+    if excess < plant.delay_samples:
+        return plant.with_late_pole(excess + 1)
+    raise DesignError(
+        f"axis {axis}: at {plant.sampling_rate_Hz:g} Hz the plant has {most + excess} states, of "
+        f"which {plant.delay_samples} are delay",
+        needed=f"at most {most}, as many as the controller holds, a delay counted as one",
+        remedy="Design with fewer resonant_harmonics, or fit fewer modes.",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

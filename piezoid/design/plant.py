@@ -1,6 +1,6 @@
 """What is controlled: a sampled linear plant, and the family it may really be."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -99,6 +99,39 @@ class Plant:
     def is_stable(self) -> bool:
         """Whether every pole is inside the unit circle."""
         return spectral_radius(self.A) < 1.0
+
+    @property
+    def delay_samples(self) -> int:
+        """Whole samples of delay: leading taps that are zero."""
+        return int(np.argmax(np.append(self.input_taps.any(axis=0), True)))
+
+    def with_late_pole(self, samples: int) -> "Plant":
+        """Return the plant with so many samples of its delay as one pole of the same mean delay.
+
+            q^-d  ->  (1 - p) q^-1 / (1 - p q^-1),   p = 1 - 1/d
+
+        Where a loop is slow beside 1/d samples the two are alike, and d - 1 states fewer.
+        """
+        if not 1 <= samples <= self.delay_samples:
+            raise ValueError(f"{samples} of {self.delay_samples} samples of delay")
+        pole = 1.0 - 1.0 / samples
+        order = len(self.state_matrix)
+        transition = np.zeros((order + 1, order + 1))
+        transition[:order, :order] = self.state_matrix
+        transition[order, :order] = (1.0 - pole) * self.output_vector
+        transition[order, order] = pole
+        taps = np.zeros((order + 1, self.input_taps.shape[1] - samples))
+        taps[:order] = self.input_taps[:, samples:]
+        late = [0.0, 1.0 - pole]
+        return replace(
+            self,
+            state_matrix=transition,
+            input_taps=taps,
+            output_vector=np.append(np.zeros(order), 1.0),
+            B=np.convolve(self.B[samples:], late),
+            A=np.convolve(self.A, [1.0, -pole]),
+            B_position=np.convolve(self.B_position[samples:], late),
+        )
 
     def realised(self) -> tuple[Array, Array, Array]:
         """Return A, B, C in which past inputs are states."""

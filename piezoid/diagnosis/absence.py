@@ -2,7 +2,7 @@
 
 from math import sqrt
 
-from piezoid.diagnosis.candidate import exceeds_structure
+from piezoid.diagnosis.candidate import MINIMUM_SHARE, MINIMUM_Z, exceeds_structure
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
@@ -26,7 +26,7 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
             next_experiment=effect.experiment,
         )
     if found is None:
-        least = effect.minimum_share if effect.bound is None else effect.bound(outcome.clean)
+        least = MINIMUM_SHARE if effect.bound is None else effect.bound(outcome.clean)
         limit_m = least * 2.0 * outcome.final.stroke_m
         return NotDetected(
             effect=effect.name,
@@ -63,9 +63,7 @@ def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:
     needed = outcome.final.rms / 2.0 * sqrt(2.0 * found.effect.minimum_gain)
     bound_m = across_m * found.bound
     # what may be there and was not named has not shown either
-    limit_m = max(
-        across_m * max(POWER * doubt, needed, found.effect.minimum_share, found.floor), bound_m
-    )
+    limit_m = max(across_m * max(POWER * doubt, needed, MINIMUM_SHARE, found.floor), bound_m)
     return NotDetected(
         effect=found.effect.name,
         upper_bound_m=bound_m,
@@ -87,7 +85,7 @@ def _beside_placebo(found: ScoreTest) -> str:
 
 def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
     """Say why what seems to be evidence by itself was not named."""
-    if found.cv.gain < found.effect.minimum_gain or found.cv.z < found.effect.minimum_z:
+    if found.cv.gain < found.effect.minimum_gain or found.cv.z < MINIMUM_Z:
         return ""
     if not found.physical:
         return ": not named, because physics allows it no such size"

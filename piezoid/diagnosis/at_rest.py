@@ -17,7 +17,6 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
     Finding,
@@ -30,6 +29,7 @@ from piezoid.diagnosis.diagnosis import (
 from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import (
     BLOCKS,
     DRIFT,

@@ -9,8 +9,8 @@ from itertools import product
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import BoucWenLaw
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.shape import BoucWenLaw
 from piezoid.diagnosis.view import View, with_bouc_wen
 from piezoid.numerics.executor import SERIAL, Executor
 

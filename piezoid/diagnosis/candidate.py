@@ -5,28 +5,22 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
-from piezoid.diagnosis.consistency import is_consistent
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
 from piezoid.diagnosis.folds import CrossValidated, compared
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
 
-CERTAIN = 8.0  # standard errors: so sure a thing, or one where little is left but noise,
-SMALL = 0.5  # may be that part of the gain which is asked for
-OVER_PLACEBO = 1.6  # times the placebo's gain, or
-BEYOND_PLACEBO = 0.9  # times what the placebo leaves, or leaves above the noise, and that
+MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong cause is worse than one not named
+MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not looked for
+OVER_PLACEBO = 1.6  # times the placebo's gain
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
-STRANGE = 1.25  # times the noise: what a class leaves of a material that it does not follow
-STILL = 2.5  # standard errors of what is there beside it
 DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 # Size over structural residual that a name needs. On 200 stages of thirteen laws wrong names (but
 # initial states) lie at 0.43 to 1.5, half of them below it; the smallest right ones are a creep of
 # the bundled stage, 0.88, and one at half size, 0.91 (docs/measured/zoo.md).
 STRUCTURAL = 0.8
-FAR_SURER, SURER = 1.5, 2.5  # standard errors less in the blocks, for the one and the other
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +52,7 @@ class Candidate:
     @property
     def is_significant(self) -> bool:
         """Tell whether this is evidence, of more than the least size that is looked for."""
-        return self.is_evidence and self.share > self.effect.minimum_share
+        return self.is_evidence and self.share > MINIMUM_SHARE
 
     @property
     def has_a_name(self) -> bool:
@@ -84,27 +78,14 @@ class Candidate:
         """Tell whether this is sure, worth it, physical, and better than its placebos."""
         return (
             self.physical
-            and self.cv.z > self.effect.minimum_z
-            and self.cv.gain > self.effect.minimum_gain * self._asked
+            and self.cv.z > MINIMUM_Z
+            and self.cv.gain > self.effect.minimum_gain
             and self._beats_placebo
         )
 
     @property
-    def _asked(self) -> float:
-        """Return which part of the worth is asked for."""
-        if self.effect.in_every_material:
-            return 1.0
-        return SMALL if self.cv.z > CERTAIN else asked(self.without)
-
-    @property
     def _beats_placebo(self) -> bool:
-        if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
-            return True
-        clear = paired_z(self.placebo.loss, self.cv.loss)
-        if self.cv.rms < BEYOND_PLACEBO * self.placebo.rms:
-            return clear > FAR_SURER
-        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.cv, self.placebo))
-        return own < BEYOND_PLACEBO**2 * others and clear > SURER
+        return self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:
@@ -131,12 +112,6 @@ def part_explained(gain: float, left: float, noise: float) -> float:
     return (before - left**2) / max(before - noise**2, DOUBTFUL * noise**2)
 
 
-def asked(without: View) -> float:
-    """Return which part of a worth is asked for where little is left but noise."""
-    excess = max(1.0 - (without.noise / without.rms) ** 2, 0.0)
-    return max(SMALL, sqrt(excess))
-
-
 def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -> Candidate:
     """Judge an effect beside others.
 
@@ -151,8 +126,7 @@ def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -
         cv=compared(without.null, view.null),
         placebo=seen.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        physical=one.within_limits
-        and (one.effect.response_filter is None or is_consistent(one, view)),
+        physical=one.within_limits,
         without=without,
         view=view,
     )
@@ -188,24 +162,17 @@ def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candid
     """Judge a part of the nuisance class itself, with all causes at work; None without trials.
 
     The class without it may have a Bouc-Wen state instead. Where that leaves as little, the part
-    has to speak beside the state that serves that class best; where little is at stake, in a
-    material that no class here follows, it has to be there beside it still.
+    has to speak beside the state that serves that class best.
     """
     found = score_test(effect, final)
     if found is None:
         return None
     structure = _structure_of(found, final)
-    if not (structure.is_significant and effect.minimum_beside_bouc_wen and effect.null_without):
+    if not (structure.is_significant and effect.may_be_bouc_wen and effect.null_without):
         return found, structure
     bent = with_bouc_wen_of(final, effect.null_without)
-    as_well = effect.null_without(bent).rms < AS_LITTLE * final.rms
     again = score_test(effect, bent)
-    small = (
-        structure.cv.gain < effect.minimum_beside_bouc_wen and final.rms > STRANGE * final.noise
-    )
-    if again is None or not (as_well or small):
-        return found, structure
-    if not as_well and again.physical and again.cv.z > STILL:
+    if again is None or effect.null_without(bent).rms >= AS_LITTLE * final.rms:
         return found, structure
     return again, _structure_of(again, bent)
 

@@ -10,7 +10,7 @@ from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import attributed
-from piezoid.diagnosis.candidate import CERTAIN, Candidate
+from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
@@ -40,6 +40,7 @@ from piezoid.records.rest import is_at_rest
 Progress = Callable[[str], None]
 
 MOST_PLACES = 5  # that are told of a fault
+CERTAIN = 8.0  # standard errors: so sure a cause holds no part of another
 
 
 def diagnose(
@@ -99,13 +100,8 @@ def _diagnosed(
         against = "" if model.verdict.applies else model.verdict.reason
     found = _nothing_in(view, against, executor) if against else explained(view, executor)
     progress("refitting the simulation")
-    if model is None:
-        found, numbers = _worth_most(found, simulated)
-        if numbers.final > 2.0 * UNEXPLAINED and not against:
-            against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
-            found = _nothing_in(view, against, executor)
-            numbers = simulated(found)
-    else:
+    weighed = simulated
+    if model is not None:
         weighed = partial(
             attributed,
             recordings=chosen,
@@ -114,7 +110,11 @@ def _diagnosed(
             scales=scales,
             progress=progress,
         )
-        found, numbers = _worth_most(found, weighed)
+    found, numbers = _worth_most(found, weighed)
+    if numbers.final > 2.0 * UNEXPLAINED and not against:
+        against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
+        found = _nothing_in(view, against, executor)
+        numbers = weighed(found)
     found = _without_idle_slips(found, numbers)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)

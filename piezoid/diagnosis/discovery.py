@@ -185,7 +185,14 @@ def everywhere(remainder: Remainder, seed: int = 0) -> tuple[CoordinateScore, ..
         for one in found
     ]
     found.append(_in_time(remainder, chance))
-    found += [one for one in (_line(remainder), _of_index(remainder), _of_way(remainder)) if one]
+    reading = along_reading(view).place
+    repeating = (
+        _line(remainder),
+        _of_index(remainder),
+        _of_way(remainder, "distance_travelled", travelled(view), "half strokes"),
+        _of_way(remainder, "reading", reading, "half strokes"),
+    )
+    found += [one for one in repeating if one]
     return tuple(sorted(found, key=lambda lives: -lives.gain))
 
 
@@ -252,9 +259,13 @@ def course(remainder: Remainder, lives: CoordinateScore) -> CoordinateScore:
 
 
 def _line(remainder: Remainder) -> CoordinateScore | None:
-    """Return what waves of one frequency in time make of the remainder."""
+    """Return what waves of one frequency make of the remainder, in seconds or in samples.
+
+    What repeats with the index of the sample is another frequency in a recording of another rate.
+    """
     view = remainder.view
     seconds = tuple(track.time_s for track in view.tracks)
+    samples = tuple(np.arange(len(track.drive), dtype=np.float64) for track in view.tracks)
     peaks = []
     for k, track in enumerate(view.tracks):
         step_Hz = track.rate_Hz / len(track.drive)
@@ -264,26 +275,41 @@ def _line(remainder: Remainder) -> CoordinateScore | None:
         peaks += [(x, p, j * step_Hz, k) for x, p, j in highest(spectrum)]
     best: CoordinateScore | None = None
     for _, p_value, near_Hz, k in sorted(peaks, reverse=True)[: 2 * LINES]:
-        frequency_Hz = _refined(remainder, seconds, near_Hz, 1.0 / float(seconds[k][-1]))
-        basis = waves(view, "frequency", seconds, frequency_Hz, "s")
-        found = remainder.lives(basis, min(1.0, p_value * len(view.tracks)))
+        p_value = min(1.0, p_value * len(view.tracks))
+        found = _wave(remainder, "frequency", seconds, "s", near_Hz, k, p_value)
+        near = near_Hz / view.tracks[k].rate_Hz
+        other = _wave(remainder, "sample_index", samples, "samples", near, k, p_value)
+        if other.gain > BY_HARMONICS * found.gain:
+            found = other
         if best is None or found.gain > best.gain:
             best = found
-    return None if best is None else _with_harmonics(remainder, best, seconds)
+    return None if best is None else _with_harmonics(remainder, best)
 
 
-def _with_harmonics(
-    remainder: Remainder, line: CoordinateScore, seconds: Signals
+def _wave(
+    remainder: Remainder,
+    name: str,
+    along: Signals,
+    unit: str,
+    near: float,
+    k: int,
+    p_value: float,
 ) -> CoordinateScore:
+    """Return what a wave near a frequency that was seen in track k makes of all tracks."""
+    per_unit = _refined(remainder, along, near, 1.0 / float(along[k][-1]))
+    return remainder.lives(waves(remainder.view, name, along, per_unit, unit), p_value)
+
+
+def _with_harmonics(remainder: Remainder, line: CoordinateScore) -> CoordinateScore:
     """Return the line, or what repeats with its frequency, or with the grid's, and is no sine."""
-    best, own_Hz = line, line.basis.per_unit
-    tried = [("frequency", own_Hz, HARMONICS)]
-    grid_Hz = of_grid(own_Hz)
+    best, basis = line, line.basis
+    tried = [(basis.coordinate, basis.per_unit, HARMONICS)]
+    grid_Hz = of_grid(basis.per_unit) if basis.coordinate == "frequency" else 0.0
     if grid_Hz:
         tried.append(("line_phase", grid_Hz, LINE_HARMONICS))
-    for name, base_Hz, count in tried:
-        basis = waves(remainder.view, name, seconds, base_Hz, "s", count)
-        found = remainder.lives(basis, line.p_value)
+    for name, per_unit, count in tried:
+        more = waves(remainder.view, name, basis.place, per_unit, basis.unit, count)
+        found = remainder.lives(more, line.p_value)
         if found.gain > BY_HARMONICS * best.gain:
             best = found
     return best
@@ -379,23 +405,26 @@ def _of_index(remainder: Remainder) -> CoordinateScore | None:
     return remainder.lives(every(view, best), p_value)
 
 
-def _of_way(remainder: Remainder) -> CoordinateScore | None:
-    """Return what waves of one period of the way travelled make of the remainder."""
-    view, way = remainder.view, travelled(remainder.view)
-    longest = max(float(one[-1]) for one in way)
+def _of_way(
+    remainder: Remainder, coordinate: str, along: Signals, unit: str
+) -> CoordinateScore | None:
+    """Return what waves of one period along a signal make of the remainder."""
+    view = remainder.view
+    begins = [float(one.min()) for one in along]
+    ways = [one - low for one, low in zip(along, begins, strict=True)]
+    longest = max(float(one.max()) for one in ways)
     cells = 1 << 14
     tried = np.arange(4, cells // 8) / (2.0 * longest)
     power = np.zeros(len(tried))
-    for k, track in enumerate(view.tracks):
-        own, place = remainder.left[remainder.rows(k)], way[k][track.place]
+    for k, way in enumerate(ways):
+        own, place = remainder.left[remainder.rows(k)], way[view.tracks[k].place]
         cell = np.minimum((place / longest * cells).astype(int), cells - 1)
         wave = np.fft.rfft(np.bincount(cell, own - own.mean(), cells), 2 * cells)
-        shown = float(way[k][-1]) * tried > PERIODS
+        shown = float(way.max()) * tried > PERIODS
         power += np.where(shown, np.abs(wave[4 : 4 + len(tried)]) ** 2 / len(own), 0.0)
     peaks = highest(power)
     if not peaks:
         return None
     _, p_value, j = peaks[0]
-    per_stroke = float(tried[int(j)])
-    basis = waves(view, "distance_travelled", way, per_stroke, "half strokes")
-    return remainder.lives(basis, p_value)
+    basis = waves(view, coordinate, along, float(tried[int(j)]), unit)
+    return _with_harmonics(remainder, remainder.lives(basis, p_value))

@@ -121,19 +121,14 @@ class Effect:
                               that is not even, a hold between samples), which blocks of rows
                               cannot show. Two to three times the worst of thirteen laws
                               (``python -m benchmarks.zoo.sizes``)
-    minimum_beside_bouc_wen   part of the error that it must take off a material that no class
-                              follows, or else it must hold beside a Bouc-Wen state; 0: not asked
+    may_be_bouc_wen           whether a Bouc-Wen state may do what it seems to do
     may_be_absorbed           whether the nuisance class may have been fitted to it, so that its
                               columns are made from a response without it
     inject                    (recording, share) -> the recording with it, share of the stroke
     extend                    (found, setting) -> the model's extension to refit from there
-    minimum_z                 standard errors required
     largest_noise_ratio       residual over noise above which its null counts as misspecified
     minimum_gain              part of the held-out error that it must take off
-    in_every_material         whether every material has a little of it: the whole minimum gain is
-                              then required, however small the residual
     detectable_share          share of the stroke from which it is found at 0.05 % of noise
-    minimum_share             share of the stroke below which it is not looked for
     bound                     (view) -> share of the stroke that could be missed, for faults
     """
 
@@ -158,11 +153,8 @@ class Effect:
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
     model_error: float = 0.02
     largest_noise_ratio: float = float("inf")
-    minimum_z: float = 3.3  # 0.0005 on one side: a wrong cause is worse than one not named
-    minimum_share: float = 1.2e-4
-    minimum_gain: float = 0.03
-    in_every_material: bool = False
-    minimum_beside_bouc_wen: float = 0.0
+    minimum_gain: float = 0.05
+    may_be_bouc_wen: bool = False
     may_be_absorbed: bool = False
     detectable_share: float = 2e-3
 

@@ -1,8 +1,8 @@
 """Forward selection: one effect after another is added to those selected before.
 
 Every step all effects get a score test; the shortlist is refitted with the whole model, and the
-effect that leaves the smallest error is selected, unless slips of a clock, other initial states or
-a Bouc-Wen state leave less. Where no effect is evidence alone, confounded pairs are tried.
+effect that leaves the smallest error is selected, unless other initial states or a Bouc-Wen state
+leave less.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,34 +11,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
-from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
-    shared_does_as_well,
     with_own_initial_states,
     with_shared_initial_state,
 )
-from piezoid.diagnosis.joint_candidates import pair_in_place, pair_of
 from piezoid.diagnosis.jumps import modes_behind_jumps
 from piezoid.diagnosis.other_side import moved_to_other_side
 from piezoid.diagnosis.refinement import refined
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.shortlist import SelectionContext, best_candidate, refit_shortlist
-from piezoid.diagnosis.slip_alternative import (
-    SlipAlternative,
-    fault_beside_cause,
-    slips_fit_better,
-    slips_in_place,
-)
+from piezoid.diagnosis.slip_alternative import slips_in_place
 from piezoid.diagnosis.view import (
     View,
     with_bouc_wen,
     with_free_memory,
     with_reversals,
-    with_shared_reversals,
 )
 from piezoid.numerics.executor import Executor
 
@@ -84,93 +75,49 @@ def select_forward(clean: View, faults: Mapping[str, Fault], executor: Executor)
 def _next_state(state: SelectionState, view: View, executor: Executor) -> SelectionState | None:
     """Return the state after the step that leaves the smallest error; None where none helps.
 
-    A step takes in slips, a Bouc-Wen state, other initial states or an effect.
+    A step takes in a Bouc-Wen state, other initial states or an effect.
 
     view  with everything selected, on which the score tests were made
     """
     beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
     tried = refit_shortlist(state.screened.values(), beside, executor)
-    best = best_candidate(tried, beside)
+    best = best_candidate(tried)
     least = best.view.rms if best else np.inf
     moved = moved_to_other_side(beside, best)
     if moved is not None:
         return replace(state, selected=moved)
     shared = with_shared_initial_state(view, executor)
-    own, (bent, slips) = executor.both(
-        lambda: with_own_initial_states(view, shared), lambda: _bent_and_slipped(state, view, best)
+    own, bent = executor.both(
+        lambda: with_own_initial_states(view, shared),
+        lambda: with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view,
     )
-    if slips is not None and slips[1] < min(own.rms, bent.rms):
-        return slips[0]
     if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
         return replace(state, clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
     # an effect that is evidence but too small to name speaks against other initial states
     least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
-    if shared.rms < min(OTHER_INITIAL_STATES * view.rms, least) and shared_does_as_well(
-        shared, own, view
-    ):
-        return replace(state, clean=with_shared_reversals(state.clean, shared.nuisance.reversals))
     if own.rms < min(OTHER_INITIAL_STATES * view.rms, least):
         return replace(
             state, clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals))
         )
     if best is None:
-        return _with_slips_in_place(state, view) or _with_pair(state, beside, tried, executor)
+        return _with_slips_in_place(state, view)
     return replace(state, selected=_settled(state.clean, [*state.selected, best.selected]))
-
-
-def _bent_and_slipped(
-    state: SelectionState, view: View, best: Candidate | None
-) -> tuple[View, tuple[SelectionState, float] | None]:
-    """Return the view with one more state of hysteresis, and what slips come to."""
-    bent = with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
-    return bent, _with_slips(state, view, best)
-
-
-def _with_pair(
-    state: SelectionState, beside: SelectionContext, tried: Sequence[Candidate], executor: Executor
-) -> SelectionState | None:
-    """Take in two effects at once that one of them, or both, stood for alone."""
-    executor.report("looking for two that are taken for one")
-    pair = pair_of(tried, beside, executor)
-    selected = (*beside.selected, *pair) if pair else pair_in_place(beside, executor)
-    return replace(state, selected=selected) if selected else None
-
-
-def _with_slips(
-    state: SelectionState, view: View, best: Candidate | None
-) -> tuple[SelectionState, float] | None:
-    """Take in slips where they stand better than a filter, or than nothing; and the error left."""
-    if view.rms < NOISY * view.noise or (best and best.effect.response_filter is None):
-        return None
-    slips = slips_in_place(state.clean, state.selected, view)
-    cause = best.view if best else None
-    if slips is None or not slips_fit_better(slips, view, cause, state.faults.get(SLIP)):
-        return None
-    fault = fault_beside_cause(slips, best.effect.name, best.view) if best else slips.fault
-    return _slipped(state, slips, fault, state.selected), slips.view.rms
 
 
 def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | None:
     """Take in slips that stand better than a filter selected before, in its place."""
+    known = state.faults.get(SLIP)
+    if known is None:
+        return None
     for one in state.selected:
         if one.effect.response_filter is None:
             continue
         rest = tuple(other for other in state.selected if other is not one)
-        without = extended(state.clean, rest)
-        slips = slips_in_place(state.clean, rest, without)
-        if slips and slips_fit_better(slips, without, view, state.faults.get(SLIP)):
-            return _slipped(state, slips, fault_beside_cause(slips, one.effect.name, view), rest)
+        slips = slips_in_place(state.clean, rest, view, known)
+        if slips is not None:
+            faults = {**state.faults, SLIP: slips[1].after(known)}
+            return replace(state, clean=slips[0], selected=rest, faults=faults)
     return None
-
-
-def _slipped(
-    state: SelectionState,
-    slips: SlipAlternative,
-    fault: Fault,
-    selected: tuple[SelectedEffect, ...],
-) -> SelectionState:
-    faults = {**state.faults, SLIP: fault.after(state.faults.get(SLIP))}
-    return replace(state, clean=slips.clean, selected=selected, faults=faults)
 
 
 def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:

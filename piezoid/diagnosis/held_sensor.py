@@ -17,9 +17,9 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.blocks import gain_z
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import classes_of
 from piezoid.numerics.arrays import Array

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.friction import rubbed, rubbing
 from piezoid.diagnosis.initial_states import Reversals, memory_after
-from piezoid.diagnosis.shape import SHARED, THRESHOLD, shape
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once

@@ -14,11 +14,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import BoucWenLaw, states_under
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.friction import REACH, rubbed, rubbing
 from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
-from piezoid.diagnosis.shape import SHARED, THRESHOLD, bouc_wen_columns, shape
+from piezoid.diagnosis.shape import (
+    REACH,
+    SHARED,
+    THRESHOLD,
+    BoucWenLaw,
+    bouc_wen_columns,
+    rubbed,
+    rubbing,
+    shape,
+    states_under,
+)
 from piezoid.diagnosis.view import (
     View,
     cycled,

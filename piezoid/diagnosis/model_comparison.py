@@ -1,20 +1,20 @@
 """Model comparison: which confounded effect could stand in the place of a selected one.
 
 Each is refitted in its place with everything else at work. Where blocks do not lose significantly
-less with the selected effect (Vuong), the two are not separable on these recordings; where they
-lose significantly less with the other, that replaces it. Blocks may be sure of no more than a
-drive that turned between two samples, so a small part of what a cause explains separates nothing.
+less with the selected effect (Vuong), the two are not separable on these recordings. Blocks may
+be sure of no more than a drive that turned between two samples, so a small part of what a cause
+explains separates nothing.
 
 Source: Vuong, Econometrica 57 (1989).
 """
 
 from collections.abc import Sequence
 
-from piezoid.diagnosis.blocks import paired_z
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
+from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
@@ -24,8 +24,6 @@ from piezoid.numerics.executor import SERIAL, Executor
 NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
 ALIKE = 0.02  # of what a cause explains, and of what it leaves: so close is no difference
-BETTER = 3.0  # standard errors from which a confounded effect takes the place,
-LIKELIER = 1.0  # and one that can do no more than what stands there
 
 Confounded = dict[str, tuple[str, ...]]
 
@@ -33,7 +31,7 @@ Confounded = dict[str, tuple[str, ...]]
 def compare_models(
     clean: View, selected: Sequence[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded, list[Candidate]]:
-    """Judge every selected effect or what replaces it, and name the effects that do as well.
+    """Judge every selected effect, and name the effects that do as well.
 
     What has no name beside all others goes, the least of it first; it is returned last.
     """
@@ -52,19 +50,13 @@ def compare_models(
 def _compare_each(
     clean: View, selected: list[SelectedEffect], executor: Executor
 ) -> tuple[list[Candidate], Confounded]:
-    selected, causes, near = list(selected), [], {}
+    causes, near = [], {}
     for k, one in enumerate(selected):
         executor.report(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
         cause = _cause(there, beside, one)
         confounded = confounded_with(cause, there, beside, executor)
-        if confounded and replaces_it(confounded[0], cause):
-            selected[k] = confounded[0].selected
-            cause, confounded = (
-                confounded[0],
-                confounded_with(confounded[0], there, beside, executor),
-            )
         causes.append(cause)
         near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
     return causes, near
@@ -102,20 +94,6 @@ def confounded_with(
         if alternative is not None and is_confounded(alternative, cause)
     ]
     return tuple(sorted(near, key=lambda alternative: alternative.cv.rms))
-
-
-def replaces_it(alternative: Candidate, cause: Candidate) -> bool:
-    """Tell whether a confounded effect is significantly better than the selected one.
-
-    Of two filters with as many parameters, neither of which surely is, the likelier one stands:
-    the other came first because of what was found only after it.
-    """
-    filters = (
-        alternative.effect.response_filter is not None and cause.effect.response_filter is not None
-    )
-    as_free = filters and len(alternative.selected.free) == len(cause.selected.free)
-    least = LIKELIER if as_free else BETTER
-    return alternative.is_significant and paired_z(cause.cv.loss, alternative.cv.loss) > least
 
 
 def is_confounded(alternative: Candidate, cause: Candidate) -> bool:

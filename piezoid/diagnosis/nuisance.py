@@ -22,15 +22,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import BoucWenLaw, states_under
 from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of, way_to
 from piezoid.diagnosis.initial_states import Reversals
 from piezoid.diagnosis.shape import (
     BOUC_WEN_COLUMNS,
     SHARED,
+    BoucWenLaw,
     bias_places,
     bouc_wen_columns,
     shape,
+    states_under,
     write_shape,
 )
 from piezoid.diagnosis.tracks import Places, Track

@@ -10,7 +10,6 @@ effect that does better replaces it.
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
-from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import (
     Candidate,
     part_explained,
@@ -19,18 +18,22 @@ from piezoid.diagnosis.candidate import (
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import extended
-from piezoid.diagnosis.forward_selection import SLIP, SelectionState, select_forward
+from piezoid.diagnosis.forward_selection import SLIP, select_forward
+from piezoid.diagnosis.initial_state_search import (
+    OTHER_INITIAL_STATES,
+    shared_does_as_well,
+    with_own_initial_states,
+    with_shared_initial_state,
+)
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
-from piezoid.diagnosis.repair import repaired
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.numerics.executor import SERIAL, Executor
 
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
 MOST = 0.65  # and of what is no noise, in power
-UNEXPLAINED = 1.3  # times the sensor's noise: what no search should leave
-FAR_LESS = 0.85  # of the error: what another beginning must leave to be believed
-QUIET = 1.5  # times the sensor's noise: so little they may leave
+MOST_REPAIRS = 3
+EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +67,7 @@ class Outcome:
 def search(view: View, executor: Executor = SERIAL) -> Outcome:
     """Find the causes of what the nuisance class cannot follow."""
     clean, faults = repaired(view, executor)
-    state = _best_selection(clean, faults, executor)
+    state = select_forward(clean, faults, executor)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = extended(state.clean, [cause.selected for cause in causes])
     named = {cause.effect.name for cause in causes}
@@ -102,23 +105,6 @@ def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Out
     )
 
 
-def _best_selection(
-    clean: View, faults: Mapping[str, Fault], executor: Executor
-) -> SelectionState:
-    """Grow from a sum of plays, and where much is left over again from a Bouc-Wen state.
-
-    One effect after another, the least that is left first, may end where no way leads on: what the
-    class itself cannot follow is taken for initial states, and these hide the cause.
-    """
-    state = select_forward(clean, faults, executor)
-    left = extended(state.clean, state.selected)
-    if left.rms < UNEXPLAINED * left.noise:
-        return state
-    executor.report("beginning again with one more state of hysteresis")
-    other = select_forward(with_best_bouc_wen(clean, executor), faults, executor)
-    return other if extended(other.clean, other.selected).rms < FAR_LESS * left.rms else state
-
-
 def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
     """Return the last word on effects that were selected once and are not any more."""
     screenings = [
@@ -137,13 +123,12 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     for effect in EFFECTS:
         if effect.null_without is None or effect.untestable(final):
             continue
-        beside = any(cause.effect.resembles(effect) for cause in outcome.causes)
         executor.report(f"testing {effect.name.replace('_', ' ')}")
         judgement = structural_candidate(effect, final)
         if judgement is None:
             continue
         found, structure = judgement
-        if structure.has_a_name and _stands(structure, final, beside=beside):
+        if structure.has_a_name and _stands(structure, final):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
         outcome = replace(outcome, screened={**outcome.screened, effect.name: found})
@@ -157,18 +142,11 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     return outcome
 
 
-def _stands(structure: Candidate, final: View, *, beside: bool) -> bool:
-    """Tell whether structure may be named: what causes leave over looks like it as well.
-
-    beside  whether one of the causes looks alike
-    """
-    if not beside:
-        gain = structure.cv.gain
-        clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
-        return clear or final.rms < structure.effect.largest_noise_ratio * final.noise
-    # and no half of it
-    worth = structure.cv.gain > structure.effect.minimum_gain
-    return worth and final.rms < min(structure.effect.largest_noise_ratio, QUIET) * final.noise
+def _stands(structure: Candidate, final: View) -> bool:
+    """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
+    gain = structure.cv.gain
+    clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
+    return clear or final.rms < structure.effect.largest_noise_ratio * final.noise
 
 
 def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
@@ -177,3 +155,32 @@ def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
         name: (*near, effect.name) if name in effect.confounded else near
         for name, near in confounded.items()
     }
+
+
+def repaired(view: View, executor: Executor, *, but: str = "") -> tuple[View, dict[str, Fault]]:
+    """Return the view without the faults that can be undone, and all of them by effect.
+
+    The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
+
+    but  name of a fault that is not looked for
+    """
+    faults: dict[str, Fault] = {}
+    shared = with_shared_initial_state(view, executor)
+    own = with_own_initial_states(view, shared)
+    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
+    believed = shared if evident else view
+    # a wrong initial state looks like readings that are lost
+    view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
+    for effect in EFFECTS:
+        if effect.fault is None or effect.name == but:
+            continue
+        for _ in range(MOST_REPAIRS):
+            executor.report(f"looking for {effect.name.replace('_', ' ')}")
+            fault = effect.fault(view)
+            if fault is None:
+                break
+            faults[effect.name] = fault.after(faults.get(effect.name))
+            if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
+                break
+            view = with_tracks(view, fault.tracks)
+    return with_shared_reversals(view, believed.nuisance.reversals), faults

@@ -3,13 +3,19 @@
     sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
 
 z_0 the drive itself, z_i plays, n = 1 .. 4, x_jn friction states of the n-th power of the drive,
-f_j powers of x_j1 up to the third and its products with the drive and its square.
+f_j powers of x_j1 up to the third and its products with the drive and its square. A Bouc-Wen state
+may stand beside them: its minor loops do not close and may vary with bias.
+
+Source: Bouc (1967); Wen, J. Eng. Mech. Div. 102 (1976); Al Janaideh, Rakheja & Su (2009).
 """
+
+from collections.abc import Sequence
 
 import numpy as np
 
-from piezoid.diagnosis.friction import FRICTION, REACH
 from piezoid.numerics.arrays import Array
+from piezoid.operators.friction import friction_states
+from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.operators.polynomials import sum_of_polynomials
 
 PLAYS = 18
@@ -19,6 +25,11 @@ TURN_AT = 0.15
 THRESHOLD = np.concatenate(
     [np.geomspace(0.01, TURN_AT, FINE + 1)[:-1], np.linspace(TURN_AT, 0.97, PLAYS - FINE)]
 )
+FRICTION = np.geomspace(0.05, 3.0, 8)  # how far the drive goes until a friction state forgot
+PINNING = FRICTION[2:6]  # likewise of walls that are drawn to a curved anhysteretic,
+RESTS = (2.0, 3.0)  # of which these are the powers of the drive beside the first
+REACH = np.concatenate([FRICTION, *[PINNING for _ in RESTS]])
+POWER = np.concatenate([np.ones(len(FRICTION)), np.repeat(RESTS, len(PINNING))])
 RUBS = len(FRICTION)
 CURVED = len(REACH) - RUBS
 SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * RUBS + CURVED
@@ -91,3 +102,36 @@ def bouc_wen_columns(state: Array, drive: Array) -> Array:
     square, biased = state * state, drive * state
     columns = (state, square, square * state, biased, drive * biased)
     return np.array(columns).T
+
+
+def rubbing(drive: Array, first: Array) -> Array:
+    """Return all friction states along a drive, (samples, states)."""
+    return friction_states(drive, REACH, first, power=POWER)
+
+
+def rubbed(drive: Array, reversals: Sequence[float]) -> Array:
+    """Return the friction states after a drive turned at these values before the first sample."""
+    way = np.array([*reversals, float(drive[0])])
+    return np.asarray(rubbing(way, np.zeros(len(REACH)))[-1])
+
+
+BoucWenLaw = tuple[float, float, float, float]
+"""beta, gamma, n, b"""
+
+
+def states_under(bouc_wen: BoucWenLaw, reversals: Sequence[float], drive: Array) -> Array:
+    """Return the Bouc-Wen state along a drive that turned at these values before, (samples,).
+
+        dz/dt = dp/dt - (beta |dp/dt| |z|^(n-1) z + gamma dp/dt |z|^n),    p = u + b u^2 / 2
+
+    The scale p bends the drive in front of the hysteresis, as in the generalised
+    Prandtl-Ishlinskii model; it rises for |b u| < 1.
+    """
+    beta, gamma, exponent, bend = bouc_wen
+    way = np.array([*reversals, float(drive[0])])
+    start = float(bouc_wen_states(_scaled(way, bend), beta, gamma, exponent)[-1])
+    return bouc_wen_states(_scaled(drive, bend), beta, gamma, exponent, start)
+
+
+def _scaled(drive: Array, bend: float) -> Array:
+    return np.asarray(drive * (1.0 + 0.5 * bend * drive))

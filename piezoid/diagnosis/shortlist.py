@@ -6,7 +6,6 @@ evidence all others that bring anything.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import sqrt
 
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.extended import SelectedEffect, extended
@@ -16,17 +15,9 @@ from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import Executor
 
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
-LEAST_GAIN = 0.012
+LEAST_GAIN = 0.012  # of the error: tangents err by factors
 NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
-LEFT_OVER = 0.3  # of a confounded effect's share
-CLEAR = 1.25  # times the noise: an error that is there
-REST = 0.2  # of what is above the noise, in power: so little left is nobody else's
-MOST = 0.4  # of the error, so much taken off, and
-OVER_PLACEBO = (
-    3.0  # times what its placebo takes: a wrong shape for somebody's rest does no such thing
-)
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
-FOREMOST = 0.8  # of the best tangent's gain, from which it may: one of a limit errs by factors
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,14 +42,14 @@ def refit_shortlist(
     telling = TELLING * max((f.total_gain for f in hopeful), default=0.0)
     hopeful = [f for f in hopeful if _above_placebo(f)]
     tried = _refined([f for f in hopeful if f.total_gain > telling], beside, executor)
-    if best_candidate(tried, beside) is None:
+    if best_candidate(tried) is None:
         tried += _refined([f for f in hopeful if f.total_gain <= telling], beside, executor)
     return tried
 
 
-def best_candidate(tried: Sequence[Candidate], beside: SelectionContext) -> Candidate | None:
+def best_candidate(tried: Sequence[Candidate]) -> Candidate | None:
     """Return the effect that leaves least among those that are evidence."""
-    own = [j for j in tried if j.is_significant and not _left_over(j, beside)]
+    own = [j for j in tried if j.is_significant]
     return min(own, key=lambda j: j.cv.rms, default=None)
 
 
@@ -66,7 +57,6 @@ def _refined(
     telling: Sequence[ScoreTest], beside: SelectionContext, executor: Executor
 ) -> list[Candidate]:
     """Return effects with everything refitted, but those that begin far behind the best."""
-    best = max((found.total_gain for found in telling), default=0.0)
     first = [initial_guess(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
     left = executor.map(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
     least = min(left, default=0.0)
@@ -80,7 +70,7 @@ def _refined(
     near = [
         (one, found)
         for one, found, rms in zip(first, telling, left, strict=True)
-        if rms <= NEAR * least or found.total_gain >= FOREMOST * best
+        if rms <= NEAR * least
     ]
     return executor.map(refit, near)
 
@@ -106,28 +96,3 @@ def _above_placebo(found: ScoreTest) -> bool:
     if found.placebo is None or found.trial.free:
         return True
     return found.cv.gain > NEAR_PLACEBO * found.placebo.gain
-
-
-def _left_over(found: Candidate, beside: SelectionContext) -> bool:
-    """Tell whether this may be what a selected, imperfectly modelled effect leaves over.
-
-    What takes a clear error down to the noise is no wrong shape for somebody's rest, nor is what
-    takes most of it and far more than its placebo.
-    """
-    noise, before = found.view.noise, found.without.rms
-    if (
-        found.cv.gain > MOST
-        and found.placebo
-        and found.cv.gain > OVER_PLACEBO * found.placebo.gain
-    ):
-        return False
-    if before > CLEAR * noise and found.view.rms**2 - noise**2 < REST * (before**2 - noise**2):
-        return False
-    for one in beside.selected:
-        if found.effect.name not in one.effect.confounded:
-            continue
-        rest = extended(beside.clean, [other for other in beside.selected if other is not one])
-        taken = sqrt(max(rest.rms**2 - found.without.rms**2, 0.0)) / 2.0
-        if found.share < LEFT_OVER * taken:
-            return True
-    return False

@@ -15,8 +15,8 @@ once. A slip that is one has beta near one.
 Source: Rao (1948) for the score; Page, Biometrika 41 (1954) for the running sums.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.other_axes import answers_of_others
 from piezoid.diagnosis.signals import relaxed
 from piezoid.diagnosis.tracks import Places, Track
-from piezoid.diagnosis.view import View
+from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
 
 FARTHEST = 0.1  # of a track: the longest slip
@@ -36,6 +36,7 @@ FEWEST = 100  # rows of a track
 OWN = 3e-3  # of a column's square that must be left beside all others
 RELAXATIONS_s = (3e-4, 3e-3, 3e-2, 0.3, 3.0)
 SMOOTH = 8000  # samples of a track for one of the reach of a slope
+ROUNDS = 4  # of placing one and fitting the static response again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,3 +219,82 @@ def _behind(values: Array, first: Places) -> Array:
     """Return the sums from each of some rows to the end."""
     parts = np.add.reduceat(values, first, axis=0)
     return np.asarray(np.cumsum(parts[::-1], axis=0)[::-1])
+
+
+def width_of(samples: int) -> int:
+    """Return how far from where it was found the instant of a slip may be."""
+    return int(2.5 * samples / INSTANTS) + 2
+
+
+def placed(
+    view: View,
+    slip: Slip,
+    *,
+    again: Callable[[Sequence[Track]], View] | None = None,
+    fixed: bool = False,
+) -> Slip:
+    """Return the slip at the sample and of the whole length that fit best, all samples compared.
+
+    again  fits tracks put right as the view was fitted, where effects are at work in it
+    fixed  the length is known, the instant is not
+
+    The static response is fitted again with the slip undone; what tracks have of their own (zero,
+    memory) is carried from rows to all samples.
+    """
+    k, samples = slip.track, round(slip.samples) or int(np.sign(slip.samples))
+    slip = replace(slip, samples=samples)
+    width = width_of(len(view.tracks[k].drive))
+    for _ in range(ROUNDS):
+        there = again(undone(view, slip).tracks) if again else undone(view, slip)
+        track, static = there.tracks[k], there.static[k]
+        here = there.null.residual[slice(*there.nuisance.edges[k : k + 2])]
+        own = track.response[track.place] - here - static[track.place]
+        place = np.arange(len(static))
+        measured = view.tracks[k].response - np.interp(place, track.place, own)
+        better = _best(measured, static, slip, width, 0 if fixed else max(2, abs(samples) // 6))
+        if better == slip:
+            break
+        slip = better
+    return slip
+
+
+def _best(measured: Array, static: Array, slip: Slip, width: int, reach: int) -> Slip:
+    """Return the neighbour in place, and in length up to a reach, that leaves least squares."""
+    n, samples = len(static), int(slip.samples)
+    shortest, farthest = max(samples - reach, -longest(n)), min(samples + reach, longest(n))
+    place = np.arange(n)
+    first, last = max(slip.instant - width, 2), min(slip.instant + width, n - 2)
+    before = np.concatenate([[0.0], np.cumsum((measured - static) ** 2)])
+    best = (np.inf, slip)
+    for length in range(shortest, farthest + 1):
+        if length == 0:
+            continue
+        missed = measured - static - late(static, place, length)
+        total = before[first:last] + np.cumsum((missed**2)[::-1])[::-1][first:last]
+        j = int(np.argmin(total))
+        if total[j] < best[0]:
+            best = (float(total[j]), replace(slip, instant=first + j, samples=length))
+    return best[1]
+
+
+def undone(view: View, slip: Slip) -> View:
+    """Return the view of tracks in which a slip is put back in step."""
+    tracks = list(view.tracks)
+    tracks[slip.track] = in_step(tracks[slip.track], slip)
+    return with_tracks(view, tracks)
+
+
+def in_step(track: Track, slip: Slip) -> Track:
+    """Put the readings behind an instant back in step; rows that have no reading are left out."""
+    samples, count = int(slip.samples), len(track.response)
+    place = np.arange(count)
+    source = np.where(place >= slip.instant, np.clip(place + samples, 0, count - 1), place)
+    reach = 2 + max(-samples, 0)
+    lost = (track.place > slip.instant - 3) & (track.place < slip.instant + reach)
+    kept = ~lost & (track.place + max(samples, 0) < count)
+    return replace(
+        track,
+        response=track.response[source],
+        place=track.place[kept],
+        block=track.block[kept],
+    )

@@ -37,12 +37,6 @@ NAME = "something_else"
 MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
 OF_LINES = ("frequency", "line_phase")
 ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
-# Measured on 9 healthy stages, 17 of one catalogue effect, and 10 of strangers' laws that leave
-# 1.1 to 46 times the noise: at most 0.08 along anything but time, 0.11 in time (a slip of the
-# clock); on 22 of 24 stages with something in no catalogue 0.18 to 0.99, in time 0.26 and more.
-LEAST = 0.12  # of the remainder's power
-IN_TIME = 0.2  # of it along time, which follows whatever is slow
-SHARE = 0.25  # of its power above the noise: the rest lives elsewhere
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
 UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
@@ -50,8 +44,6 @@ BETTER = 0.97  # of the error: what the second search must leave
 NO_WORSE = 1.03  # of it: what a search may leave that mends less
 LEFT_OVER = 0.3  # of what the curve takes: what a shape not quite its own leaves to other names,
 IN_TIME_OVER = 1.0  # and a course in time, of which hysteresis has taken a part
-LEAST_P = 1e-12  # smaller is not known of any noise
-FAMILIES = 4  # of curves with a p-value of their own: signals, lines, cells, way
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -104,17 +96,6 @@ class Discovered:
         return (
             self.end is None and self.lives.basis.per_unit == 0.0 and self.chance <= least_chance()
         )
-
-    @property
-    def p_value(self) -> float:
-        """Return the probability that a healthy stage leaves as much, or of such a line in noise.
-
-        What repeats is held against the spectrum around it, times the families of coordinates
-        [Bonferroni]; everything else has its rank among healthy stages.
-        """
-        if self.lives.basis.per_unit > 0.0:
-            return min(1.0, FAMILIES * max(self.lives.p_value, LEAST_P))
-        return self.chance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -278,29 +259,19 @@ def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
 def _named(
     remainder: Remainder, lives: Sequence[CoordinateScore], outcome: Outcome
 ) -> Discovered | None:
-    """Return the coordinate that surely explains a good part of what is left, if one does."""
+    """Return the coordinate that surely explains more than healthy stages leave, if one does."""
     hum = MAINS in {cause.effect.name for cause in outcome.causes}
     for one in lives:
-        if not _is_sure(one):
-            continue
         if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
             continue  # a phase that wanders, or harmonics that die out, faster than allowed for
-        if one.basis.per_unit == 0.0 and _chance(remainder, one) > UNUSUAL:
-            continue  # laws that the class does not follow leave as much
-        share = _share(remainder, one.gain)
-        if share > SHARE:
-            return _discovered(remainder, one, share)
+        if one.p_value <= SURE and _chance(remainder, one) <= UNUSUAL:
+            return _discovered(remainder, one)
     return None
 
 
 def _chance(remainder: Remainder, lives: CoordinateScore) -> float:
     """Return the probability that a healthy stage leaves as much in one coordinate."""
     return chance_of(score_of(lives.gain, remainder.null.rms, remainder.view.noise))
-
-
-def _is_sure(lives: CoordinateScore) -> bool:
-    least = IN_TIME if lives.coordinate == "time" else LEAST
-    return lives.gain >= least and lives.p_value <= SURE
 
 
 def _share(remainder: Remainder, gain: float) -> float:
@@ -315,7 +286,7 @@ def _above(power: float, noise: float, gain: float) -> float:
     return max(power - min(noise, (1.0 - gain) * power), 0.0)
 
 
-def _discovered(remainder: Remainder, lives: CoordinateScore, share: float) -> Discovered:
+def _discovered(remainder: Remainder, lives: CoordinateScore) -> Discovered:
     """Return the curve once more, with what tangents would have taken of it."""
     whole = Remainder.of(remainder.view, ())
     if lives.coordinate == "time":
@@ -325,7 +296,7 @@ def _discovered(remainder: Remainder, lives: CoordinateScore, share: float) -> D
     return Discovered(
         lives=again,
         curve=tuple(again.basis.made(k, again.coefficient) for k in range(len(again.basis.place))),
-        share=share,
+        share=_share(remainder, lives.gain),
         left=whole.left,
         view=whole.view,
         chance=_chance(remainder, lives),
@@ -356,7 +327,8 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
         followed=curve,
     )
     share = _share(Remainder(view=view, null=replace(view.null, response=left)), lives.gain)
-    if lives.gain < LEAST or share < SHARE or lives.p_value > SURE:
+    chance = chance_of(score_of(lives.gain, float(np.sqrt(np.mean(left**2))), view.noise))
+    if lives.p_value > SURE or chance > UNUSUAL:
         return None
     return Discovered(
         lives=replace(lives, basis=replace(lives.basis, coordinate="reading")),
@@ -364,7 +336,7 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
         share=share,
         left=left,
         view=view,
-        chance=chance_of(score_of(lives.gain, float(np.sqrt(np.mean(left**2))), view.noise)),
+        chance=chance,
         end=found,
     )
 
@@ -398,7 +370,7 @@ def _instead(outcome: Outcome) -> Discovered | None:
 def rest_of(outcome: Outcome, lives: Sequence[CoordinateScore]) -> Rest:
     """Return how much is left, how often healthy stages leave as much, and where it lives."""
     final = outcome.final
-    known = max((one.gain for one in lives if _is_sure(one)), default=0.0)
+    known = max((one.gain for one in lives if one.p_value <= SURE), default=0.0)
     above = _above(final.rms**2, final.noise**2, min(known, 1.0))
     return Rest(
         rms=sqrt(above),

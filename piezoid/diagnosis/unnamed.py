@@ -72,7 +72,7 @@ def of_discovered(
         held_out_gain=float(np.clip(gain, 0.0, 1.0)),
         held_out_rms_before_m=before.rms_m,
         held_out_rms_after_m=after.rms_m,
-        p_value=found.p_value,
+        p_value=found.chance,
         rms_percent=50.0 * value_m / stroke_m,
         size=Size(value=1e9 * value_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m)),
         not_separable_from=(),
@@ -90,7 +90,7 @@ def _parameters(found: Discovered) -> dict[str, float]:
     per_unit = found.lives.basis.per_unit
     if not per_unit:
         return {}
-    if found.lives.coordinate == "distance_travelled":
+    if found.lives.coordinate in ("distance_travelled", "reading"):
         return {"period_m": found.view.stroke_m / per_unit}
     if found.lives.coordinate == "sample_index":
         return {"period_samples": 1.0 / per_unit}
@@ -152,7 +152,7 @@ def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
     place = np.concatenate([_place(found, k) for k in shown])
     left = np.concatenate([found.left[_rows(found, k)] for k in shown])
     followed = np.concatenate([lives.followed[_rows(found, k)] for k in shown])
-    if lives.coordinate in ("displacement", "reading"):
+    if lives.coordinate in ("displacement", "reading") and not lives.basis.per_unit:
         place = place * np.sign(scale_m) + middle_m
     classes = classes_of(place, np.sign(scale_m) * left, np.sign(scale_m) * followed)
     low, median, high, fitted = (view.stroke_m * one for one in classes[1:])

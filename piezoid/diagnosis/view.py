@@ -10,11 +10,11 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.bouc_wen import BoucWenLaw
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.history import History
 from piezoid.diagnosis.initial_states import Reversals, hypotheses
 from piezoid.diagnosis.nuisance import NuisanceClass
+from piezoid.diagnosis.shape import BoucWenLaw
 from piezoid.diagnosis.tracks import BLOCKS, Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once

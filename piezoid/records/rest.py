@@ -13,7 +13,7 @@ NOISE = 10.0  # times its rms: a range that normal noise does not reach in any r
 # follows it. Behind a lag of ten samples the largest correlation is 0.3, and of two independent
 # signals one in a million goes beyond five standard errors.
 FOLLOWS, ERRORS = 0.3, 5.0
-LAGS = 32  # samples by which a stage may follow
+LAGS = 64  # samples by which a stage may follow
 
 
 def is_at_rest(recording: Recording, axis: str) -> bool:
@@ -27,11 +27,23 @@ def is_at_rest(recording: Recording, axis: str) -> bool:
 
 
 def follows(drive: Array, response: Array) -> bool:
-    """Tell whether a response follows the steps of a drive within a few samples."""
+    """Tell whether a response follows the steps of a drive within some samples.
+
+    A mode spreads what follows over many lags. The squares of all of them are summed,
+
+        sum of r(l)^2, l = 1 ... LAGS,   less the same of r(-l)
+
+    whose second half is the placebo: hum that both channels read correlates either way.
+    """
     steps, answers = np.diff(drive), np.diff(response)
     size = sqrt(float(steps @ steps) * float(answers @ answers))
     if size == 0.0 or len(steps) <= LAGS:
         return False
     count = len(steps)
-    found = [abs(float(steps[: count - lag] @ answers[lag:])) for lag in range(LAGS)]
-    return max(found) / size > max(FOLLOWS, ERRORS / sqrt(count))
+    after = np.array([steps[: count - lag] @ answers[lag:] for lag in range(LAGS + 1)]) / size
+    before = np.array([answers[: count - lag] @ steps[lag:] for lag in range(1, LAGS + 1)]) / size
+    error = sqrt(8.0 * LAGS) / count  # neighbours share a sample: twice that of white signals
+    spread = float(after[1:] @ after[1:] - before @ before)
+    return spread > ERRORS * error or float(np.abs(after).max()) > max(
+        FOLLOWS, ERRORS / sqrt(count)
+    )

@@ -121,8 +121,7 @@ def held_axis(exported: Exported, axis: AxisParameters, box: SectionBox) -> Held
         family,
         blank,
         notches=max(count - for_pid, 0),
-        modulus_margin=asked.modulus_margin,
-        delay_margin_s=asked.delay_margin_s,
+        asked=asked,
         derivative=box.kind != CASCADE and count >= for_pid,
     ).pid
     members = tuple(family.members)

@@ -151,8 +151,7 @@ def priced_pid(exported: Exported, axis: AxisParameters) -> Priced:
         family,
         blank,
         notches=box.notches,
-        modulus_margin=asked.modulus_margin,
-        delay_margin_s=asked.delay_margin_s,
+        asked=asked,
     )
     return Priced(
         axis=axis.axis,

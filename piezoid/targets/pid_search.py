@@ -1,4 +1,4 @@
-"""The PID with notches that rejects most on every plant of a family, within its margins."""
+"""The PID with notches that rejects most on every plant of a family, within its limits."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,6 +9,8 @@ import numpy as np
 from piezoid.design.plant import Fraction, Plant, PlantFamily
 from piezoid.design.rst import LIGHT
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
+from piezoid.design.specification import Specification
+from piezoid.design.templates import Template, violations
 from piezoid.errors import DesignError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, grid_Hz, polynomial_response, unit_circle
@@ -43,6 +45,7 @@ class _Grid:
     w: Array  # (frequencies,)  rad/s
     q: Response
     loops: Response  # (members, frequencies)  B / A
+    efforts: Array  # (frequencies,)  V per output unit, the largest |Sup| that is allowed
 
 
 def tuned_pid(
@@ -51,52 +54,56 @@ def tuned_pid(
     blank: Pid,
     *,
     notches: int,
-    modulus_margin: float,
-    delay_margin_s: float,
+    asked: Specification,
     derivative: bool = True,
 ) -> Tuned:
-    """Return the settings with the largest integral gain that keep both margins on every plant.
+    """Return the settings with the largest integral gain within the limits, on every plant.
 
     blank    limits and converter of the box; its gains are not looked at
     notches  how many it has;  derivative: False for a box without
+    asked    both margins, and every limit of the control effort: what no recording shows of a
+             stage limits a PID as it limits the exported controller
 
     The integral is what rejects slow disturbances, |Syp| = 2 pi f / (gain integral).
 
     Raises ``DesignError`` where none makes a loop of 1 Hz.
     """
-    grid = _grid(family)
+    efforts = tuple(one for one in asked.templates if one.function == "Sup")
+    grid = _grid(family, efforts)
     sign = float(np.sign(family.nominal.gain))
     best: Pid | None = None
     for one in _structures(family.nominal, blank, notches, derivative, sign):
         known = 0.0 if best is None else abs(best.integral_V_per_m_s)
-        found = _largest(grid, one, known, modulus_margin, delay_margin_s)
+        found = _largest(grid, one, known, asked)
         best = found or best
     least = 2.0 * np.pi * _USELESS_Hz / abs(family.nominal.gain)
     while best is not None and abs(best.integral_V_per_m_s) >= least:
-        reached = tuple(margins(member, *best.polynomials()) for member in family.members)
-        if all(_meets(one, modulus_margin, delay_margin_s) for one in reached):
-            return Tuned(pid=best, margins=reached)
+        R, S = best.polynomials()
+        if not violations(
+            family.members,
+            *(R, S),
+            templates=efforts,
+            modulus_margin=asked.modulus_margin,
+            delay_margin_s=asked.delay_margin_s,
+        ):
+            return Tuned(pid=best, margins=tuple(margins(one, R, S) for one in family.members))
         best = best.times(0.93)
     slowest = min(family.members, key=lambda member: member.gain * sign)
     raise DesignError(
         f"axis {axis}: no PID with {notches} notches holds all {len(family.members)} plants that "
         f"the recordings allow with a loop of {_USELESS_Hz:g} Hz; their gains reach from "
         f"{slowest.gain:.3g} to {max(m.gain * sign for m in family.members) * sign:.3g} m/V",
-        needed=f"a modulus margin of {modulus_margin:g} and a delay margin of "
-        f"{1e6 * delay_margin_s:.3g} us on every one",
+        needed=f"a modulus margin of {asked.modulus_margin:g}, a delay margin of "
+        f"{1e6 * asked.delay_margin_s:.3g} us and every limit of the control effort on every one",
         remedy="Use --target waveform, which closes no loop, or record again so that the "
         "intervals are narrower.",
     )
 
 
-def _meets(reached: Margins, modulus_margin: float, delay_margin_s: float) -> bool:
-    late_s = np.inf if reached.delay_margin_s is None else reached.delay_margin_s
-    return reached.modulus_margin >= modulus_margin and late_s >= delay_margin_s
-
-
-def _grid(family: PlantFamily) -> _Grid:
+def _grid(family: PlantFamily, efforts: Sequence[Template]) -> _Grid:
     rate_Hz = family.nominal.sampling_rate_Hz
     lines = [grid_Hz(rate_Hz, lowest_Hz=0.1, count=_LINES)]
+    lines += [one.frequency_Hz for one in efforts]
     for member in family.members:  # closer where a mode is narrow
         for f, damping in _modes(member):
             lines.append(f * (1.0 + damping * np.linspace(-4.0, 4.0, 13)))
@@ -105,7 +112,14 @@ def _grid(family: PlantFamily) -> _Grid:
     q = unit_circle(frequency_Hz, rate_Hz)
     loops = [polynomial_response(m.B, q) / polynomial_response(m.A, q) for m in family.members]
     w = np.asarray(2.0 * np.pi * frequency_Hz)
-    return _Grid(members=family.members, w=w, q=q, loops=np.stack(loops))
+    allowed_dB = np.min([one.limit_dB(frequency_Hz) for one in efforts], axis=0, initial=np.inf)
+    return _Grid(
+        members=family.members,
+        w=w,
+        q=q,
+        loops=np.stack(loops),
+        efforts=np.broadcast_to(10.0 ** (allowed_dB / 20.0), w.shape),
+    )
 
 
 def _modes(plant: Plant) -> list[tuple[float, float]]:
@@ -147,21 +161,23 @@ def _structures(
         )
 
 
-def _largest(
-    grid: _Grid, one: Pid, known: float, modulus_margin: float, delay_margin_s: float
-) -> Pid | None:
+def _largest(grid: _Grid, one: Pid, known: float, asked: Specification) -> Pid | None:
     """Return the settings at their largest gain, None where that is not above a known one."""
     R, S = one.polynomials()
-    open_loop = grid.loops * (polynomial_response(R, grid.q) / polynomial_response(S, grid.q))
+    controller = polynomial_response(R, grid.q) / polynomial_response(S, grid.q)
+    open_loop = grid.loops * controller
 
     def holds(gain: float) -> bool:
         scaled = gain * open_loop
-        if np.abs(1.0 + scaled).min() * _SPARED < modulus_margin:
+        returned = np.abs(1.0 + scaled) * _SPARED
+        if returned.min() < asked.modulus_margin:
+            return False
+        if (gain * np.abs(controller) > grid.efforts * returned).any():
             return False
         outside = np.abs(scaled) > 1.0
         crossed = outside[:, :-1] != outside[:, 1:]
         late_s = (np.angle(-scaled) % (2.0 * np.pi) / grid.w)[:, :-1][crossed]
-        if late_s.size and late_s.min() * _SPARED < delay_margin_s:
+        if late_s.size and late_s.min() * _SPARED < asked.delay_margin_s:
             return False
         return all(_is_stable(member, gain * R, S) for member in grid.members)
 

@@ -11,6 +11,7 @@ from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
+from piezoid.export.stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -227,6 +228,17 @@ def test_the_default_design_holds_over_its_family_and_comes_back() -> None:
     assert loop.certificate is not None
     assert loop.certificate.is_guaranteed
     assert design_from_json(found.to_json()).to_json() == found.to_json()
+
+
+def test_a_delay_of_more_samples_than_the_controller_has_states_is_designed_for() -> None:
+    late = Lag(kind="delay", time_s=1.5e-3)
+    late_stage = replace(stage_model(rigged(lag=late)), controller_rate_Hz=RATE_Hz)
+    design = design_stage(late_stage, model_digest=DIGEST)
+    (loop, *_) = design.axes[0].loops
+    assert all(len(one.B) > 30 for one in loop.members)  # the family keeps its delay
+    assert all(one.is_stable and one.modulus_margin >= 0.5 for one in loop.margins)
+    values = export_stage(late_stage, design, design_digest=DIGEST).axes[0].values
+    assert values["observer_order"] == 16
 
 
 def test_what_is_asked_and_cannot_be_met_is_refused_with_what_could() -> None:

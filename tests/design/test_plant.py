@@ -106,3 +106,19 @@ def test_a_family_shares_rate_and_unit():
 def test_a_section_without_frequency_or_damping_is_refused(frequency_Hz, damping):
     with pytest.raises(ValueError, match="positive frequency and damping"):
         Section(frequency_Hz=frequency_Hz, damping=damping)
+
+
+def test_a_delay_as_a_late_pole_is_the_same_plant_to_a_slow_loop() -> None:
+    exact = plant_from_chain(replace(lateral_chain(), delay_s=30.5 / RATE_Hz))
+    short = exact.with_late_pole(25)
+    assert len(short.realised()[0]) == len(exact.realised()[0]) - 24
+    assert short.delay_samples == exact.delay_samples - 25
+    assert short.gain == pytest.approx(exact.gain, rel=1e-9)
+    place_Hz = np.array([1.0, 30.0, 300.0])
+    a, b = (response(p.B, p.A, place_Hz, RATE_Hz) for p in (exact, short))
+    turned = 2.0 * np.pi * place_Hz * 25 / RATE_Hz  # by the samples that became a pole
+    assert (np.abs(b / a - 1.0)[:2] < 0.6 * turned[:2] ** 2).all()
+    A, B, C = short.realised()
+    z = np.exp(2j * np.pi * place_Hz[2] / RATE_Hz)
+    through_states = C @ np.linalg.solve(z * np.eye(len(A)) - A, B)
+    assert through_states == pytest.approx(b[2])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.absence import absent
+from piezoid.diagnosis.candidate import MINIMUM_Z
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
@@ -102,7 +103,7 @@ def test_what_is_no_larger_than_the_structure_that_is_left_says_so() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gain", "z"), [(0.99 * DRIFT.minimum_gain, 9.0), (0.5, 0.99 * DRIFT.minimum_z), (0.0, 0.0)]
+    ("gain", "z"), [(0.99 * DRIFT.minimum_gain, 9.0), (0.5, 0.99 * MINIMUM_Z), (0.0, 0.0)]
 )
 def test_what_is_no_evidence_by_itself_needs_no_excuse(gain, z) -> None:
     for sound in (True, False):

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezoid.diagnosis import forward_selection, repair
+from piezoid.diagnosis import forward_selection, search
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.initial_state_search import AS_GOOD, NEARLY, POOR, shared_does_as_well
 from piezoid.numerics.executor import SERIAL
@@ -18,18 +18,14 @@ def of_memory(reversals: str, rms: float, noise: float = 0.1) -> SimpleNamespace
     )
 
 
-def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.4) -> str | None:
+def taken(monkeypatch, *, own: float, tried=(), noise: float = 0.4) -> str | None:
     """Return what a round takes in that begins with an error of 1."""
     view = of_memory(CYCLED, 1.0, noise)
     stand_ins = {
         "refit_shortlist": lambda *_: list(tried),
-        "_with_pair": lambda *_: None,
-        "_with_slips": lambda *_: None,
-        "_with_slips_in_place": lambda *_: None,
-        "with_shared_initial_state": lambda *_: of_memory(HABIT, shared, noise),
+        "with_shared_initial_state": lambda *_: of_memory(HABIT, own, noise),
         "with_own_initial_states": lambda *_: of_memory(OWN, own, noise),
         "with_best_bouc_wen": lambda *_: view,
-        "with_shared_reversals": lambda _, reversals: reversals,
         "with_reversals": lambda _, reversals: reversals,
         "with_free_memory": lambda reversals: reversals,
     }
@@ -40,35 +36,26 @@ def taken(monkeypatch, *, shared: float, own: float, tried=(), noise: float = 0.
     return None if next_state is None else next_state.clean
 
 
-@pytest.mark.parametrize(
-    ("shared", "own", "took"),
-    [
-        (0.500, 0.495, HABIT),  # as good as initial states fitted one by one
-        (0.500, 0.470, OWN),  # these know more than any shared initial state
-        (0.500, 0.500, HABIT),
-        (0.990, 0.500, OWN),
-        (0.950, 0.940, None),  # hardly anything is wrong with the memory
-    ],
-)
-def test_a_habit_is_taken_where_pasts_fitted_one_by_one_do_no_better(
-    monkeypatch, shared, own, took
+@pytest.mark.parametrize(("own", "took"), [(0.5, OWN), (0.94, None)])
+def test_other_initial_states_are_taken_in_where_they_leave_clearly_less(
+    monkeypatch, own, took
 ) -> None:
-    assert taken(monkeypatch, shared=shared, own=own) == took
+    assert taken(monkeypatch, own=own) == took
 
 
-@pytest.mark.parametrize(("left", "evident", "took"), [(0.4, True, None), (0.4, False, HABIT)])
+@pytest.mark.parametrize(("left", "evident", "took"), [(0.4, True, None), (0.4, False, OWN)])
 def test_what_is_evident_and_too_small_to_be_named_speaks_against_other_pasts(
     monkeypatch, left, evident, took
 ) -> None:
     small = SimpleNamespace(
         view=SimpleNamespace(rms=left), is_significant=False, is_evidence=evident
     )
-    assert taken(monkeypatch, shared=0.5, own=0.5, tried=[small]) == took
+    assert taken(monkeypatch, own=0.5, tried=[small]) == took
 
 
 def test_what_is_evident_and_leaves_more_than_other_pasts_does_not(monkeypatch) -> None:
     small = SimpleNamespace(view=SimpleNamespace(rms=0.6), is_significant=False, is_evidence=True)
-    assert taken(monkeypatch, shared=0.5, own=0.5, tried=[small]) == HABIT
+    assert taken(monkeypatch, own=0.5, tried=[small]) == OWN
 
 
 def test_a_habit_does_as_well_where_it_leaves_little_more_or_the_class_follows_nothing() -> None:
@@ -106,26 +93,9 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
         seen.append(view.nuisance.reversals)
 
     effect = SimpleNamespace(name="timestamp_fault", fault=fault)
-    monkeypatch.setattr(repair, "EFFECTS", (effect,))
-    monkeypatch.setattr(repair, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
-    monkeypatch.setattr(repair, "with_own_initial_states", lambda *_: of_memory(OWN, own))
-    monkeypatch.setattr(repair, "with_shared_reversals", lambda _, reversals: reversals)
-    clean, faults = repair.repaired(of_memory(CYCLED, 1.0), SERIAL)
+    monkeypatch.setattr(search, "EFFECTS", (effect,))
+    monkeypatch.setattr(search, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
+    monkeypatch.setattr(search, "with_own_initial_states", lambda *_: of_memory(OWN, own))
+    monkeypatch.setattr(search, "with_shared_reversals", lambda _, reversals: reversals)
+    clean, faults = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
     assert (seen, clean, faults) == ([looked_at], left_with, {})
-
-
-@pytest.mark.parametrize(
-    ("pair", "replaced", "selected"),
-    [(("a", "b"), (), ("old", "a", "b")), ((), ("old", "c"), ("old", "c")), ((), (), None)],
-)
-def test_two_at_once_come_beside_what_was_accepted_or_in_its_place(
-    monkeypatch, pair, replaced, selected
-) -> None:
-    monkeypatch.setattr(forward_selection, "pair_of", lambda *_: pair)
-    monkeypatch.setattr(forward_selection, "pair_in_place", lambda *_: replaced)
-    state = forward_selection.SelectionState(
-        clean=CYCLED, selected=("old",), faults={}, screened={}
-    )
-    beside = forward_selection.SelectionContext(clean=CYCLED, selected=("old",), view=None)
-    next_state = forward_selection._with_pair(state, beside, [], SERIAL)
-    assert (None if next_state is None else next_state.selected) == selected

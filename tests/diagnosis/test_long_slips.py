@@ -9,8 +9,7 @@ import pytest
 
 from piezoid.diagnosis.diagnose import view_on
 from piezoid.diagnosis.effects import timestamp_fault
-from piezoid.diagnosis.slip_placing import placed
-from piezoid.diagnosis.slips import Slip, beside, longest, strongest
+from piezoid.diagnosis.slips import Slip, beside, longest, placed, strongest
 from piezoid.diagnosis.view import View
 from piezoid.records.lab import Lab
 

@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.blocks import paired_z
-from piezoid.diagnosis.effects import delay, lag, thermal_drift
-from piezoid.diagnosis.model_comparison import SEPARABLE, is_confounded, replaces_it
+from piezoid.diagnosis.folds import paired_z
+from piezoid.diagnosis.model_comparison import SEPARABLE, is_confounded
 
 BLOCKS = 40
 WITHOUT = 2.0
@@ -64,22 +63,3 @@ def standing(effect, ahead: float, free: int = 1, speaks: bool = True) -> Simple
         selected=SimpleNamespace(free=dict.fromkeys(range(free), 2.0)),
         cv=SimpleNamespace(loss=(uneven if ahead else 0.0) - less + np.zeros(BLOCKS)),
     )
-
-
-@pytest.mark.parametrize(
-    ("alternative", "ahead", "free", "speaks", "takes"),
-    [
-        (delay.EFFECT, 1.5, 1, True, True),  # as simple, and likelier
-        (delay.EFFECT, 0.5, 1, True, False),
-        (delay.EFFECT, 1.5, 1, False, False),
-        (delay.EFFECT, 1.5, 2, True, False),  # not as simple
-        (delay.EFFECT, 3.5, 2, True, True),
-        (thermal_drift.EFFECT, 1.5, 1, True, False),  # not even a filter
-        (thermal_drift.EFFECT, 3.5, 1, True, True),
-    ],
-)
-def test_of_two_filters_as_simple_as_each_other_the_likelier_stands_and_no_other_unless_surely(
-    alternative, ahead, free, speaks, takes
-) -> None:
-    cause = standing(lag.EFFECT, 0.0)
-    assert replaces_it(standing(alternative, ahead, free, speaks), cause) is takes

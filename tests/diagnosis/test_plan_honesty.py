@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.answer import answers, expected_limit_m, left_open
 from piezoid.diagnosis.planning.bench import Bench, bench_of
@@ -63,9 +63,8 @@ def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str)
     diagnosis = _open(**{effect: HIGH_m})
     (asked,) = questions_of(diagnosis, effect)
     best = _table().choice(asked).best
-    least = next(one.minimum_share for one in EFFECTS if one.name == effect)
     if best.told is not None and best.score > 0.0:
-        assert expected_limit_m(asked, None, best.told) >= least * diagnosis.stroke_m
+        assert expected_limit_m(asked, None, best.told) >= MINIMUM_SHARE * diagnosis.stroke_m
 
 
 def test_a_coupling_that_no_recording_excites_has_a_size_along_the_drive_that_would() -> None:

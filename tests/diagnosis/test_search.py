@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
@@ -12,10 +11,8 @@ import piezoid.diagnosis.model_comparison as confounded
 import piezoid.diagnosis.search as search
 from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import creep, initial_state, lag, non_congruence, thermal_drift
-from piezoid.diagnosis.forward_selection import SelectionState
+from piezoid.diagnosis.effects import creep, initial_state, non_congruence, thermal_drift
 from piezoid.diagnosis.simulation import Simulated
-from piezoid.diagnosis.slip_alternative import SlipAlternative, fault_beside_cause
 from piezoid.diagnosis.something_else import without_names
 from piezoid.numerics.executor import SERIAL
 
@@ -68,24 +65,19 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatc
 
 
 @pytest.mark.parametrize(
-    ("gain", "left", "beside", "stands"),
+    ("gain", "left", "stands"),
     [
-        (0.2, 1.4, False, True),  # little is left: what it takes off is known
-        (0.2, 1.7, False, False),  # much is left that nothing here follows
-        (0.5, 1.7, False, True),  # but it takes off what nothing else looks like
-        (0.3, 2.6, False, False),  # half of what is no noise: something else is there as well
-        (0.5, 2.6, False, True),
-        (0.19, 1.1, False, True),
-        (0.5, 1.7, True, False),  # causes that are not quite as modelled may look like it
-        (0.2, 1.55, True, False),
-        (0.2, 1.4, True, True),
-        (0.09, 1.4, False, True),  # half the worth near the noise, but
-        (0.09, 1.4, True, False),  # all of it beside what looks alike
+        (0.2, 1.4, True),  # little is left: what it takes off is known
+        (0.2, 1.7, False),  # much is left that nothing here follows
+        (0.5, 1.7, True),  # but it takes off what nothing else looks like
+        (0.3, 2.6, False),  # half of what is no noise: something else is there as well
+        (0.5, 2.6, True),
+        (0.19, 1.1, True),
     ],
 )
-def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, beside, stands) -> None:
+def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, stands) -> None:
     structure = Cause("initial_state", gain, quiet=1.6)
-    assert search._stands(structure, of_noise(left), beside=beside) is stands
+    assert search._stands(structure, of_noise(left)) is stands
 
 
 def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
@@ -147,52 +139,12 @@ def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> No
     assert all(one.bound > 0.0 for one in found.values())
 
 
-def test_slips_that_are_hardly_better_than_a_lag_say_that_it_may_be_one() -> None:
-    draw = np.random.default_rng(4)
-    lost = draw.uniform(1.0, 2.0, 40)
-
-    def left(sums):
-        block = np.repeat(np.arange(40), 1)
-        null = SimpleNamespace(energy=sums, block=block, edges=np.arange(40))
-        return SimpleNamespace(null=null, rms=float(np.sqrt(sums.mean())))
-
-    fault = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9)
-    for better, alike in ((0.5 * lost, ()), (lost + draw.normal(-0.01, 0.3, 40), ("lag",))):
-        slips = SlipAlternative(clean=None, view=left(better), fault=fault)
-        assert fault_beside_cause(slips, lag.EFFECT.name, left(lost)).alike == alike
-
-
 def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
     first = Fault(tracks=(), value=-2.0, spread=0.3, p_value=1e-9, alike=("lag",))
     second = Fault(tracks=(), value=-1.0, spread=0.1, p_value=1e-3, alike=("delay", "lag"))
     both = second.after(first)
     assert (both.value, both.spread, both.p_value) == (-2.0, 0.3, 1e-9)
     assert both.alike == ("lag", "delay")
-
-
-@pytest.mark.parametrize(
-    ("left", "from_the_state", "initial_guess"),
-    [
-        (1.2, 0.5, "plays"),  # hardly more than noise: nothing is begun again
-        (2.0, 1.6, "state"),
-        (2.0, 1.9, "plays"),  # no great difference
-    ],
-)
-def test_what_leaves_much_is_begun_again_from_another_class_and_the_far_better_is_believed(
-    monkeypatch, left, from_the_state, initial_guess
-) -> None:
-    asked = []
-
-    def grow(clean, faults, _) -> SelectionState:
-        asked.append(clean)
-        return SelectionState(clean=clean, selected=(), faults=faults, screened={})
-
-    monkeypatch.setattr(search, "select_forward", grow)
-    monkeypatch.setattr(search, "with_best_bouc_wen", lambda *_: "state")
-    errors = {"plays": left, "state": from_the_state}
-    monkeypatch.setattr(search, "extended", lambda clean, _: of_noise(errors[clean]))
-    assert search._best_selection("plays", {}, SERIAL).clean == initial_guess
-    assert asked == (["plays"] if left < search.UNEXPLAINED else ["plays", "state"])
 
 
 @pytest.mark.parametrize(

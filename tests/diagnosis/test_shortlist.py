@@ -34,7 +34,6 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
         "refined": lambda one, *_: (one, None),
         "judged": judged,
         "_refined_together": lambda alone, *_: alone,
-        "_left_over": lambda *_: False,
     }
     for name, what in stand_ins.items():
         monkeypatch.setattr(shortlist, name, what)
@@ -58,12 +57,3 @@ def test_small_ones_are_refitted_where_no_large_one_is_evidence(
     monkeypatch, evidence, tried
 ) -> None:
     assert refitted(monkeypatch, SCREENED, evidence) == tried
-
-
-@pytest.mark.parametrize(("total", "tried"), [(0.2, ["large"]), (0.35, ["large", "limit"])])
-def test_a_first_refit_far_behind_is_refined_only_where_its_tangent_is_among_the_best(
-    monkeypatch, total, tried
-) -> None:
-    screenings = [found("large", 0.4), found("limit", total)]
-    left = {"large": 1.0, "limit": 4.0}
-    assert refitted(monkeypatch, screenings, "large", left.get) == tried

@@ -82,6 +82,17 @@ def test_a_diagnosis_that_finds_nothing_is_not_answered_by_what_it_has_already_t
     assert "three speeds" not in page
 
 
+def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -> None:
+    """Error 31.6 nm: a class that leaves less than 22.3 nm makes less than half of its power."""
+    for wide_m, is_shape in ((8e-9, True), (30e-9, False)):
+        found = replace(diagnosed(), envelope_rms_m=wide_m)
+        found = replace(found, final=replace(found.final, rms_m=31.6e-9))
+        page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+        assert ("which lies in the shape of its loops" in _verdict(page)) == is_shape
+        assert ("finds no cause" in _verdict(page)) != is_shape
+        assert ("the widest class of hysteresis leaves 8.00 nm" in page) == is_shape
+
+
 def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain() -> None:
     axis = axis_model()
     axis = replace(axis, quality=replace(axis.quality, held_out_kind="second half"))
@@ -152,10 +163,11 @@ def test_one_axis_that_fails_does_not_hide_behind_one_that_does_not() -> None:
     assert len(Anatomy(page).all("p", "alarm")) == 1
 
 
-def test_the_score_is_hundred_at_the_noise_and_zero_at_the_line() -> None:
+def test_the_score_is_hundred_at_the_noise_and_holds_what_is_left_against_it() -> None:
     axis = axis_model()
     traces = traces_of(axis, [recording()])
-    for held_m, wanted in ((NOISE_m, 100), (line_rms_m(traces), 0), (1.0, 0)):
+    held_wanted = ((NOISE_m, 100), (2 * NOISE_m, 95), (4 * NOISE_m, 90), (8 * NOISE_m, 90))
+    for held_m, wanted in (*held_wanted, (line_rms_m(traces), 0), (1.0, 0)):
         quality = replace(axis.quality, held_out_rms_m=held_m)
         assert score_of(replace(axis, quality=quality), traces) == wanted
 
@@ -184,7 +196,8 @@ def test_line_and_model_are_judged_on_the_same_samples() -> None:
     [
         ({"held_out_kind": "second half"}, "parts of it that were left out"),
         ({"converged": False}, "limit of iterations"),
-        ({"held_out_rms_m": 6e-9}, "this sensor sees no more"),
+        ({"held_out_rms_m": 5.5e-9}, "1.1 times the sensor noise: this sensor sees no more"),
+        ({"held_out_rms_m": 9.8e-9}, "2.0 times the sensor noise"),
         ({"held_out_rms_m": 6e-8}, "12.0 times the sensor noise"),
     ],
 )
@@ -254,6 +267,7 @@ def test_samples_left_out_cover_no_more_of_the_picture_than_they_are() -> None:
     ticks = [(int(x), int(w)) for x, w in re.findall(r"M(\d+),\d+l(\d+),0", drawn[1])]
     assert len(ticks) > 140
     assert sum(w for _, w in ticks) < 0.4 * (ticks[-1][0] - ticks[0][0])
-    rounded = " ".join(re.findall(r"([^{}]*)\{[^}]*linecap: round", page))
+    rules = page.partition("<style>")[2].partition("</style>")[0].split("}")
+    rounded = " ".join(rule for rule in rules if "linecap: round" in rule)
     assert ".dots" in rounded
     assert ".missing" not in rounded

@@ -11,6 +11,8 @@ from scipy.signal import lfilter
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins, sensitivities
+from piezoid.design.specification import default_specification
+from piezoid.design.templates import Template
 from piezoid.errors import DesignError
 from piezoid.targets.box import Box, run_box
 from piezoid.targets.pi_pid import pi_pid_files, priced_pid
@@ -32,15 +34,30 @@ SOME = replace(
 )
 
 
-def tuned(plants=None, notches=1, blank=BLANK, delay_margin_s=5e-5):
-    return tuned_pid(
-        "x",
-        plants or family(),
-        blank,
-        notches=notches,
-        modulus_margin=0.5,
-        delay_margin_s=delay_margin_s,
+def tuned(plants=None, notches=1, blank=BLANK, delay_margin_s=5e-5, templates=()):
+    plants = plants or family()
+    asked = default_specification(
+        plants, voltage_min_V=0.0, voltage_max_V=10.0, sensor_noise_rms=0.0, disturbance_rms=1e-8
     )
+    asked = replace(asked, delay_margin_s=delay_margin_s, templates=templates)
+    return tuned_pid("x", plants, blank, notches=notches, asked=asked)
+
+
+def test_a_mode_that_no_recording_shows_limits_the_box_as_it_limits_the_exported_loop():
+    unseen_peak, from_Hz = 30.0, 2e3
+    limit = Template(
+        name="control effort beyond what is known",
+        function="Sup",
+        frequency_Hz=[from_Hz, RATE_Hz / 2],
+        upper_dB=2 * [-20.0 * np.log10(unseen_peak * GAIN_m_per_V)],
+    )
+    free, held = tuned(notches=0), tuned(notches=0, templates=(limit,))
+    place_Hz = np.geomspace(from_Hz, 0.499 * RATE_Hz, 500)
+    for found, stays in ((free, False), (held, True)):
+        R, S = found.pid.polynomials()
+        efforts = [np.abs(sensitivities(m, R, S, place_Hz).Sup).max() for m in family().members]
+        assert (max(efforts) * unseen_peak * GAIN_m_per_V < 1.0) == stays
+    assert held.pid.integral_V_per_m_s > 0.05 * free.pid.integral_V_per_m_s
 
 
 def answers(pid, errors_m):

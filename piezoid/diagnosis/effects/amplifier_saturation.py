@@ -95,6 +95,4 @@ EFFECT = Effect(
     inject=inject,
     extend=extend,
     detectable_share=8e-3,
-    minimum_share=8e-5,
-    minimum_gain=0.02,  # only the tips meet the limit
 )

@@ -128,8 +128,6 @@ EFFECT = Effect(
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
     confounded=("thermal_drift",),
-    minimum_z=2.7,
-    minimum_share=5e-5,  # what its initial state takes for itself does not count
     untestable=_untestable,
     trials=_trials,
     covariates=_decays,

@@ -1,15 +1,20 @@
-"""Gain change: from one instant on the stage is more or less sensitive.
+"""Gain change: from one instant on, or ever more, the stage is more or less sensitive.
 
 What you see
-    Equal cycles before and after an instant have different heights; their shape is the same.
+    Equal cycles before and after an instant have different heights; their shape is the same. Or
+    each cycle is a little lower than the one before.
 Why it happens
-    A load was put on, a connector moved, a heater switched.
+    A load was put on, a connector moved, a heater switched. A ceramic warms up
+    or loses its poling.
 How it is detected
     A step of the gain at one instant explains what static hysteresis and a gain of each
     recording's own cannot, better than a ramp or a passing change of the gain at the same place.
-    Between two recordings it is one gain of all that came later, as fast ones as before.
+    Where a drive repeats eight times or more, a straight line over all of it is one as well; of
+    fewer cycles it would be creep, or a past. Between two recordings it is one gain of all that
+    came later, as fast ones as before.
 What the extension adds
-    A gain that changes at an instant; the remedy is two models, one for each condition.
+    A gain that changes at an instant, or over a whole recording; the remedy is two models, one
+    for each condition, or a sweep when the stage is warm.
 Source
     spring load on a ceramic of finite stiffness, manufacturers' application notes
 """
@@ -24,8 +29,10 @@ from piezoid.diagnosis.found import Found, Setting
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
+from piezoid.identification.dynamics.repetition import find_repetition
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.gain_change import GainChange, turned
+from piezoid.identification.hysteresis.cycles import FEWEST
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -36,18 +43,13 @@ ALIKE = 4.0  # ratio of speeds between recordings that tell a gain from a filter
 NARROW = 0.2  # of the track: how long a passing change lasts
 
 
-def _turned(share: Array, place: float, kind: str) -> Array:
-    if kind == "step":
-        return np.asarray((share > place).astype(np.float64))
-    if kind == "ramp":
-        return np.clip((share - place) / 0.5 + 0.5, 0.0, 1.0)
-    return np.asarray((np.abs(share - place) < NARROW / 2).astype(np.float64))
-
-
-def _change(view: View, k: int, place: float, kind: str) -> Array:
-    """Return the change in one track, and of its zero."""
+def _change(view: View, k: int, place: float, lasts: float, *, passes: bool = False) -> Array:
+    """Return the change in one track, and of its zero; times are shares of the track."""
     track = view.tracks[k]
-    share = _turned(track.place / len(track.drive), place, kind)
+    time = track.place / len(track.drive)
+    share = turned(time, place, lasts)
+    if passes:
+        share = share - turned(time, place + NARROW, lasts)
     response = view.static[k][track.place]
     return np.column_stack([view.of_track(k, share * response), view.of_track(k, share)])
 
@@ -68,20 +70,42 @@ def _trials(view: View) -> list[Trial]:
     for k, static in enumerate(view.static):
         if np.ptp(static) < own / 3:
             continue
-        for kind in ("step", "ramp", "pass"):
-            places = PLACES if kind == "step" else PLACES[::3]
-            found += [_trial(view, k, float(place), kind) for place in places]
+        steps = [_change(view, k, place, 0.0) for place in PLACES]
+        found += [
+            _trial(column, {"track": float(k), "place": float(place)}, free={"place": 0.02})
+            for place, column in zip(PLACES, steps, strict=True)
+        ]
+        rivals = [_change(view, k, p - NARROW / 2, 0.0, passes=True) for p in PLACES[::3]]
+        if _repeats(view.tracks[k]):
+            slow = {"track": float(k), "place": 0.5, "lasts": 1.0}
+            found.append(_trial(_change(view, k, 0.5, 1.0), slow))
+        else:
+            rivals += [_change(view, k, place, 0.5) for place in PLACES[::3]]
+        found += [_trial(column, {}, physical=False) for column in rivals]
     return found
 
 
-def _trial(view: View, k: int, place: float, kind: str) -> Trial:
+def _repeats(track: Track) -> bool:
+    """Tell whether cycles enough are equal to show a slow trend of the gain."""
+    found = find_repetition(track.drive)
+    return found is not None and found.periods >= FEWEST
+
+
+def _trial(
+    columns: Array,
+    parameters: Parameters,
+    *,
+    physical: bool = True,
+    free: Parameters | None = None,
+    least: float = LEAST_CHANGE,
+) -> Trial:
     return Trial(
-        columns=_change(view, k, place, kind),
-        parameters={"track": float(k), "place": place},
-        physical=kind == "step",
+        columns=columns,
+        parameters=parameters,
+        physical=physical,
         coefficient_range=(-0.3, 0.3),
-        minimum_coefficient=LEAST_CHANGE,
-        free={"place": 0.02},
+        minimum_coefficient=least,
+        free=free or {},
     )
 
 
@@ -117,17 +141,13 @@ def _matched(before: Sequence[float], after: Sequence[float]) -> bool:
 
 
 def _between(first: int, columns: Array, *, real: bool = True) -> Trial:
-    return Trial(
-        columns=columns,
-        parameters={"track": float(first), "place": 0.0},
-        physical=real,
-        coefficient_range=(-0.3, 0.3),
-        minimum_coefficient=LEAST_BETWEEN,
-    )
+    where = {"track": float(first), "place": 0.0}
+    return _trial(columns, where, physical=real, least=LEAST_BETWEEN)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
-    return _change(view, int(parameters["track"]), parameters["place"], "step")
+    track, lasts = int(parameters["track"]), parameters.get("lasts", 0.0)
+    return _change(view, track, parameters["place"], lasts)
 
 
 def _size(_: View, __: Parameters, coefficient: Array) -> float:
@@ -145,7 +165,8 @@ def inject(recording: Recording, share: float) -> Recording:
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     piece = setting.pieces[int(found.parameters["track"])]
-    instant_s = (piece.first + found.parameters["place"] * piece.samples) / piece.rate_Hz
+    whole_s = piece.samples / piece.rate_Hz
+    instant_s = piece.first / piece.rate_Hz + found.parameters["place"] * whole_s
     after = setting.recordings.index(piece.recording) + 1
     return (
         GainChange(
@@ -153,6 +174,7 @@ def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
             instant_s=instant_s,
             ratio=float(np.clip(1.0 + found.share, 0.5, 2.0)),
             later=setting.recordings[after:],
+            lasts_s=found.parameters.get("lasts", 0.0) * whole_s,
         ),
     )
 
@@ -172,7 +194,6 @@ WITHIN = Effect(
     inject=inject,
     extend=extend,
     detectable_share=8e-3,
-    minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )
 BETWEEN = replace(
     WITHIN,

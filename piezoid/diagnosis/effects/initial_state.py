@@ -62,11 +62,9 @@ EFFECT = Effect(
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
     null_without=_against,
-    minimum_z=3.6,
     largest_noise_ratio=1.6,
     # On laws that forget slowly, pasts as laboratories leave them are found at 0.35 to 1.2 of the
     # noise, rms; injected ones at full size from 1.9 on. A gain of 0.25 asks for about 0.9.
     minimum_gain=0.25,
-    in_every_material=True,
     inject=inject,
 )

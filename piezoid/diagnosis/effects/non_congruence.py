@@ -27,9 +27,7 @@ from piezoid.records.recording import Recording
 OPENING = 0.15  # of loops over half the range; ceramics by themselves open by less
 ALONE = 0.5  # of what all products with the drive explain, in power: a ceramic of another kind
 # misses many of them
-KNEE = 0.08  # of the error: a ceramic of another law leaves as much
-LEAST = 7e-5  # of the stroke, of what no other class follows: it is a small part of the opening,
-WORTH = 0.025  # but more of the error than one class of ceramics leaves for want of another
+WORTH = 0.025  # of the error: more than one class of ceramics leaves for want of another
 PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
 POINTS = 401
 
@@ -107,9 +105,6 @@ EFFECT = Effect(
     inject=inject,
     detectable_share=4e-3,
     largest_noise_ratio=2.0,
-    minimum_beside_bouc_wen=KNEE,
-    minimum_share=LEAST,
+    may_be_bouc_wen=True,
     minimum_gain=WORTH,
-    minimum_z=3.3,
-    in_every_material=True,
 )

@@ -36,13 +36,15 @@ STRAINS = (1e-3, 1e9)  # a lag that is as good as linear has no strain
 LONGEST = (2e-6, 0.3)
 TOO_LITTLE = 1e-5  # of half the stroke: a lag nobody sees
 FEWEST = 8  # reversals
+ONE_PLACE = 0.01  # of half the drive's range
 SPEED = 50.0  # strokes per second at which the injected lag is the share that is asked for
 
 
 def reversible(view: View) -> Array:
     """Return the reversible part as a polynomial of the drive: the slope just behind reversals.
 
-    There no wall moves yet. The slope is a straight line over the drive, (2,) highest power first.
+    There no wall moves yet. The slope is a straight line over the drive, (2,) highest power first;
+    where the drive turns at one place only, a constant.
     """
     place, slopes = [], []
     for track, static in zip(view.tracks, view.static, strict=True):
@@ -52,7 +54,10 @@ def reversible(view: View) -> Array:
         slopes.append((static[there] - static[turn]) / rise)
     if sum(map(len, place)) < FEWEST:
         return np.array([0.0, 0.0])
-    return np.asarray(np.polyfit(np.concatenate(place), np.concatenate(slopes), 1))
+    where, slope = np.concatenate(place), np.concatenate(slopes)
+    if np.ptp(where) < ONE_PLACE:
+        return np.array([0.0, float(slope.mean())])
+    return np.asarray(np.polyfit(where, slope, 1))
 
 
 def _columns(view: View, parameters: Parameters) -> Array:

@@ -173,8 +173,6 @@ EFFECT = Effect(
     trials=_trials,
     columns=_columns,
     size=_size,
-    minimum_gain=0.06,
-    in_every_material=True,  # of many waves one always fits best
     inject=inject,
     extend=extend,
 )

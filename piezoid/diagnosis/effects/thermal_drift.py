@@ -92,7 +92,4 @@ EFFECT = Effect(
     inject=inject,
     extend=extend,
     detectable_share=4e-3,
-    minimum_share=6e-5,
-    minimum_z=4.0,
-    minimum_gain=0.045,  # slow errors of structure are smooth as well
 )

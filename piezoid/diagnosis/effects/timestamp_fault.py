@@ -22,8 +22,17 @@ from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.slip_evidence import SlipEvidence, evidence_of, hidden
-from piezoid.diagnosis.slip_placing import in_step, placed, undone, width_of
-from piezoid.diagnosis.slips import Slip, beside, longest, places_of, strongest
+from piezoid.diagnosis.slips import (
+    Slip,
+    beside,
+    in_step,
+    longest,
+    placed,
+    places_of,
+    strongest,
+    undone,
+    width_of,
+)
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.records.recording import Recording
 

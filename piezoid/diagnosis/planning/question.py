@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
 
+from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.planning.separation import Suspect
@@ -143,7 +144,7 @@ def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
     """Return the rms below which an effect is not named, m: as the diagnosis itself has it."""
     effect = next(effect for effect in EFFECTS if effect.name == name)
     worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
-    return max(effect.minimum_share * diagnosis.stroke_m, worth_m)
+    return max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
 
 
 def _suspect(name: str, share: float, diagnosis: Diagnosis) -> Suspect | None:

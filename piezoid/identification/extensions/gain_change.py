@@ -1,6 +1,6 @@
-"""From one instant on the stage is more or less sensitive."""
+"""From one instant on, or ever more, the stage is more or less sensitive."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -10,17 +10,25 @@ from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.numerics.arrays import Array
 
 
+def turned(time: Array, middle: float, lasts: float) -> Array:
+    """Return how much of a change has come about: 0 before, 1 after, a straight line between."""
+    if not lasts > 0.0:
+        return np.asarray((time >= middle).astype(np.float64))
+    return np.clip((time - middle) / lasts + 0.5, 0.0, 1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class GainChange(Extension):
     """A load was put on, a connector moved: displacement times a ratio from then on.
 
-        y = m before, ratio m + offset_m after
+        y = m before, ratio m + offset_m after, in a straight line from one to the other
 
     recording  in which it happens
-    instant_s  s, since that recording began
+    instant_s  s, since that recording began: the middle of the change
     ratio      1, > 0
     offset_m   m, step of the zero in that recording; later ones have a zero of their own
     later      recordings made after it, all at the new gain
+    lasts_s    s, >= 0: how long the change takes
     """
 
     kind: ClassVar[str] = "gain_change"
@@ -30,15 +38,17 @@ class GainChange(Extension):
     ratio: float
     offset_m: float = 0.0
     later: tuple[str, ...] = ()
+    lasts_s: float = 0.0
 
     def __post_init__(self) -> None:
         within("instant_s", self.instant_s, 0.0, 1e9)
+        within("lasts_s", self.lasts_s, 0.0, 1e9)
         within("gain ratio", self.ratio, 0.1, 10.0)
         within("gain offset_m", self.offset_m, -1.0, 1.0)
 
     def _after(self, where: Where) -> Array | None:
         if where.recording == self.recording:
-            return np.asarray((where.time_s >= self.instant_s).astype(np.float64))
+            return turned(where.time_s, self.instant_s, self.lasts_s)
         return np.ones(where.samples) if where.recording in self.later else None
 
     def gain(self, where: Where) -> Array | float:
@@ -59,7 +69,7 @@ class GainChange(Extension):
         """Return the step of the zero."""
         if where.recording != self.recording:
             return 0.0
-        return np.asarray(self.offset_m * (where.time_s >= self.instant_s))
+        return self.offset_m * turned(where.time_s, self.instant_s, self.lasts_s)
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the ratio: it holds from its instant on, so the stage has it now."""
@@ -71,10 +81,4 @@ class GainChange(Extension):
 
     def moved_to(self, value: Array) -> Self:
         """Return another ratio and step."""
-        return type(self)(
-            recording=self.recording,
-            instant_s=self.instant_s,
-            ratio=float(value[0]),
-            offset_m=float(value[1]),
-            later=self.later,
-        )
+        return replace(self, ratio=float(value[0]), offset_m=float(value[1]))

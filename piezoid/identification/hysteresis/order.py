@@ -111,14 +111,24 @@ def choose_shape(
     def tried(shape: Shape) -> Trial:
         return _try(pieces, shape, settings, progress)
 
-    trials = _ladder(_shapes_of(orders), tried, untested)
+    shapes = _shapes_of(orders)
+    trials = _ladder(shapes, tried, untested)
     straight = _smallest_as_good(trials, untested)
     late = [tried(replace(straight.shape, lag=lag)) for lag in LAGS[1:]]
-    trials += [elsewhere(shape) or tried(shape) for shape in bent_shapes(orders)]
+    bent = bent_shapes(orders)
+    least = min(late, key=lambda trial: trial.held_out_rms)
+    if not _is_as_good(straight, least, untested):  # beside the wrong lag no size helps
+        lag = least.shape.lag
+        shapes = tuple(replace(shape, lag=lag) for shape in shapes)
+        bent = tuple(replace(shape, lag=lag) for shape in bent)
+        larger = [shape for shape in shapes if shape.plays > straight.shape.plays]
+        trials += _ladder(larger, tried, untested)
+        straight = _smallest_as_good((*trials, least), untested)
+    trials += [elsewhere(shape) or tried(shape) for shape in bent]
     best = _smallest_as_good(trials, untested)
     if best.shape.bends:
         begun = straight.shape.plays
-        fewer = (s for s in _shapes_of(orders) if begun <= s.plays < best.shape.plays)
+        fewer = (s for s in shapes if begun <= s.plays < best.shape.plays)
         trials += _until_as_good(
             best, (replace(s, bends=best.shape.bends) for s in fewer), tried, untested
         )
