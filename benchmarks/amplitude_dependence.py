@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.errors import ExcitationError
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.numerics.arrays import Array, frozen
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 
 
 @dataclass(frozen=True, kw_only=True)

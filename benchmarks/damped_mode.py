@@ -17,8 +17,7 @@ from varied_chains import varied
 
 from piezoid.design.chain import Chain, Section, family_from_chains
 from piezoid.design.family_grid import FamilyGrid, family_grid, magnitudes
-from piezoid.design.observer import ObserverFrame, disturbance_model
-from piezoid.design.observer_loop import feedback_polynomials
+from piezoid.design.observer import ObserverFrame, disturbance_model, feedback_polynomials
 from piezoid.design.plant import PlantFamily
 from piezoid.design.rst import section_poles
 from piezoid.design.search import search

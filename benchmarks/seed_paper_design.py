@@ -16,11 +16,11 @@ from varied_chains import varied
 
 from piezoid.design.chain import Chain, Section, family_from_chains, plant_from_chain
 from piezoid.design.design import AxisDesign, Design, LoopDesign
+from piezoid.design.from_junction import design_vertical
 from piezoid.design.hysteresis_bounds import HysteresisBounds, affine_bounds, inverse_bounds
 from piezoid.design.lateral import design_lateral, with_sector
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import Specification, default_specification
-from piezoid.design.vertical import design_vertical
 from piezoid.errors import TemplateError
 from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii

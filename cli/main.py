@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any, cast
 
 import typer
@@ -27,7 +29,6 @@ from piezoid_cli.plan import plan
 from piezoid_cli.progress import EVERYTHING
 from piezoid_cli.report import report
 from piezoid_cli.simulate import simulate
-from piezoid_cli.standing import standing
 from piezoid_cli.terminal import one_line, plain
 from piezoid_cli.verify import verify
 
@@ -171,6 +172,41 @@ def _about_disk(error: OSError) -> str:
         f"{place}: {error.strerror or error}. Needed: a place where this command may read and "
         "write. Check the name, the permissions and the space that is left."
     )
+
+
+@contextmanager
+def standing(*, quiet: bool) -> Iterator[None]:
+    """Begin in the folder the shell names, and say at the end where it must be entered again.
+
+    A folder of results is exchanged whole, so that nobody ever sees half of one. A shell that
+    stands in it then stands in the folder of before, which is gone.
+    """
+    name = os.environ.get("PWD", "")
+    with suppress(OSError):
+        if name and not _is_there():
+            os.chdir(name)  # an earlier verb of the same line has replaced it
+    with suppress(OSError):
+        name = name if name and os.path.samefile(name, ".") else os.getcwd()
+    try:
+        yield
+    finally:
+        if not quiet and name and _is_another(name):
+            sys.stderr.write("this folder was replaced by the finished one: `cd .` enters it\n")
+
+
+def _is_there() -> bool:
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        return False
+    return True
+
+
+def _is_another(name: str) -> bool:
+    try:
+        return not os.path.samefile(name, ".")
+    except OSError:
+        return False
 
 
 if __name__ == "__main__":

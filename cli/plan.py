@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -10,7 +10,6 @@ from piezoid_cli.terminal import Force, Quiet, hand_over, plain, table
 
 if TYPE_CHECKING:
     from rich.table import Table
-    from rich.text import Text
 
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.diagnosis.experiment import Plan
@@ -147,7 +146,7 @@ def _show(found: "Plan", drive: Path) -> None:
 
 def _table(found: "Plan") -> "Table":
     alone = found.question.kind != "separate"
-    rows: list[tuple[str | Text, ...]] = []
+    rows: list[tuple[Any, ...]] = []
     for one in found.alternatives:
         if one.told is None:
             rows.append((one.name, "", "", one.refusal))

@@ -409,7 +409,7 @@ def report(
         if shipping.parameters is not None:
             files["params.json"] = parameter_file.to_json(shipping.parameters)
             unshipped = shipping.parameters.unshipped
-    page: str = _reports("render").render(
+    page: str = _reports().render(
         model,
         held.recordings,
         held.sweeps,
@@ -443,7 +443,7 @@ def calibrate(
     declared = _lab(lab)
     held = _collected(recordings, declared)
     found = whole_way.calibrate(held, declared, _told(progress), threads=threads)
-    made: Calibration = _reports("calibrated").with_report(found, held, declared)
+    made: Calibration = _reports().with_report(found, held, declared)
     return made
 
 
@@ -493,6 +493,6 @@ def _told(progress: Progress) -> Callable[[str], None]:
     return progress or (lambda _: None)
 
 
-def _reports(module: str) -> Any:
-    """Return a module of the reports, which stand on this library and not under it."""
-    return import_module(f"piezoid_reports.{module}")
+def _reports() -> Any:
+    """Return what renders reports, which stand on this library and not under it."""
+    return import_module("piezoid_reports.render")

@@ -12,7 +12,6 @@ from piezoid_reports.traces import Trace
 
 STILL = 1e-4  # of the drive's range: a change below it is a hold
 SHORTEST_s = 0.2  # hold that counts
-RATE_SPREAD = 0.02  # of the largest speed, where the scale of speed turns from even to decades
 
 Along = Callable[[Trace], tuple[Array, Array]]
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.recording import Recording
-from piezoid_reports.folding import figures_in
-from piezoid_reports.page import Page
+from piezoid_reports.page import Page, figures_in
 from piezoid_reports.render import figure_html
 from piezoid_reports.sections import loops, residual_over_time
 from piezoid_reports.traces import all_traces

@@ -17,7 +17,7 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.verification.verification import Verification
 
 # Of the range: the opening of a loop grows with the square of its size, so that this moves it by

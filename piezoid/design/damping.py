@@ -14,9 +14,9 @@ import numpy as np
 
 from piezoid.design.design import AxisDesign, LoopDesign, members_of
 from piezoid.design.feasibility import rounded_down, unmet
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import linear_controller
 from piezoid.design.plant import Fraction, PlantFamily
-from piezoid.design.poles import LIGHT
+from piezoid.design.rst import LIGHT
 from piezoid.design.specification import MODE_SHARE, Specification
 from piezoid.design.templates import Template
 from piezoid.design.tuning import DAMPED, METHODS, tune_observer

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.poles import LIGHT
+from piezoid.design.rst import LIGHT
 from piezoid.design.specification import Specification
 from piezoid.design.templates import FUNCTIONS, delay_limit
 from piezoid.numerics.arrays import Array

@@ -20,11 +20,14 @@ from piezoid.design.chain import Section
 from piezoid.design.design import members_of
 from piezoid.design.family_grid import FamilyGrid, family_grid, judge
 from piezoid.design.feasibility import unmet
-from piezoid.design.observer import DisturbanceObserver, ObserverFrame, disturbance_model
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import (
+    DisturbanceObserver,
+    ObserverFrame,
+    disturbance_model,
+    linear_controller,
+)
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.poles import LIGHT
-from piezoid.design.rst import section_poles
+from piezoid.design.rst import LIGHT, section_poles
 from piezoid.design.search import search
 from piezoid.design.sensitivity import margins
 from piezoid.design.specification import Specification, slowest_Hz

@@ -37,7 +37,7 @@ from piezoid.identification.loop_model import (
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.zero_order_hold import fraction, sample
-from piezoid.operators.analogue import cascade, first_order
+from piezoid.operators.linear import cascade, first_order
 
 FORMS = ("inverse", "affine")
 FEWEST_REPLICATES = 20

@@ -28,7 +28,7 @@ from piezoid.design.feasibility import (
 )
 from piezoid.design.feedforward import ReferencePath, fit_reference_path
 from piezoid.design.hysteresis_bounds import HysteresisBounds
-from piezoid.design.observer_loop import LinearController, linear_controller
+from piezoid.design.observer import LinearController, linear_controller
 from piezoid.design.plant import Plant, PlantFamily
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Violation

@@ -110,18 +110,14 @@ def violations(
     templates: Sequence[Template],
     modulus_margin: float,
     delay_margin_s: float,
-    tolerance_dB: float = 0.0,
 ) -> tuple[Violation, ...]:
-    """Check every member on a fine grid against every limit; worst first.
-
-    tolerance_dB  templates missed by less are met
-    """
+    """Check every member on a fine grid against every limit; worst first."""
     found: list[Violation] = []
     for plant in members:
         found += _margin_violations(plant, R, S, modulus_margin, delay_margin_s)
         for template in templates:
             found += _template_violation(plant, R, S, template)
-    kept = [violation for violation in found if violation.excess_dB > tolerance_dB]
+    kept = [violation for violation in found if violation.excess_dB > 0.0]
     return tuple(sorted(kept, key=lambda violation: -violation.excess_dB))
 
 

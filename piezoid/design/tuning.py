@@ -14,10 +14,10 @@ from piezoid.design.observer import (
     ObserverFrame,
     disturbance_model,
     extended,
+    feedback_polynomials,
 )
-from piezoid.design.observer_loop import feedback_polynomials
 from piezoid.design.plant import Plant, PlantFamily
-from piezoid.design.poles import (
+from piezoid.design.rst import (
     LIGHT,
     PoleChoice,
     feedback_poles,

@@ -6,15 +6,17 @@ named in the initialiser, so a member of another spelling does not compile.
 """
 
 import ctypes
+import re
 import textwrap
 from typing import Any
 
 import numpy as np
 
-from piezoid.export.inert import inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, used
 from piezoid.runtime.library import PRECISIONS, SEALED, library
 from piezoid.runtime.schema import PARAMETERS, VERSION, Parameter
+
+_HARMLESS = re.compile(r"[^A-Za-z0-9 .,:;()+=_-]")
 
 _TOP = """\
 /* Parameters of the piezoid runtime for the stage: {name}
@@ -142,3 +144,12 @@ def _literal(value: Any) -> str:
         return f"PZ_REAL({float(value)!r})"
     rows = [_literal(np.asarray(row)) for row in value]
     return "{" + ", ".join(rows or ["{PZ_REAL(0)}" if value.ndim > 1 else "PZ_REAL(0)"]) + "}"
+
+
+def inert(text: str, *, length: int = 80) -> str:
+    """Return ``text`` as plain ASCII that ends no comment, line or string, and starts nothing.
+
+    Whatever is not a letter, digit, space or plain punctuation becomes ``_``: a star and slash,
+    a backslash, a line end, a quotation mark, a trigraph's question marks.
+    """
+    return _HARMLESS.sub("_", text)[:length]

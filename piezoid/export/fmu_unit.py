@@ -12,10 +12,8 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from piezoid.export.bundle import shipped
-from piezoid.export.c_header import c_header
-from piezoid.export.golden import SAMPLES
-from piezoid.export.inert import inert
+from piezoid.export.bundle import SAMPLES, shipped
+from piezoid.export.c_header import c_header, inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.export.shared_library import LINUX, shared_library
 from piezoid.provenance import digest_of_bytes

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezoid.errors import RuntimeLibraryError
-from piezoid.export.bundle import shipped
-from piezoid.export.c_header import c_header
-from piezoid.export.golden import golden_csv
-from piezoid.export.inert import inert
+from piezoid.export.bundle import golden_csv, shipped
+from piezoid.export.c_header import c_header, inert
 from piezoid.export.parameter_file import ParameterFile, digest_of
 
 # -O2 and no contraction: what the runtime was verified with. The last keeps the clock out.

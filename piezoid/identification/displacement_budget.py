@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.numerics.uncertainty_budget import (
     HEAVY,
     NORMAL,

@@ -7,8 +7,7 @@ import numpy as np
 from piezoid.errors import IdentificationError
 from piezoid.identification.loop_model import LoopModel, loop_model
 from piezoid.identification.model import AxisModel
-from piezoid.operators.analogue import cascade
-from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, sample
+from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, sample
 
 if TYPE_CHECKING:
     from scipy.signal import StateSpace

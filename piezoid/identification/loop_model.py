@@ -15,9 +15,8 @@ from piezoid.identification.extensions.linear_mode import LinearMode, mode_sprea
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import NORMAL_95
-from piezoid.operators.analogue import cascade, first_order
-from piezoid.operators.linear import ContinuousSystem
+from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.linear import ContinuousSystem, cascade, first_order
 
 DECLARED_SPREAD = 0.1  # a data sheet's bandwidth is a round number for a typical specimen
 INSTANTANEOUS = 5.7  # sampling rates: of such a pole exp(-2 pi f / fs) is below float64's last bit

@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.counts import in_counts
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 
 if TYPE_CHECKING:
     from pandas import DataFrame

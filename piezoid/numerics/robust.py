@@ -9,10 +9,13 @@ Any slope by its rank is then found by trying slopes [Cole, Salowe, Steiger & Sz
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtri, stdtrit
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import NORMAL_95
+
+NORMAL_95 = 1.959963984540054
+"""Half the width of a 95 % interval of a normal distribution, in standard deviations."""
 
 EXACT = 1000  # samples up to which scipy makes the pairs: half a million of them
 GUESSED = 500  # samples from which a rank is guessed
@@ -254,3 +257,19 @@ def _slope_of_rank(x: Array, y: Array, rank: float, near: float, step: float) ->
             (middle, found, high, above) if found < 0.0 else (low, below, middle, found)
         )
     return 0.5 * (low + high)
+
+
+def normal_quantile(probability: ArrayLike) -> Array:
+    """Return the values below which a standard normal one lies with these probabilities."""
+    return np.asarray(ndtri(probability))
+
+
+def student_quantile(probability: ArrayLike, freedom: ArrayLike) -> Array:
+    """Return the values below which Student's t lies with these probabilities.
+
+    probability  (...)  0 to 1
+    freedom      (...)  degrees of freedom, > 0; infinite: the normal distribution
+    """
+    known = np.isinf(freedom)
+    finite = stdtrit(np.where(known, 1.0, freedom), probability)
+    return np.asarray(np.where(known, ndtri(probability), finite))

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.quantiles import normal_quantile, student_quantile
+from piezoid.numerics.robust import normal_quantile, student_quantile
 
 CONFIDENCE = 0.95
 DRAWS = 200_000

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.inert import inert
+from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.readable import told

@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
-from piezoid.export.inert import inert
+from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 
 from piezoid.design.plant import Fraction, Plant, PlantFamily
-from piezoid.design.poles import LIGHT
+from piezoid.design.rst import LIGHT
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins
 from piezoid.design.specification import Specification
 from piezoid.design.templates import Template, violations

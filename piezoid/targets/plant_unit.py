@@ -14,9 +14,9 @@ from importlib.resources import files
 
 import numpy as np
 
+from piezoid.export.bundle import SAMPLES
+from piezoid.export.c_header import inert
 from piezoid.export.fmu_unit import Unit, variables
-from piezoid.export.golden import SAMPLES
-from piezoid.export.inert import inert
 from piezoid.numerics.arrays import Array
 from piezoid.verification.loop_library import Kept, Linear, LoopPlant, Map
 from piezoid.verification.loop_plant import begun_plant

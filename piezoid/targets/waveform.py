@@ -15,7 +15,7 @@ import numpy as np
 
 from piezoid.design.from_model import plant_family
 from piezoid.errors import ParameterFileError
-from piezoid.export.inert import inert
+from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle

@@ -21,8 +21,9 @@ A tip regulates a current, and its error is the height that the logarithm of the
 while the surface moves. Its bound is that of the linear loop.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -58,16 +59,21 @@ _SIGMAS = 3.0
 _TURNS, _TARGETS, _SINES = 6, 12, 5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Task:
+class _Task(Protocol):
     """One axis: how its stages and paths are drawn, and what it errs by on them."""
 
-    draw: Callable[[np.random.Generator, bool], AxisPlant]
     nominal: AxisPlant
     reach_m: float
     fastest_m_per_s: float
-    bound: Callable[[float], float | None]
-    error: Callable[[AxisPlant, Array, np.random.Generator], float | None]
+
+    def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
+        """Draw a stage, or one at the ends of the intervals."""
+
+    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+        """Return the largest error on a path, m; None outside of the conditions."""
+
+    def bound(self, slew: float) -> float | None:
+        """Return what bounds every error at a speed, m; None without a guarantee."""
 
 
 def error_bounds(
@@ -94,10 +100,10 @@ def error_bounds(
         if isinstance(plant.response, Junction):
             asked = design.axis(axis.axis).specification
             noise_ln = max(noise_rms(m, loop.R, loop.S, asked) for m in loop.members)
-            task = _tip_task(axis, plant, loop, variations[place], _SIGMAS * noise_ln)
+            task: _Task = _TipTask(axis, plant, loop, variations[place], _SIGMAS * noise_ln)
         else:
             scan_Hz = design.axis(axis.axis).specification.scan_frequency_Hz
-            task = _lateral_task(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
+            task = _LateralTask(axis, plant, model[axis.axis], loop.certificate, scan_Hz)
         for number, share in enumerate(SPEEDS):
             rng = np.random.default_rng([seed, place, number])
             found.extend(_at_speed(axis.axis, task, share * task.fastest_m_per_s, rng, executor))
@@ -157,28 +163,33 @@ def _at_speed(
     )
 
 
-def _lateral_task(
-    axis: AxisParameters,
-    plant: AxisPlant,
-    model: AxisModel,
-    certificate: Certificate | None,
-    scan_Hz: float,
-) -> _Task:
-    room = room_of(axis)
-    fastest_m_per_s = 2.0 * np.pi * scan_Hz * room.farthest_m  # what a certificate takes as well
-    if certificate is not None:
-        fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
-    operators = draw_replicates(model, np.random.default_rng(0)) or (model.hysteresis,)
-    low_V, high_V = model.voltage_V
+class _LateralTask:
+    def __init__(
+        self,
+        axis: AxisParameters,
+        plant: AxisPlant,
+        model: AxisModel,
+        certificate: Certificate | None,
+        scan_Hz: float,
+    ) -> None:
+        self.nominal, self._axis, self._room = plant, axis, room_of(axis)
+        self._model, self._certificate = model, certificate
+        self.reach_m = REACH * self._room.farthest_m
+        # What a certificate takes as well.
+        self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._room.farthest_m
+        if certificate is not None:
+            self.fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
+        own = (model.hysteresis,)
+        self._operators = draw_replicates(model, np.random.default_rng(0)) or own
 
-    def draw(rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
+    def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
         slower, sharper = rng.uniform(-1.0, 1.0, 2)
         size = float(rng.standard_normal())
         if is_extreme:
             slower, sharper, size = np.sign(slower), np.sign(sharper), 2.0
         moved = lateral_plant(
-            at_corner(model, float(slower), float(sharper)),
-            sampling_rate_Hz=plant.sampling_rate_Hz,
+            at_corner(self._model, float(slower), float(sharper)),
+            sampling_rate_Hz=self.nominal.sampling_rate_Hz,
         )
         response = moved.response
         assert isinstance(response, Hysteresis)
@@ -188,25 +199,25 @@ def _lateral_task(
             second = replace(second, weight_m=scaled)
         changed = replace(
             response,
-            operator=operators[int(rng.integers(len(operators)))],
+            operator=self._operators[int(rng.integers(len(self._operators)))],
             discrepancy=second,
-            history_V=_past_V(rng, low_V, high_V),
+            history_V=_past_V(rng, *self._model.voltage_V),
         )
         return replace(
             moved,
             label="drawn",
             response=changed,
-            reading_step=plant.reading_step,
-            reading_range=plant.reading_range,
+            reading_step=self.nominal.reading_step,
+            reading_range=self.nominal.reading_range,
         )
 
-    def error(chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
-        asked = room.centre_m + path
+    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+        asked = self._room.centre_m + path
         way = led_to(chosen, float(asked[0]))
         moved = chosen.motion_m(len(asked) + len(way), np.concatenate([0.0 * way, path]))
         run = run_axis(
             chosen,
-            axis,
+            self._axis,
             np.concatenate([way, asked]),
             rng=rng,
             disturbance=moved if chosen.motions else None,
@@ -214,43 +225,41 @@ def _lateral_task(
         outside = np.any(run.status & np.uint32(_OUTSIDE))
         return None if outside else float(np.abs(run.error).max())
 
-    def bound(slew: float) -> float | None:
-        if certificate is None:
+    def bound(self, slew: float) -> float | None:
+        proven = self._certificate
+        if proven is None:
             return None
-        bounded_m = certificate.guaranteed_at(slew) + certificate.noise_error_m
-        usable = certificate.is_guaranteed and bounded_m < model.quality.range_m
+        bounded_m = proven.guaranteed_at(slew) + proven.noise_error_m
+        usable = proven.is_guaranteed and bounded_m < self._model.quality.range_m
         return bounded_m if usable else None
 
-    return _Task(
-        draw=draw,
-        nominal=plant,
-        reach_m=REACH * room.farthest_m,
-        fastest_m_per_s=fastest_m_per_s,
-        bound=bound,
-        error=error,
-    )
 
+class _TipTask:
+    reach_m, fastest_m_per_s = TIP_m, TIP_m_per_s
 
-def _tip_task(
-    axis: AxisParameters,
-    plant: AxisPlant,
-    loop: LoopDesign,
-    others: Sequence[AxisPlant],
-    noise_ln: float,
-) -> _Task:
-    stages = (plant, *others)
-    response = plant.response
-    assert isinstance(response, Junction)
+    def __init__(
+        self,
+        axis: AxisParameters,
+        plant: AxisPlant,
+        loop: LoopDesign,
+        others: Sequence[AxisPlant],
+        noise_ln: float,
+    ) -> None:
+        assert isinstance(plant.response, Junction)
+        self.nominal, self._axis, self._stages = plant, axis, (plant, *others)
+        self._loop, self._noise_ln, self._response = loop, noise_ln, plant.response
 
-    def draw(rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
-        return stages[int(rng.integers(1 if is_extreme and others else 0, len(stages)))]
+    def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:
+        count = len(self._stages)
+        return self._stages[int(rng.integers(1 if is_extreme and count > 1 else 0, count))]
 
-    def error(chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+    def error(self, chosen: AxisPlant, path: Array, rng: np.random.Generator) -> float | None:
+        response = self._response
         still = np.zeros(round(LASTS_s * chosen.sampling_rate_Hz))
         height_m = np.concatenate([still, path])
         run = run_axis(
             chosen,
-            axis,
+            self._axis,
             np.full(len(height_m), response.current_A),
             rng=rng,
             disturbance=response.decay_per_m * height_m,
@@ -260,22 +269,15 @@ def _tip_task(
         decades = np.log(run.position / response.current_A)
         return float(np.abs(decades).max()) / response.decay_per_m
 
-    def bound(slew: float) -> float | None:
+    def bound(self, slew: float) -> float | None:
+        loop = self._loop
         S = without_difference(loop.S)
         late_s = max(
             peak_gain(product(m.A, S), closed_loop_polynomial(m, loop.R, loop.S))
             for m in loop.members
         )
-        return late_s * slew / plant.sampling_rate_Hz + noise_ln / response.decay_per_m
-
-    return _Task(
-        draw=draw,
-        nominal=plant,
-        reach_m=TIP_m,
-        fastest_m_per_s=TIP_m_per_s,
-        bound=bound,
-        error=error,
-    )
+        noise_m = self._noise_ln / self._response.decay_per_m
+        return late_s * slew / self.nominal.sampling_rate_Hz + noise_m
 
 
 def _past_V(rng: np.random.Generator, low_V: float, high_V: float) -> tuple[float, ...]:

@@ -30,8 +30,8 @@ from piezoid.design.from_model import lateral_task, unseen
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import closed_loop_polynomial
 from piezoid.errors import DesignError
+from piezoid.export.from_design import hysteresis_values, observer_values, reference_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
-from piezoid.export.runtime_names import hysteresis_values, observer_values, reference_values
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.estimate import longest_lag_s

@@ -12,10 +12,9 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.loop_model import rest_gain
 from piezoid.identification.model import Discrepancy
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import cascade as in_series
-from piezoid.operators.analogue import first_order
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.linear import ContinuousSystem, sample
+from piezoid.operators.linear import ContinuousSystem, first_order, sample
+from piezoid.operators.linear import cascade as in_series
 from piezoid.operators.play import play_columns
 from piezoid.verification.loop_library import (
     MAX_STATES,

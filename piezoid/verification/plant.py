@@ -11,8 +11,7 @@ from piezoid.identification.loop_model import loop_model
 from piezoid.identification.model import AxisModel, Discrepancy
 from piezoid.identification.tunnelling.junction_plant import DriveMode, JunctionPlant
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import cascade
-from piezoid.operators.linear import ContinuousSystem, recursive_filter
+from piezoid.operators.linear import ContinuousSystem, cascade, recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
 Respond = Callable[[float], float]

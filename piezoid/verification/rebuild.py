@@ -11,8 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
-from piezoid.export.bundle import bundle
-from piezoid.export.golden import inputs
+from piezoid.export.bundle import bundle, inputs
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller

@@ -7,8 +7,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
+from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.scenarios import Path
 from piezoid.verification.tracking import Tracking, shape_error
+
+MOTION_POINTS = 1000  # of 0.8 s of steps: a loop of 350 Hz settles within three of them
+SHOWN = ("raster", "steps")  # kinds of scenarios; spirals are kept as ``SpiralTrace``
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion:
+    """One axis along one path, about the path's middle.
+
+    scenario         its name
+    duration_s       from the first place to one step after the last
+    reference_m      (points,)
+    shipped_m        (points,)  position under what ships
+    uncompensated_m  (points,)  under a static gain; empty where it was not run
+    """
+
+    scenario: str
+    axis: str
+    duration_s: float
+    reference_m: tuple[float, ...]
+    shipped_m: tuple[float, ...]
+    uncompensated_m: tuple[float, ...]
+
 
 POINTS = 300
 TRACED_Hz = (10.0, 100.0)  # spirals of these frequencies are kept
@@ -76,3 +100,35 @@ def rms_from(starts: NDArray[np.intp], values: Array) -> Array:
 
 def _rounded(values: Array) -> tuple[float, ...]:
     return tuple(np.round(values, _DECIMALS).tolist())
+
+
+def motions_of(
+    scenario: str,
+    shipped: Mapping[str, LoopRecord],
+    beside: Mapping[str, LoopRecord],
+    centre_m: Mapping[str, float],
+    rate_Hz: float,
+) -> tuple[Motion, ...]:
+    """Thin the runs of one scenario to ``POINTS`` places, axis by axis."""
+    found = []
+    for axis, record in shipped.items():
+        count = len(record.reference)
+        at = np.unique(np.linspace(0, count, MOTION_POINTS, endpoint=False).astype(np.intp))
+        other = beside.get(axis)
+        found.append(
+            Motion(
+                scenario=scenario,
+                axis=axis,
+                duration_s=count / rate_Hz,
+                reference_m=_about(record.reference[at], centre_m[axis]),
+                shipped_m=_about(record.position[at], centre_m[axis]),
+                uncompensated_m=()
+                if other is None
+                else _about(other.position[at], centre_m[axis]),
+            )
+        )
+    return tuple(found)
+
+
+def _about(values_m: Array, centre_m: float) -> tuple[float, ...]:
+    return tuple(np.round(values_m - centre_m, _DECIMALS).tolist())

@@ -18,9 +18,8 @@ from piezoid.showing import shown
 from piezoid.upstairs import upstairs
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.motion import Motion
 from piezoid.verification.proof import Proof
-from piezoid.verification.trace import SpiralTrace
+from piezoid.verification.trace import Motion, SpiralTrace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,13 +16,24 @@ from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.coupled_loop import coupling_rows, judged
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.limit_proof import LimitProof
-from piezoid.verification.motion import BESIDE, SHOWN, Motion, motions_of
-from piezoid.verification.over_surface import judge_tips, run_tips
 from piezoid.verification.plant import AxisPlant, with_pasts
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import SCENARIOS, Path, Scenario
-from piezoid.verification.tip_trials import TIP_TRIALS, TipTrial, judge_trials
-from piezoid.verification.trace import is_traced, trace_of
+from piezoid.verification.tip_trials import (
+    TIP_TRIALS,
+    TipTrial,
+    judge_tips,
+    judge_trials,
+    run_tips,
+)
+from piezoid.verification.trace import (
+    SHOWN,
+    TRACED_BESIDE,
+    Motion,
+    is_traced,
+    motions_of,
+    trace_of,
+)
 from piezoid.verification.tracking import Tracking, track
 from piezoid.verification.verification import ComparisonRow, SpiralRow, Verification
 
@@ -265,8 +276,8 @@ def _motions(bench: Bench, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
         if scenario.kind not in SHOWN or scenario.name not in bench.shown:
             continue
         beside = {}
-        if BESIDE in bench.methods()[1:]:
-            beside = lateral_runs(bench, scenario.path(bench.rate_Hz), BESIDE)
+        if TRACED_BESIDE in bench.methods()[1:]:
+            beside = lateral_runs(bench, scenario.path(bench.rate_Hz), TRACED_BESIDE)
         shown = bench.shown[scenario.name]
         yield from motions_of(scenario.name, shown, beside, bench.centre_m, bench.rate_Hz)
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import normal_quantile
 from piezoid.numerics.robust import (
     Spread,
     Trend,
     deviations,
     holm,
+    normal_quantile,
     spread_beyond,
     spread_of,
     trend_of,

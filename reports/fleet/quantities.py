@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from piezoid.design.design import AxisDesign
 from piezoid.identification.model import AxisModel
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 from piezoid.readable import UNKNOWN
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told

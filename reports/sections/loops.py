@@ -3,8 +3,7 @@
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, axis_over
-from piezoid_reports.folding import first_open
-from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading
+from piezoid_reports.page import Figure, Page, Part, Section, Table, axis_heading, first_open
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import Trace, rms
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid_reports.page import Page, Part, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, told, told_between
 

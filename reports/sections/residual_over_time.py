@@ -7,13 +7,13 @@ import numpy as np
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
-from piezoid_reports.folding import first_open
 from piezoid_reports.page import (
     Figure,
     Page,
     Part,
     Section,
     axis_heading,
+    first_open,
     scale_of_errors,
 )
 from piezoid_reports.quantities import told

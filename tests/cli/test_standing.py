@@ -9,7 +9,7 @@ import pytest
 REPLACE = """
 from pathlib import Path
 from piezoid_cli.output_folder import add_to_folder
-from piezoid_cli.standing import standing
+from piezoid_cli.main import standing
 
 with standing(quiet={quiet}):
     held = Path("kept.txt").read_text()

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from piezoid.design.observer import DisturbanceObserver
-from piezoid.design.observer_loop import LinearController
+from piezoid.design.observer import DisturbanceObserver, LinearController
 from piezoid.design.plant import Plant
 from piezoid.design.rst import RstController
 from piezoid.numerics.arrays import Array

@@ -5,8 +5,7 @@ import pytest
 
 from piezoid.design.chain import Section, plant_from_chain
 from piezoid.design.feasibility import rounded_down
-from piezoid.design.poles import PoleChoice, observer_poles, slow_and_fast
-from piezoid.design.rst import sampled_poles
+from piezoid.design.rst import PoleChoice, observer_poles, sampled_poles, slow_and_fast
 from piezoid.design.tuning import _frequency, _placed_choices
 from piezoid.numerics.polynomial import roots_of
 from tests.design.rig import RATE_Hz, lateral_chain

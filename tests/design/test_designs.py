@@ -9,13 +9,13 @@ import pytest
 from piezoid.design.certificate import Operation, certify
 from piezoid.design.design import AxisDesign, Design, design_from_json, members_of
 from piezoid.design.feasibility import unmet
+from piezoid.design.from_junction import design_vertical
 from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.lateral import design_lateral, with_sector
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import linear_controller
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import margins, sensitivities
 from piezoid.design.tuning import tune_observer
-from piezoid.design.vertical import design_vertical
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total

@@ -8,13 +8,13 @@ import pytest
 
 from piezoid.design.design import LoopDesign
 from piezoid.design.feasibility import at_feasible_bandwidth, nearest_feasible, unmet
+from piezoid.design.from_junction import design_vertical
 from piezoid.design.lateral import design_lateral
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import linear_controller
 from piezoid.design.plant import PlantFamily
 from piezoid.design.specification import Specification, default_specification
 from piezoid.design.templates import Template, Violation
 from piezoid.design.tuning import tune_observer
-from piezoid.design.vertical import design_vertical
 from piezoid.errors import TemplateError
 from tests.design.placed import plant_from_fraction
 from tests.design.rig import (

@@ -5,7 +5,7 @@ import pytest
 
 from piezoid.design.feedforward import filter_sections, fit_reference_path
 from piezoid.design.hysteresis_bounds import affine_bounds
-from piezoid.design.observer_loop import linear_controller
+from piezoid.design.observer import linear_controller
 from tests.design.hysteretic import REACH_V, hysteresis, loop
 from tests.design.rig import RATE_Hz
 

@@ -8,10 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.design.chain import Section, plant_from_chain
-from piezoid.design.observer import DisturbanceObserver, disturbance_model
-from piezoid.design.observer_loop import linear_controller, with_oscillators_as_states
+from piezoid.design.observer import (
+    DisturbanceObserver,
+    disturbance_model,
+    linear_controller,
+    with_oscillators_as_states,
+)
 from piezoid.design.plant import Plant
-from piezoid.design.poles import PoleChoice, feedback_poles, observer_poles
+from piezoid.design.rst import PoleChoice, feedback_poles, observer_poles
 from piezoid.design.sensitivity import closed_loop_polynomial, margins, sensitivities
 from piezoid.numerics.polynomial import from_roots, roots_of
 from tests.design.placed import place_observer

@@ -5,8 +5,12 @@ import pytest
 
 from piezoid.design.chain import plant_from_chain
 from piezoid.design.feedforward import filter_sections, fit_reference_path
-from piezoid.design.observer import DisturbanceObserver, disturbance_model
-from piezoid.design.observer_loop import linear_controller, with_oscillators_as_states
+from piezoid.design.observer import (
+    DisturbanceObserver,
+    disturbance_model,
+    linear_controller,
+    with_oscillators_as_states,
+)
 from piezoid.design.rst import place
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import product

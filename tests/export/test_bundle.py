@@ -10,10 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.bundle import SHIPPED, bundle, shipped
-from piezoid.export.c_header import c_header
-from piezoid.export.golden import SAMPLES, golden_csv
-from piezoid.export.inert import inert
+from piezoid.export.bundle import SAMPLES, SHIPPED, bundle, golden_csv, shipped
+from piezoid.export.c_header import c_header, inert
 from piezoid.export.parameter_file import AxisParameters, digest_of
 from piezoid.records.which_voltage import WHICH_VOLTAGE
 from piezoid.runtime.controller import Status

@@ -13,9 +13,9 @@ from piezoid.identification.dynamics.bandwidth import unseen
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.store import write_model
 from piezoid_cli.design import design
-from piezoid_reports.loop_figures import nyquist, pole_map
 from piezoid_reports.quantities import significant
 from piezoid_reports.render import render
+from piezoid_reports.sections.design import nyquist, pole_map
 from tests.reports.known_stage import axis_model, recording, stage_model
 
 APP = typer.Typer()

@@ -12,8 +12,7 @@ from piezoid import design, fit, read
 from piezoid.export.parameter_file import from_json
 from piezoid.identification.store import read_model
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import cascade, first_order, resonance
-from piezoid.operators.linear import sample
+from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
 from piezoid.runtime.controller import Controller
 from tests.records.responses import matrix, noisy, response, write_csv, write_matlab

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from piezoid.numerics.quantiles import normal_quantile, student_quantile
+from piezoid.numerics.robust import normal_quantile, student_quantile
 
 PROBABILITIES = np.array([1e-9, 0.025, 0.5, 0.8, 0.975, 0.9995])
 

@@ -11,8 +11,14 @@ from hypothesis import strategies as st
 from piezoid.numerics import zero_order_hold
 from piezoid.numerics.arrays import Array
 from piezoid.operators import linear
-from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
-from piezoid.operators.linear import ContinuousSystem, DiscreteSystem
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    DiscreteSystem,
+    butterworth,
+    cascade,
+    first_order,
+    resonance,
+)
 from tests.operators.strategies import drives
 
 RATE_Hz = 20e3

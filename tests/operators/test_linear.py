@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
-from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    DiscreteSystem,
+    butterworth,
+    cascade,
+    first_order,
+    fraction,
+    resonance,
+    sample,
+)
 
 RATE_HZ = 20_000.0
 ROUNDING = 1e-10  # products of a few dozen numbers near one

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from piezoid.errors import DesignError, ParameterFileError
-from piezoid.targets.biquad import biquad_files, held_axis
+from piezoid.targets.biquad import biquad_files
 from piezoid.targets.box import Box, read_box, run_box
+from piezoid.targets.held_sections import held_axis
 from piezoid.targets.pid import Notch
 from piezoid.targets.section_boxes import BOXES, programmed
 from piezoid.verification.plant import Plugged

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.golden import SAMPLES, golden_csv
+from piezoid.export.bundle import SAMPLES, golden_csv
 from piezoid.targets.exported import Exported
 from piezoid.targets.targets import known_targets, written_for
 from tests.export.stage import stage

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.from_model import lateral_task
-from piezoid.export.runtime_names import creep_values
+from piezoid.export.from_design import creep_values
 from piezoid.identification.extensions import (
     AmplifierLimits,
     ConverterHold,

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from piezoid.verification.over_surface import RoughSurface
 from piezoid.verification.scenarios import (
     constant_angular_velocity,
     constant_linear_velocity,
     raster,
     steps,
 )
+from piezoid.verification.tip_trials import RoughSurface
 from piezoid.verification.tracking import align, track
 
 RATE_Hz = 20e3

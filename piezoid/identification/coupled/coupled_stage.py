@@ -15,7 +15,7 @@ from piezoid.identification.coupled.hysteresis_terms import (
 )
 from piezoid.identification.coupled.modal_sum import complex_residues, modal_columns
 from piezoid.numerics.arrays import Array, ComplexArray, expect_shapes, freeze, frozen
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 
 # Between levels the model interpolates; a drive within so much of the outer ones counts as theirs,
 # because realisations of one level differ in their rms (by 0.3 % on the steering mirror).

@@ -26,7 +26,6 @@ from piezoid.identification.coupled.hysteresis_terms import (
     at_lines,
     hysteresis_terms,
     linear_share,
-    oversampled,
 )
 from piezoid.identification.coupled.modal_sum import modal_columns
 from piezoid.identification.coupled.projected_fit import (
@@ -35,7 +34,11 @@ from piezoid.identification.coupled.projected_fit import (
     Numbers,
     Point,
     Problem,
+    columns_at,
+    elongations_of,
     fitted,
+    left_by,
+    without_realisation,
 )
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData
 from piezoid.identification.dynamics.vector_fitting import start_poles, vector_fit
@@ -94,9 +97,9 @@ def fit_coupled(
     models = [(numbers, residue)] * count
     is_left_out = intervals and count > problem.inputs + 1
     if is_left_out:
-        models = [fitted(_without(problem, r), numbers, LEFT_OUT) for r in range(count)]
+        models = [fitted(without_realisation(problem, r), numbers, LEFT_OUT) for r in range(count)]
         shapes = [one for one, _ in models]
-    linear = [_left(problem, k, numbers, residue) for k in range(len(data))]
+    linear = [left_by(problem, k, numbers, residue) for k in range(len(data))]
     groups = np.array_split(np.arange(count), GROUPS if is_left_out else 2)
     whole, apart = _distortion(problem, numbers, linear, elongation, scale, groups)
     error = []
@@ -104,7 +107,7 @@ def fit_coupled(
         own = np.empty((count, len(data[0].outputs)))
         for group, added in zip(groups, apart, strict=True):
             for r in group:
-                rest = _left(problem, k, *models[r])[..., r]
+                rest = left_by(problem, k, *models[r])[..., r]
                 rest = rest - (0.0 if added is None else added.lines(k)[..., r])
                 own[r] = np.sqrt(2.0 * (np.abs(rest) ** 2).sum(axis=0)) / level.samples
         error.append(own)
@@ -278,28 +281,9 @@ def _low_response(problem: Problem, numbers: Numbers, residue: Array) -> Array:
     return np.asarray(np.einsum("fc,coi->foi", columns, residue[0])[0].real)
 
 
-def _elongations(
-    problem: Problem, level: Level, numbers: Numbers, residue: Array, elongation: Array
-) -> tuple[Array, Array]:
-    """Return drives and elongations, (fine samples, inputs, realisations), V."""
-    l = problem.coordinate(level)  # noqa: E741
-    columns = modal_columns(
-        level.frequency_Hz,
-        numbers.log_frequency[0] + l * numbers.log_frequency[1],
-        numbers.log_damping[0] + l * numbers.log_damping[1],
-        problem.lag_Hz,
-    ).value
-    linear = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
-    drive = np.zeros((level.samples // 2 + 1, *level.drive.shape[1:]), dtype=np.complex128)
-    moved = drive.copy()
-    drive[level.lines] = level.drive
-    moved[level.lines] = elongation @ (linear @ level.drive)
-    return oversampled(drive, level.samples), oversampled(moved, level.samples)
-
-
 def _scales(problem: Problem, numbers: Numbers, residue: Array, elongation: Array) -> Array:
     """Return the rms of drives and elongations at the largest level, (2, inputs), V."""
-    both = _elongations(problem, problem.levels[-1], numbers, residue, elongation)
+    both = elongations_of(problem, problem.levels[-1], numbers, residue, elongation)
     return np.stack([one.std(axis=(0, 2)) for one in both])
 
 
@@ -310,7 +294,8 @@ def _with_terms(
     signals = [
         [one / scale[k, :, None] for k, one in enumerate(both)]
         for both in (
-            _elongations(problem, level, numbers, residue, elongation) for level in problem.levels
+            elongations_of(problem, level, numbers, residue, elongation)
+            for level in problem.levels
         )
     ]
     columns = [
@@ -347,29 +332,6 @@ def _share(
     return linear_share(terms, u[:, 0], s[:, 0])
 
 
-def _columns(problem: Problem, place: int, numbers: Numbers) -> ComplexArray:
-    level = problem.levels[place]
-    l = problem.coordinate(level)  # noqa: E741
-    return modal_columns(
-        level.frequency_Hz,
-        numbers.log_frequency[0] + l * numbers.log_frequency[1],
-        numbers.log_damping[0] + l * numbers.log_damping[1],
-        problem.lag_Hz,
-    ).value
-
-
-def _left(problem: Problem, place: int, numbers: Numbers, residue: Array) -> ComplexArray:
-    """Return what a model leaves of one level, undelayed, (lines, outputs, realisations)."""
-    level, columns = problem.levels[place], _columns(problem, place, numbers)
-    l = problem.coordinate(level)  # noqa: E741
-    response = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
-    driven = level.drive
-    if level.terms is not None:
-        driven = driven + np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
-    advanced = np.exp(2j * np.pi * level.frequency_Hz * numbers.delay_s)[:, None, None]
-    return np.asarray(advanced * level.moved - response @ driven)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Distortion:
     """Weights of the distortion, and what they act on, level by level."""
@@ -398,9 +360,9 @@ def _distortion(
     """
     residue = Point(problem, problem.pack(numbers)).residue
     columns, terms = [], []
-    for k, level in enumerate(problem.levels):
-        columns.append(_columns(problem, k, numbers))
-        both = _elongations(problem, level, numbers, residue, elongation)
+    for level in problem.levels:
+        columns.append(columns_at(problem, level, numbers))
+        both = elongations_of(problem, level, numbers, residue, elongation)
         u, s = (one / scale[i, :, None] for i, one in enumerate(both))
         terms.append(
             np.stack(
@@ -438,7 +400,7 @@ def _equivalent_gains(
             continue
         signals = [
             at_lines(one, level.lines)
-            for one in _elongations(problem, level, numbers, residue, elongation)
+            for one in elongations_of(problem, level, numbers, residue, elongation)
         ]
         added = np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
         for i in range(problem.inputs):
@@ -462,19 +424,3 @@ def _noise(data: PeriodicData) -> Array:
         return np.zeros(len(data.outputs))
     apart = data.displacement_m - data.displacement_m.mean(axis=3, keepdims=True)
     return _rms(apart) * float(np.sqrt(periods / (periods - 1)))
-
-
-def _without(problem: Problem, realisation: int) -> Problem:
-    levels = []
-    for level in problem.levels:
-        kept = np.arange(level.drive.shape[2]) != realisation
-        levels.append(
-            replace(
-                level,
-                drive=level.drive[:, :, kept],
-                moved=level.moved[:, :, kept],
-                weight=level.weight[kept],
-                terms=None if level.terms is None else level.terms[..., kept],
-            )
-        )
-    return replace(problem, levels=tuple(levels))

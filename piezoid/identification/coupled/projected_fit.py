@@ -13,6 +13,9 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from piezoid.identification.coupled.coupled_stage import level_coordinate
+from piezoid.identification.coupled.hysteresis_terms import (
+    oversampled,
+)
 from piezoid.identification.coupled.modal_sum import (
     complex_residues,
     gram_of_residues,
@@ -238,3 +241,58 @@ def fitted(problem: Problem, numbers: Numbers, rule: Rule) -> tuple[Numbers, Arr
     if not problem.has_terms:
         unpacked = replace(unpacked, term_V=numbers.term_V)
     return unpacked, found.point.residue
+
+
+def elongations_of(
+    problem: Problem, level: Level, numbers: Numbers, residue: Array, elongation: Array
+) -> tuple[Array, Array]:
+    """Return drives and elongations, (fine samples, inputs, realisations), V."""
+    l = problem.coordinate(level)  # noqa: E741
+    columns = columns_at(problem, level, numbers)
+    linear = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
+    drive = np.zeros((level.samples // 2 + 1, *level.drive.shape[1:]), dtype=np.complex128)
+    moved = drive.copy()
+    drive[level.lines] = level.drive
+    moved[level.lines] = elongation @ (linear @ level.drive)
+    return oversampled(drive, level.samples), oversampled(moved, level.samples)
+
+
+def columns_at(problem: Problem, level: Level, numbers: Numbers) -> ComplexArray:
+    """Return what residues multiply at one level, (lines, columns)."""
+    l = problem.coordinate(level)  # noqa: E741
+    return modal_columns(
+        level.frequency_Hz,
+        numbers.log_frequency[0] + l * numbers.log_frequency[1],
+        numbers.log_damping[0] + l * numbers.log_damping[1],
+        problem.lag_Hz,
+    ).value
+
+
+def left_by(problem: Problem, place: int, numbers: Numbers, residue: Array) -> ComplexArray:
+    """Return what a model leaves of one level, undelayed, (lines, outputs, realisations)."""
+    level = problem.levels[place]
+    columns = columns_at(problem, level, numbers)
+    l = problem.coordinate(level)  # noqa: E741
+    response = np.einsum("fc,coi->foi", columns, residue[0] + l * residue[1])
+    driven = level.drive
+    if level.terms is not None:
+        driven = driven + np.einsum("ik,kfir->fir", numbers.term_V, level.terms)
+    advanced = np.exp(2j * np.pi * level.frequency_Hz * numbers.delay_s)[:, None, None]
+    return np.asarray(advanced * level.moved - response @ driven)
+
+
+def without_realisation(problem: Problem, realisation: int) -> Problem:
+    """Return the problem with one realisation left out."""
+    levels = []
+    for level in problem.levels:
+        kept = np.arange(level.drive.shape[2]) != realisation
+        levels.append(
+            replace(
+                level,
+                drive=level.drive[:, :, kept],
+                moved=level.moved[:, :, kept],
+                weight=level.weight[kept],
+                terms=None if level.terms is None else level.terms[..., kept],
+            )
+        )
+    return replace(problem, levels=tuple(levels))

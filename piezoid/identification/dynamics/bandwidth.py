@@ -10,7 +10,7 @@ from piezoid.identification.dynamics.fit_dynamics import Declaration, declared_r
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import interpolated
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 
 Kind = Literal["first_order", "resonance", "undecided"]
 

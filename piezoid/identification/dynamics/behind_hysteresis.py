@@ -157,7 +157,6 @@ def estimate_response_by_coherence(
     segment_samples: int,
     inputs: tuple[str, ...] = ("x",),
     outputs: tuple[str, ...] = ("x",),
-    least_coherence: float = LEAST_COHERENCE,
 ) -> FrequencyResponse:
     """Return the least-squares response of averaged spectra and its multiple coherence.
 
@@ -170,7 +169,7 @@ def estimate_response_by_coherence(
 
     A window must be long against the ring: damping comes out too large where 1/segment is not
     far below the width of a resonance. Distortion and noise cannot be told apart here. Lines are
-    rejected below ``least_coherence``, or where the drive has no power.
+    rejected below ``LEAST_COHERENCE``, or where the drive has no power.
     """
     drive, moved = _columns(voltage_V), _columns(displacement_m)
     U, Y = _windowed(drive, segment_samples), _windowed(moved, segment_samples)
@@ -197,8 +196,8 @@ def estimate_response_by_coherence(
         distortion_variance=np.zeros_like(variance[lines]),
         coherence=coherence[lines],
         is_interference=np.zeros_like(coherence[lines], dtype=np.bool_),
-        is_rejected=coherence[lines] < least_coherence,
-        least_coherence=least_coherence,
+        is_rejected=coherence[lines] < LEAST_COHERENCE,
+        least_coherence=LEAST_COHERENCE,
         variance_freedom=float(np.median(freedom)),
         drive_rms_V=drive.std(axis=0),
         realisations=1,

@@ -43,7 +43,7 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 

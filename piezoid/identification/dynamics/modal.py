@@ -10,9 +10,8 @@ from scipy.linalg import block_diag
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.identification.dynamics.modal_basis import Filter, Hold
 from piezoid.numerics.arrays import Array, expect_shapes, freeze
-from piezoid.numerics.quantiles import NORMAL_95
-from piezoid.operators.analogue import cascade
-from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, fraction, sample
+from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.linear import ContinuousSystem, DiscreteSystem, cascade, fraction, sample
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

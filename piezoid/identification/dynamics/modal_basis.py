@@ -8,8 +8,14 @@ import numpy as np
 
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import butterworth, cascade, first_order, resonance
-from piezoid.operators.linear import ContinuousSystem, sample
+from piezoid.operators.linear import (
+    ContinuousSystem,
+    butterworth,
+    cascade,
+    first_order,
+    resonance,
+    sample,
+)
 
 Hold = Literal["band_limited", "zero_order"]
 

@@ -100,7 +100,6 @@ def estimate_response(
     data: PeriodicData,
     *,
     lines: NDArray[np.int64] | None = None,
-    least_coherence: float = LEAST_COHERENCE,
 ) -> FrequencyResponse:
     """Return the best linear approximation and the two variances of its estimate.
 
@@ -111,7 +110,7 @@ def estimate_response(
 
     data             realisations >= inputs; more of either realisations or periods for variances
     lines            which to use; None takes those the drive occupies
-    least_coherence  below, an output's line is rejected; so are single lines whose residual
+    LEAST_COHERENCE  below, an output's line is rejected; so are single lines whose residual
                      stands out of their neighbourhood, where something else interferes
 
     Orthogonal multisines (see ``piezoid.records.multisine``) keep U U^H well conditioned. With
@@ -140,8 +139,8 @@ def estimate_response(
         distortion_variance=np.maximum(total - noise, 0.0)[:, :, None] * per_input,
         coherence=coherence,
         is_interference=is_interference,
-        is_rejected=(coherence < least_coherence) | is_interference,
-        least_coherence=least_coherence,
+        is_rejected=(coherence < LEAST_COHERENCE) | is_interference,
+        least_coherence=LEAST_COHERENCE,
         variance_freedom=freedom,
         drive_rms_V=data.voltage_V.std(axis=(0, 2, 3)),
         realisations=realisations,

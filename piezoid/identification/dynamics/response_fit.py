@@ -33,7 +33,7 @@ from piezoid.identification.dynamics.response_record import (
 )
 from piezoid.identification.dynamics.response_refinement import refined
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 from piezoid.records.frequency_response import (
     LEAST_COHERENCE,
     FrequencyResponseRecord,

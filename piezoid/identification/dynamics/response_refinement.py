@@ -15,7 +15,7 @@ from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.response_record import SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 
 STEP = 1e-6  # of central differences, of numbers that are all about one
 MOST_STEPS = 60

@@ -7,7 +7,7 @@ from piezoid.identification.extensions.extension import Extension, Free, Where, 
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 
 LONGEST_s = 1.0
 MOST_SAMPLES = 100.0

@@ -10,7 +10,7 @@ from piezoid.identification.extensions.extension import Extension, Free, Where, 
 from piezoid.identification.extensions.loop_effect import LoopEffect
 from piezoid.identification.extensions.signals import rung
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import NORMAL_95
+from piezoid.numerics.robust import NORMAL_95
 from piezoid.operators.linear import ContinuousSystem
 
 LEAST_QUALITY, MOST_QUALITY = 0.5, 1e4

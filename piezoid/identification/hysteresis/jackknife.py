@@ -20,7 +20,7 @@ from piezoid.identification.hysteresis.gauss_newton import Task
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.rows import column_places, rows_of
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 
 BLOCKS = 24
 _RIDGE = 1e-12

@@ -18,7 +18,7 @@ from piezoid.identification.restoring_force.task import Task, drive_and_motion, 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.hysteretic_mode import (
     BoucWenSpring,
     FineDrive,

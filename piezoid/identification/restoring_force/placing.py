@@ -23,7 +23,7 @@ from piezoid.identification.restoring_force.task import BLOCKS, Task, drive_and_
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Rows, Rule, minimise
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.hysteretic_mode import Hold, bouc_wen_states, fine_drive
 from piezoid.operators.play import play_columns
 from piezoid.record_json import Unbounded

@@ -32,15 +32,15 @@ from piezoid.identification.tunnelling.confidence import (
 )
 from piezoid.identification.tunnelling.current_noise import CurrentChain, CurrentNoise
 from piezoid.identification.tunnelling.exponential_fit import fit_exponential, profile_interval
-from piezoid.identification.tunnelling.tip_jumps import TipJump
 from piezoid.identification.tunnelling.weighted_fit import (
     CLEAR_OF_FLOOR,
     OUTLIER,
+    TipJump,
     WeightedFit,
     fit_sweeps,
 )
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 

@@ -34,7 +34,7 @@ from piezoid.identification.tunnelling.loop_spectra import (
     spectra_of_dither,
 )
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _HIGHEST_SHARE = 0.4  # of the sampling rate: beyond it a hold and a logarithm alias

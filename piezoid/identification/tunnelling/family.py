@@ -16,7 +16,7 @@ from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
 from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 
 _FEWEST_RECORDS = 3

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import resonance
-from piezoid.operators.linear import ContinuousSystem, recursive_filter
+from piezoid.operators.linear import ContinuousSystem, recursive_filter, resonance
 
 ComplexArray = NDArray[np.complex128]
 

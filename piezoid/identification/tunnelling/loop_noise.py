@@ -18,7 +18,7 @@ from piezoid.identification.tunnelling.junction_plant import JunctionPlant
 from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_spectra import lines_of
 from piezoid.numerics.arrays import Array, freeze
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 
 _MAINS_Hz = (50.0, 60.0)
 _HARMONICS = 6

@@ -26,7 +26,7 @@ from piezoid.identification.tunnelling.approach import ApproachCurve, Direction
 from piezoid.identification.tunnelling.barrier_fit import NORMAL_95, BarrierFit, fit_barrier
 from piezoid.identification.tunnelling.confidence import Confidence, Reason, judge
 from piezoid.identification.tunnelling.weighted_fit import CLEAR_OF_FLOOR
-from piezoid.numerics.quantiles import student_quantile
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.tunnelling import barrier_of_decay
 from piezoid.record_json import Interval
 

@@ -13,8 +13,7 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import resonance
-from piezoid.operators.linear import sample
+from piezoid.operators.linear import resonance, sample
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Channel, Quantity, Recording

@@ -9,8 +9,7 @@ from piezoid.identification.dynamics.axis_dynamics import fit_axis_dynamics
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict, decide_bandwidth
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.periodic_estimate import estimate_response
-from piezoid.operators.analogue import cascade, first_order, resonance
-from piezoid.operators.linear import ContinuousSystem, sample
+from piezoid.operators.linear import ContinuousSystem, cascade, first_order, resonance, sample
 from piezoid.record_json import from_json, to_json
 from tests.identification.dynamics.stage import AMPLIFIER, DECLARATION, RATE_HZ, record
 from tests.identification.dynamics.test_axis_dynamics import chirp, recorded

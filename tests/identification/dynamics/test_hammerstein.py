@@ -26,8 +26,7 @@ from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.numerics.arrays import Array
-from piezoid.operators.analogue import resonance
-from piezoid.operators.linear import fraction
+from piezoid.operators.linear import fraction, resonance
 from piezoid.record_json import from_json, to_json
 from piezoid.records.recording import Recording
 from tests.identification.dynamics.test_axis_dynamics import (
