@@ -7,13 +7,18 @@ import numpy as np
 
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
+from piezoid.diagnosis.extended import SelectedEffect, offset_of, undisturbed_for
 from piezoid.diagnosis.folds import CrossValidated, compared
+from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
 
 MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong cause is worse than one not named
 MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not looked for
+NUDGE = 0.1  # of a parameter's width
+TELLING = 0.15  # of the longest column: what a track's column must keep beside the null
+APART = 0.35  # of the fitted time
+SURE = 4.0  # standard errors
 OVER_PLACEBO = 1.6  # times the placebo's gain
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
 DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
@@ -126,7 +131,8 @@ def judged(one: SelectedEffect, view: View, without: View, *, seen: ScoreTest) -
         cv=compared(without.null, view.null),
         placebo=seen.placebo,
         share=sqrt(max(without.rms**2 - view.rms**2, 0.0)) / 2.0,
-        physical=one.within_limits,
+        physical=one.within_limits
+        and (one.effect.response_filter is None or is_consistent(one, view)),
         without=without,
         view=view,
     )
@@ -188,3 +194,32 @@ def _structure_of(found: ScoreTest, final: View) -> Candidate:
         without=final,
         view=final,
     )
+
+
+def is_consistent(one: SelectedEffect, view: View) -> bool:
+    """Tell whether no track asks for a clearly different time than the fitted one.
+
+    A filter of the chain is the same in every recording that can show it. At the fitted time each
+    track may have a time of its own,
+
+        y = h(t - tau) + sum_k d_k dh/dtau [track k],
+
+    and a d_k that surely differs from none by a good part of tau belongs to that recording alone.
+    """
+    name = next(iter(one.free))
+    there = stepped(one, name, NUDGE)
+    ratio = there.parameters[name] / one.parameters[name] - 1.0
+    change = offset_of(view, [there]) - offset_of(view, [one])
+    edges = view.nuisance.edges
+    columns = np.column_stack(
+        [
+            view.of_track(k, change[edges[k] : edges[k + 1]] / ratio)
+            for k in range(len(view.tracks))
+        ]
+    )
+    length = np.linalg.norm(view.null.without(columns), axis=0)
+    columns = columns[:, length > TELLING * length.max()]
+    across = view.null.without(columns)
+    apart = np.linalg.lstsq(across, view.null.residual, rcond=1e-9)[0]
+    error = np.sqrt(np.diag(view.null.doubt(columns)))
+    return not bool(np.any((np.abs(apart) > APART) & (np.abs(apart) > SURE * error)))

@@ -9,7 +9,7 @@ import numpy as np
 from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
-from piezoid.diagnosis.attribution import attributed
+from piezoid.diagnosis.attribution import Simulated, attributed, simulated
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
 from piezoid.diagnosis.effect import Effect, Fault
@@ -20,7 +20,6 @@ from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.search import Outcome, without_causes
-from piezoid.diagnosis.simulation import Simulated, simulated
 from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.something_else import Explained, explained, without_names

@@ -1,18 +1,57 @@
 """Extended: tracks with the effects that were selected, refitted with all of them in place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters
-from piezoid.diagnosis.ringing import undisturbed
+from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.view import View, with_commands
 from piezoid.numerics.arrays import Array
 
+CURVE = 3  # degree
+CALM = 0.03  # of the power of the recording that rings most
+FEWEST = 2  # rows for a column
 ROUNDS = 6  # of static response and what effects make of it
 SETTLED = 2e-3  # of the rms
 EDGE = 0.03  # of a limit: so near it is at it
+
+
+def without_memory(view: View) -> View:
+    """Return the view with curves of the drive for static responses, where none were given."""
+    if view.guess is not None:
+        return view
+    drive, static = view.of(lambda _, t: t.drive), view.rows(view.static)
+    curve = np.polyfit(drive, static, CURVE)
+    return replace(view, guess=tuple(np.asarray(np.polyval(curve, t.drive)) for t in view.tracks))
+
+
+def undisturbed(view: View, rung: Callable[[View], Array]) -> View:
+    """Return the view with static responses that know nothing of ringing, where none were given.
+
+    A drive that repeats puts its harmonics on a mode, and plays follow ringing that repeats as if
+    it were hysteresis. A mode as sharp as Q makes Q times as much of what they followed, so
+    columns made of that fit lead away from the mode. Slow recordings know the hysteresis without
+    it; where there are none, a curve of the drive, which cannot ring, is nearer to what drives it.
+
+    rung  (view) -> what rings there, (rows, columns)
+    """
+    if view.guess is not None:
+        return view
+    plain = without_memory(view)
+    power = np.sum(rung(plain) ** 2, axis=1)
+    edges = view.nuisance.edges
+    mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
+    calm = np.repeat(mean < CALM * mean.max(), np.diff(edges))
+    columns = view.nuisance.columns
+    if np.count_nonzero(calm) < FEWEST * columns.shape[1]:
+        return plain
+    null = Null(columns=columns[calm], response=view.response[calm], block=view.block[calm])
+    weight = null.fit(null.response)[: view.nuisance.shared]
+    static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
+    return replace(view, guess=tuple(static))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,8 +8,8 @@ rows left out in the same way. The baseline is the static model with the declare
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from piezoid.diagnosis.effect import Found, setting_of
 from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.found import Found, setting_of
 from piezoid.diagnosis.something_else import NAME
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder

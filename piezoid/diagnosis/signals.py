@@ -11,7 +11,10 @@ from piezoid.identification.hysteresis.filters import filter_columns, first_orde
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import recursive_filter
+from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
+
+GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
 
 
 def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
@@ -116,3 +119,26 @@ def scaled_to(change_m: Array, share: float, recording: Recording) -> Array:
     """Return a change whose rms is a share of the stroke."""
     rms_m = float(np.sqrt(np.mean(change_m**2)))
     return change_m * (share * stroke_of(recording) / rms_m) if rms_m > 0 else change_m
+
+
+def answers_of_others(view: View, *, backwards: bool = False) -> Array:
+    """Return each other axis' drive, its square and its plays, (rows, columns).
+
+    backwards  the same drives run backwards in time, which nothing can answer to
+    """
+    axes = sorted({axis for track in view.tracks for axis in track.others})
+    parts = [np.zeros((len(view.response), 0))]
+    return np.column_stack([*parts, *(_answer(view, axis, backwards) for axis in axes)])
+
+
+def _answer(view: View, axis: str, backwards: bool) -> Array:
+    columns = np.zeros((len(view.response), 2 + len(GAPS)))
+    edges = view.nuisance.edges
+    for k, track in enumerate(view.tracks):
+        if axis not in track.others:
+            continue
+        drive = track.others[axis][:: -1 if backwards else 1]
+        plays, _ = play_columns(drive, GAPS, np.full(len(GAPS), drive[0]))
+        part = np.column_stack([drive, drive**2, plays])[track.place]
+        columns[edges[k] : edges[k + 1]] = part
+    return columns

@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.other_axes import answers_of_others
-from piezoid.diagnosis.signals import relaxed
+from piezoid.diagnosis.signals import answers_of_others, relaxed
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array

@@ -92,10 +92,8 @@ class Discovered:
 
     @property
     def is_unheard_of(self) -> bool:
-        """Whether no healthy stage leaves as much along what does not repeat."""
-        return (
-            self.end is None and self.lives.basis.per_unit == 0.0 and self.chance <= least_chance()
-        )
+        """Whether no healthy stage leaves as much in one coordinate."""
+        return self.end is None and self.chance <= least_chance()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

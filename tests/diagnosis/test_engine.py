@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
-from piezoid.diagnosis.candidate import judged
+from piezoid.diagnosis.candidate import is_consistent, judged
 from piezoid.diagnosis.effects import delay, lag, non_congruence, thermal_drift
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import Null, paired_z
@@ -122,6 +122,24 @@ def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
         said.append(float(null.doubt(column)[0, 0]) ** 0.5)
     # rows counted one by one would say a seventh of it
     assert np.mean(said) == pytest.approx(np.std(found), rel=0.2)
+
+
+def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
+    recordings, lab = healthy()
+    one_late = [
+        with_displacement(r, delayed(r.displacement_m(), 4e-4, r.sampling_rate_Hz))
+        if "rates" in r.name
+        else r
+        for r in recordings
+    ]
+    view = view_of_recordings(tuple(one_late), lab)
+    seen = score_test(delay.EFFECT, view)
+    found, there = refined(initial_guess(delay.EFFECT, seen.trial, 1.0), view, [])
+    assert not is_consistent(found, there)
+    start = SelectedEffect(
+        effect=delay.EFFECT, parameters={"delay_s": LATE_s}, free={"delay_s": 1.5}
+    )
+    assert is_consistent(*refined(start, late_view(), []))
 
 
 def test_one_frequency_does_not_tell_a_lag_from_a_width_of_the_loop():

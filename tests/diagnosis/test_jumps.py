@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.effect import Found
 from piezoid.diagnosis.effects import resonance
-from piezoid.diagnosis.found import Found
 from piezoid.diagnosis.jumps import SETTLED, behind_jumps, modes_behind_jumps
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS

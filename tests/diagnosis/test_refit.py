@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import piezoid.diagnosis.effects as effects
-from piezoid.diagnosis.found import Found
+from piezoid.diagnosis.effect import Found
 from piezoid.diagnosis.refit import WITHOUT, refitted
 from piezoid.identification.extensions import CreepLadder, Delay, SlewLimit
 from piezoid.identification.simulation import simulate_recording

@@ -9,10 +9,10 @@ import pytest
 import piezoid.diagnosis.diagnose as diagnose
 import piezoid.diagnosis.model_comparison as confounded
 import piezoid.diagnosis.search as search
+from piezoid.diagnosis.attribution import Simulated
 from piezoid.diagnosis.diagnosis import Finding, Size
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects import creep, initial_state, non_congruence, thermal_drift
-from piezoid.diagnosis.simulation import Simulated
 from piezoid.diagnosis.something_else import without_names
 from piezoid.numerics.executor import SERIAL
 

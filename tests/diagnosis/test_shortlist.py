@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from piezoid.diagnosis import shortlist
+from piezoid.diagnosis import forward_selection
 from piezoid.numerics.executor import SERIAL
 
 
@@ -36,9 +36,9 @@ def refitted(monkeypatch, screenings, evidence: str = "", left=lambda _: 1.0) ->
         "_refined_together": lambda alone, *_: alone,
     }
     for name, what in stand_ins.items():
-        monkeypatch.setattr(shortlist, name, what)
-    beside = shortlist.SelectionContext(clean=None, selected=(), view=None)
-    return [one.name for one in shortlist.refit_shortlist(screenings, beside, SERIAL)]
+        monkeypatch.setattr(forward_selection, name, what)
+    beside = forward_selection.SelectionContext(clean=None, selected=(), view=None)
+    return [one.name for one in forward_selection.refit_shortlist(screenings, beside, SERIAL)]
 
 
 SCREENED = [

@@ -15,8 +15,7 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits

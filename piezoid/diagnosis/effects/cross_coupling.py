@@ -15,10 +15,14 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.other_axes import GAPS, answers_of_others
-from piezoid.diagnosis.signals import added_percent, scaled_to, with_displacement
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.signals import (
+    GAPS,
+    added_percent,
+    answers_of_others,
+    scaled_to,
+    with_displacement,
+)
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension

@@ -24,8 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View

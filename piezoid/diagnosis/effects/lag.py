@@ -19,8 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import filtered_change, relaxed, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension

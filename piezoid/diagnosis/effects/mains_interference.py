@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View

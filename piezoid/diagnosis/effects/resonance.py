@@ -15,9 +15,8 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.found import Found, Setting
-from piezoid.diagnosis.ringing import without_memory
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.extended import without_memory
 from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
