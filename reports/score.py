@@ -21,11 +21,13 @@ def score_of(axis: AxisModel, traces: tuple[Trace, ...]) -> int | None:
     100: only the sensor's noise is left; 0: no better than a straight line. Three things cap it.
     An error of twice the noise is 95 at most, of four times or more 90: beside a wide loop it may
     be 1 % of the line and yet all that readings show. What was never measured has its own limit.
-    And no error below what is called noise is perfect, for one of the two is wrong.
+    And no error below what is called noise is perfect, for one of the two is wrong. Where the
+    noise is not known but only no more than what the model leaves, none is taken off.
     """
     if not axis.verdict.applies or not traces:
         return None
-    line_m, noise_m = line_rms_m(traces), axis.quality.noise_rms_m
+    line_m = line_rms_m(traces)
+    noise_m = 0.0 if axis.quality.noise_is_most else axis.quality.noise_rms_m
     if line_m <= noise_m:
         return None
     held_m = axis.quality.held_out_rms_m

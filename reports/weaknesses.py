@@ -11,6 +11,7 @@ from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 
 NEAR_NOISE = 1.2  # what is left beside the noise is two thirds of it, and hides there
+FAR_FROM_NOISE = 4.0  # graver than that no other drive was recorded: the model misses much
 LOOSE = 0.2  # of the loop's width: an interval wider than that leaves the width open
 FEW_BLOCKS = 10
 
@@ -168,10 +169,23 @@ def _noise_is_not_told(judged: Judged) -> Weakness | None:
     )
 
 
-def _far_from_noise(judged: Judged) -> Weakness | None:
+def _much_above_noise(judged: Judged) -> Weakness | None:
+    """Tell of an error that is graver than that nothing else was recorded."""
+    return _above_noise(judged) if _exceeds(FAR_FROM_NOISE, judged) else None
+
+
+def _little_above_noise(judged: Judged) -> Weakness | None:
+    is_little = _exceeds(NEAR_NOISE, judged) and not _exceeds(FAR_FROM_NOISE, judged)
+    return _above_noise(judged) if is_little else None
+
+
+def _exceeds(times: float, judged: Judged) -> bool:
     quality = judged.axis.quality
-    if quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m:
-        return None
+    return quality.held_out_rms_m > times * quality.noise_rms_m
+
+
+def _above_noise(judged: Judged) -> Weakness:
+    quality = judged.axis.quality
     far = f"{_times(quality.held_out_rms_m, quality.noise_rms_m)} the sensor noise"
     left = left_of(judged.diagnosis, judged.axis)
     return Weakness(
@@ -205,7 +219,7 @@ def _loose_loop(judged: Judged) -> Weakness | None:
 
 def _sensor_limits(judged: Judged) -> Weakness | None:
     quality = judged.axis.quality
-    if quality.noise_is_most or quality.held_out_rms_m > NEAR_NOISE * quality.noise_rms_m:
+    if quality.noise_is_most or _exceeds(NEAR_NOISE, judged):
         return None
     return Weakness(
         what="the sensor, which sees no more",
@@ -222,11 +236,12 @@ def _times(value: float, reference: float) -> str:
 RULES: tuple[Rule, ...] = (
     _class_does_not_apply,
     _never_measured,
+    _much_above_noise,
     _one_excitation,
     _few_blocks,
     _loose_loop,
     _noise_is_not_told,
-    _far_from_noise,
+    _little_above_noise,
     _wandering_zero,
     _not_converged,
     _sensor_limits,

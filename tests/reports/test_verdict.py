@@ -95,7 +95,8 @@ def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -
 
 def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain() -> None:
     axis = axis_model()
-    axis = replace(axis, quality=replace(axis.quality, held_out_kind="second half"))
+    near = replace(axis.quality, held_out_kind="second half", held_out_rms_m=3 * NOISE_m)
+    axis = replace(axis, quality=near)
     found = diagnosed(finding("delay", experiment="Record a chirp."))
     page = render(stage_model(axis), [recording()], diagnoses=(found,))
     (card,) = Anatomy(page).all("article", "card")
@@ -170,6 +171,9 @@ def test_the_score_is_hundred_at_the_noise_and_holds_what_is_left_against_it() -
     for held_m, wanted in (*held_wanted, (line_rms_m(traces), 0), (1.0, 0)):
         quality = replace(axis.quality, held_out_rms_m=held_m)
         assert score_of(replace(axis, quality=quality), traces) == wanted
+    half_m = 0.5 * line_rms_m(traces)
+    unknown = replace(axis.quality, held_out_rms_m=half_m, noise_rms_m=half_m, noise_is_most=True)
+    assert score_of(replace(axis, quality=unknown), traces) == 50
 
 
 def test_the_residual_of_a_trace_is_the_noise_that_was_added() -> None:
@@ -207,6 +211,13 @@ def test_each_weakness_is_named_with_what_to_do(change: dict[str, object], said:
     found = [weakness for weakness in weaknesses_of(changed) if said in weakness.why]
     assert len(found) == 1
     assert found[0].remedy
+
+
+def test_an_error_far_above_the_noise_is_graver_than_that_nothing_else_was_recorded() -> None:
+    axis = axis_model()
+    for times, first in ((3, "its only recording"), (6, "an error 6.0 times the sensor noise")):
+        one = replace(axis.quality, held_out_kind="second half", held_out_rms_m=times * NOISE_m)
+        assert first in weaknesses_of(replace(axis, quality=one))[0].what
 
 
 def test_a_zero_that_wanders_is_a_weakness_with_its_size() -> None:
