@@ -8,7 +8,7 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen_search import with_bouc_wen_of
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.extended import SelectedEffect, offset_of, undisturbed_for
-from piezoid.diagnosis.folds import CrossValidated, compared
+from piezoid.diagnosis.folds import CrossValidated, compared, paired_z
 from piezoid.diagnosis.refinement import stepped
 from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screened
 from piezoid.diagnosis.view import View
@@ -19,7 +19,9 @@ NUDGE = 0.1  # of a parameter's width
 TELLING = 0.15  # of the longest column: what a track's column must keep beside the null
 APART = 0.35  # of the fitted time
 SURE = 4.0  # standard errors
-OVER_PLACEBO = 1.6  # times the placebo's gain
+OVER_PLACEBO = 1.6  # times the placebo's gain, or
+BEYOND_PLACEBO = 0.9  # times what the placebo leaves above the noise, rms, and
+SURER = 2.5  # standard errors less in the blocks
 AS_LITTLE = 1.005  # times the error: what leaves no more does the same
 DOUBTFUL = 0.03  # of the noise, in power: what it may be wrong by
 # Size over structural residual that a name needs. On 200 stages of thirteen laws wrong names (but
@@ -90,7 +92,16 @@ class Candidate:
 
     @property
     def _beats_placebo(self) -> bool:
-        return self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain
+        """Return whether it brings clearly more than its placebo, or leaves clearly less.
+
+        What takes most of an error leaves its placebo no room to bring a 1.6th of it: a gain that
+        changed between two recordings takes 0.51 of an error of which its placebo takes 0.49.
+        """
+        if self.placebo is None or self.cv.gain > OVER_PLACEBO * self.placebo.gain:
+            return True
+        own, others = (max(h.rms**2 - self.view.noise**2, 0.0) for h in (self.cv, self.placebo))
+        surer = paired_z(self.placebo.loss, self.cv.loss) > SURER
+        return surer and own < BEYOND_PLACEBO**2 * others
 
 
 def exceeds_structure(share: float, rms: float, noise: float) -> bool:

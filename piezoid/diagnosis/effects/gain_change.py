@@ -193,6 +193,7 @@ WITHIN = Effect(
     inject=inject,
     extend=extend,
     detectable_share=8e-3,
+    minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )
 BETWEEN = replace(
     WITHIN,
