@@ -275,7 +275,6 @@ def calibrate_streamed(
     from piezoid_reports.render import with_report
 
     declared = None if lab is None else read_lab(lab)
-    folder.mkdir(parents=True, exist_ok=True)
     with spooled(files, declared, folder=folder, workers=processes, progress=told) as spool:
         model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
     done = finished(FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told)

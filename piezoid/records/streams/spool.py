@@ -51,7 +51,8 @@ def spooled(
 ) -> Iterator[Spool]:
     """Read files of any size, each once; what is on disk is there until the context ends.
 
-    folder  where the scratch files go, 16 bytes for each sample and axis; None: the system's own
+    folder  where the scratch files go, 16 bytes for each sample and axis, made where it is not
+            there; None: the system's own
     rows    of a block, of which a few are in memory at one time
     workers blocks that are judged side by side; what is written is the same
     named   whether the scratch files have names, so that processes elsewhere can read them; they
@@ -61,6 +62,8 @@ def spooled(
     """
     lab = Lab() if lab is None else lab
     lab.check_files(paths)
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
     held: dict[str, list[Piece]] = {}
     problems: list[tuple[str, Problem]] = []
     sources: dict[str, str] = {}
