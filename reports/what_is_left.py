@@ -78,8 +78,9 @@ def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
     leading = _leading(found)
     rest = f"; {shape or 'no other cause is visible in what is left'}"
     rest = _or_rival(leading) or rest
+    most = "; most of it lies in the shape of its loops" if shape else ""
     return Left(
-        short=f", with {named(found)} already taken out{_or_rival(leading)}",
+        short=f", with {named(found)} already taken out{_or_rival(leading) or most}",
         why=f", with {named(found)}, as the diagnosis finds, already taken out{rest}.",
         remedy=leading.next_experiment,
     )

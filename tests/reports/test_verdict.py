@@ -8,6 +8,7 @@ import pytest
 
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.identification.quality import Limit
+from piezoid.identification.quality import Verdict as ClassVerdict
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.verification import Verification
 from piezoid_reports.effect_words import words
@@ -15,6 +16,7 @@ from piezoid_reports.render import render
 from piezoid_reports.score import line_rms_m, score_of
 from piezoid_reports.traces import rms, traces_of
 from piezoid_reports.weaknesses import weaknesses_of
+from piezoid_reports.what_is_left import left_of, shape_lacked
 from tests.reports.anatomy import Anatomy
 from tests.reports.conftest import REASON
 from tests.reports.known_diagnosis import diagnosed, finding
@@ -91,6 +93,21 @@ def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -
         assert ("which lies in the shape of its loops" in _verdict(page)) == is_shape
         assert ("finds no cause" in _verdict(page)) != is_shape
         assert ("the widest class of hysteresis leaves 8.00 nm" in page) == is_shape
+
+
+def test_the_shape_of_the_loops_is_no_cause_where_the_recordings_could_not_tell_it() -> None:
+    """A wide class imitates a lag at one speed, and whatever a refused class does not follow."""
+    found = replace(diagnosed(), envelope_rms_m=8e-9)
+    axis = axis_model()
+    one_speed = Limit(lack="speed", reason="there is one speed", most=50)
+    narrow = replace(axis, quality=replace(axis.quality, limits=(one_speed,)))
+    refused = replace(axis, verdict=ClassVerdict(applies=False, reason="a butterfly"))
+    assert shape_lacked(found, axis)
+    assert not shape_lacked(found, narrow)
+    assert not shape_lacked(found, refused)
+    beside = replace(diagnosed(finding("creep")), envelope_rms_m=8e-9)
+    assert "most of it lies in the shape" in left_of(beside, axis).short
+    assert "the shape" not in left_of(beside, narrow).short
 
 
 def test_a_cause_stands_on_the_card_beside_a_weakness_that_it_does_not_explain() -> None:
