@@ -28,7 +28,7 @@ from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
-from piezoid.identification.dynamics.repetition import find_repetition
+from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange, turned
 from piezoid.identification.hysteresis.cycles import FEWEST
@@ -86,8 +86,7 @@ def _trials(view: View) -> list[Trial]:
 
 def _repeats(track: Track) -> bool:
     """Tell whether cycles enough are equal to show a slow trend of the gain."""
-    found = find_repetition(track.drive)
-    return found is not None and found.periods >= FEWEST
+    return equal_cycles(track.drive, fewest=FEWEST) is not None
 
 
 def _trial(

@@ -32,6 +32,27 @@ class Repetition:
     periods: int
 
 
+@dataclass(frozen=True, kw_only=True)
+class EqualCycles:
+    """Equal cycles of a drive whose period need not be a whole number of samples.
+
+    first           sample at which the first begins
+    period_samples  of one cycle, any number
+    count           whole cycles from there
+    """
+
+    first: int
+    period_samples: float
+    count: int
+
+    def cut(self, signal: Array) -> Array:
+        """Return a signal cycle by cycle, straight between samples, (count, samples)."""
+        within = np.arange(int(self.period_samples))
+        begins = self.first + self.period_samples * np.arange(self.count)
+        time = begins[:, None] + within
+        return np.asarray(np.interp(time, np.arange(len(signal)), signal), dtype=np.float64)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PeriodicRecordings:
     """Recordings of one axis that differ in nothing but the phases of their drive.
@@ -68,6 +89,61 @@ def find_repetition(voltage_V: Array, *, fewest: int = SETTLING + FEWEST) -> Rep
         if periods < 2
         else Repetition(first=int(first), period_samples=period, periods=periods)
     )
+
+
+def equal_cycles(voltage_V: Array, *, fewest: int) -> EqualCycles | None:
+    """Return the equal cycles of a drive, or None where there are fewer than asked for.
+
+    Few generators lock their period to the converter. One that is no whole number of samples is
+    found by the phase of its first harmonic from cycle to cycle; samples between two are taken
+    straight, which misses the corner of a triangle by less than a sample's step.
+    """
+    exact = find_repetition(voltage_V, fewest=fewest)
+    if exact is not None and exact.periods >= fewest:
+        return EqualCycles(
+            first=exact.first, period_samples=exact.period_samples, count=exact.periods
+        )
+    steps = np.diff(voltage_V)
+    moving = np.flatnonzero(np.abs(steps) > SAME * np.abs(steps).max(initial=0.0))
+    whole = _period(steps[moving[0] : moving[-1] + 1], fewest) if len(moving) else None
+    if whole is None:
+        return None
+    begin, end, reach_V = int(moving[0]), int(moving[-1]) + 2, float(np.ptp(voltage_V))
+    period = _fractional(voltage_V[begin:end], float(whole))
+    place = np.arange(begin, end - int(np.ceil(period)))
+    later = np.interp(place + period, np.arange(len(voltage_V)), voltage_V)
+    again = np.abs(later - voltage_V[place]) <= (SAME + 1.0 / period) * reach_V
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]]).astype(np.int8)))
+    runs = zip(edges[::2], edges[1::2], strict=True)
+    first, after = max(runs, key=lambda run: run[1] - run[0], default=(0, 0))
+    count = int((after - first + period) // period)
+    found = EqualCycles(first=begin + int(first), period_samples=period, count=count)
+    return found if count >= fewest and _are_equal(found.cut(voltage_V)) else None
+
+
+def _fractional(signal: Array, period: float) -> float:
+    """Return the period by which the first harmonic's phase stands from cycle to cycle."""
+    for _ in range(3):
+        begins = np.arange(int((len(signal) - 1) // period)) * period
+        time = begins[:, None] + np.arange(int(period))
+        cycles = np.interp(time, np.arange(len(signal)), signal - signal.mean())
+        harmonic = (cycles * np.exp(-2j * np.pi * time / period)).sum(axis=1)
+        turned = float(np.median(np.angle(harmonic[1:] * harmonic[:-1].conj())))
+        period = period / (1.0 + turned / (2.0 * np.pi))
+    return period
+
+
+def _are_equal(cycles: Array) -> bool:
+    """Tell whether no trend of their size goes beyond what a sample may differ by.
+
+    Of a triangle a cycle's size also depends on where its samples meet the corners.
+    """
+    mean = cycles.mean(axis=0)
+    moved = mean - mean.mean()
+    size = cycles @ moved / (moved @ moved)
+    place = np.linspace(-0.5, 0.5, len(size))
+    trend = float(place @ size / (place @ place))
+    return abs(trend) <= SAME and float(np.ptp(size)) <= SAME + 1.0 / cycles.shape[1]
 
 
 def periodic_recordings(

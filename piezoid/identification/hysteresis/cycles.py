@@ -8,7 +8,7 @@ noise of a sample.
 
 import numpy as np
 
-from piezoid.identification.dynamics.repetition import find_repetition
+from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import spread_of, trend_of
@@ -30,12 +30,11 @@ def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str
     """
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
-    found = find_repetition(drive) if np.ptp(drive) > 0.0 else None
-    if found is None or found.periods < FEWEST:
+    found = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
+    if found is None:
         return ()
-    count, period = found.periods, found.period_samples
-    cycles = response[found.first : found.first + count * period].reshape(count, period)
-    around = drive[found.first : found.first + period]
+    cycles, around = found.cut(response), found.cut(drive).mean(axis=0)
+    count, period = cycles.shape
     mean = cycles.mean(axis=0) - cycles.mean()
     middle = cycles.mean(axis=1)
     gain = (cycles - middle[:, None]) @ mean / (mean @ mean)

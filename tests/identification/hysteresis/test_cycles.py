@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.cycles import trends_over_cycles
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
 from piezoid.numerics.arrays import Array
@@ -29,6 +30,31 @@ def said(folder: Path, law: str, change: Array, added_um: Array) -> str:
 def test_a_sensitivity_that_falls_slowly_is_told_with_its_size(tmp_path: Path, law: str) -> None:
     text = said(tmp_path, law, 1.0 - 0.013 * CYCLE / (COUNT - 1), np.zeros(len(CYCLE)))
     assert "the sensitivity goes by -1.3" in text
+
+
+@pytest.mark.parametrize("shape", ["sine", "triangle"])
+def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path: Path, shape: str) -> None:
+    turn = np.arange(COUNT * PERIOD) / (PERIOD + 0.37)
+    drive = np.cos(2.0 * np.pi * turn)
+    if shape == "triangle":
+        drive = 1.0 - 4.0 * np.abs((turn + 0.5) % 1.0 - 0.5)
+    field = -drive  # from the lower tip
+    noise_um = NOISE_um * np.random.default_rng(8).standard_normal(len(field))
+    for lost in (0.0, 0.013):
+        change = 1.0 - lost * turn / turn[-1]
+        recording = recorded(tmp_path, field, 10.0 * LAWS["dahl"](field) * change + noise_um)
+        scales = scales_of((recording,), "x")
+        (piece,) = pieces_of((recording,), "x", scales, Rig())
+        stroke_m = abs(scales.displacement_m)
+        text = " ".join(trends_over_cycles(piece, stroke_m, 1e-6 * NOISE_um / stroke_m))
+        assert ("the sensitivity goes by -1." in text) == (lost > 0.0)
+
+
+def test_a_drive_that_shrinks_is_no_sensitivity_that_falls() -> None:
+    turn = np.arange(4800) / 80.37
+    shrinking = np.cos(2.0 * np.pi * turn) * (1.0 - 0.05 * turn / turn[-1])
+    assert equal_cycles(np.cos(2.0 * np.pi * turn), fewest=8) is not None
+    assert equal_cycles(shrinking, fewest=8) is None
 
 
 def test_tips_that_wander_are_told_beside_the_noise(tmp_path: Path) -> None:
