@@ -67,6 +67,8 @@ def diagnose(
     ``unexplained`` tells how much is left.
     """
     counted = counted_in(recordings)
+    if model is not None:
+        model = replace(model, minor_loops=None)
     with refusing_in_counts(counted):
         found = _diagnosed(recordings, axis, lab or Lab(), model, progress, threads)
         return found.told_in_counts(counted)

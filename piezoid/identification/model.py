@@ -22,6 +22,7 @@ from piezoid.identification.restoring_force.placing import HysteresisPlacement
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.recording import Quantity, Recording
 from piezoid.upstairs import upstairs
 
@@ -138,6 +139,8 @@ class AxisModel:
     response     how the dynamics were found in a measured frequency response; None where they
                  were not
     extensions   what a diagnosis added, in the order in which they act
+    minor_loops  what simulates and ships in place of ``hysteresis``, by which bounds, intervals
+                 and a diagnosis still go; None where it predicts no better
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -163,6 +166,7 @@ class AxisModel:
     bandwidth: BandwidthVerdict | None = None
     response: ResponseFit | None = None
     extensions: tuple[Extension, ...] = ()
+    minor_loops: PreisachPlays | None = None
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
@@ -275,7 +279,24 @@ class AxisModel:
         wanted_m = _drive(displacement_m, f"the displacement of axis {self.axis}", "m")
         zero = self.zero_m if zero_m is None else zero_m
         output_m = self.polarity * (wanted_m - zero) + self.hysteresis.displacement_offset_m
-        return self.hysteresis.inverse_run(output_m, self._memory(memory_V))[0]
+        memory = self._memory(memory_V)
+        if self.minor_loops is not None:
+            started_V = self.memory_at(self.minor_loops.threshold_V, memory)
+            return self.minor_loops.inverse_run(output_m, started_V)[0]
+        return self.hysteresis.inverse_run(output_m, memory)[0]
+
+    def memory_at(self, threshold_V: Array, memory_V: Array) -> Array:
+        """Return the states of plays of other half-widths, without an envelope, (plays,).
+
+        As far from the drive that left them, to which the play of no width stands, as these are.
+
+        >>> model["x"].memory_at(np.array([0.0, 1.0]), model["x"].virgin_memory_V).tolist()
+        [0.0, 0.0]
+        """
+        left_V = self.hysteresis.envelope.inverse().run(memory_V[:1])
+        away_V = memory_V - memory_V[0]
+        threshold = self.hysteresis.plays.threshold
+        return np.asarray(left_V + np.interp(threshold_V, threshold, away_V))
 
     def _memory(self, given: Array | None) -> Array:
         """Return the memory before the first sample, or refuse one of another length."""
@@ -383,19 +404,39 @@ class AxisModel:
         >>> model["x"].moved(np.array([0.0, 5.0, 10.0]), model["x"].virgin_memory_V, where).shape
         (3,)
         """
-        driven = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, where.rate_Hz)
+        driven_V = self.driven(voltage_V, where.rate_Hz)
+        output_m = self.hysteresis_of(driven_V, memory_V, where.rate_Hz)
+        offset_m = self.hysteresis.displacement_offset_m
+        total_m = self.behind(self.polarity * (output_m - offset_m), where)
         for extension in self.extensions:
-            driven = extension.drive(driven, where.rate_Hz)
-        output_m = self._hysteresis_of(driven, memory_V, where.rate_Hz)
-        moved_m = self.polarity * (output_m - self.hysteresis.displacement_offset_m)
+            total_m = total_m + extension.added(where)
+        return total_m
+
+    def driven(self, voltage_V: Array, rate_Hz: float) -> Array:
+        """Return the voltage that reaches the ceramic, (samples,).
+
+        >>> model["x"].driven(np.array([0.0, 5.0]), 1000.0).shape
+        (2,)
+        """
+        driven_V = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, rate_Hz)
+        for extension in self.extensions:
+            driven_V = extension.drive(driven_V, rate_Hz)
+        return driven_V
+
+    def behind(self, moved_m: Array, where: Where) -> Array:
+        """Return what all that is linear makes of a hysteresis' output, (samples,).
+
+        >>> from piezoid.identification.extensions.extension import Where
+        >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
+        >>> model["x"].behind(np.zeros(3), where).tolist()
+        [0.0, 0.0, 0.0]
+        """
         for extension in self.extensions:
             moved_m = extension.response(moved_m, where)
         total_m = lagged(moved_m, self.lag.kind, self.lag.time_s, where.rate_Hz)
         if self.rig.sensor_bandwidth_Hz is not None:
             time_s = 1.0 / (2 * np.pi * self.rig.sensor_bandwidth_Hz)
             total_m = relaxed(total_m, time_s, where.rate_Hz)
-        for extension in self.extensions:
-            total_m = total_m + extension.added(where)
         return total_m
 
     def read(self, position_m: Array) -> Array:
@@ -408,8 +449,16 @@ class AxisModel:
             position_m = extension.reading(position_m)
         return position_m
 
-    def _hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part."""
+    def hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part.
+
+        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
+        >>> model["x"].hysteresis_of(u, memory, 1000.0).shape
+        (2,)
+        """
+        if self.minor_loops is not None:
+            started_V = self.memory_at(self.minor_loops.threshold_V, memory_V)
+            return self.minor_loops.run(driven_V, started_V)[0]
         operator = self.hysteresis
         inner_V = operator.envelope.run(driven_V - operator.voltage_offset_V)
         h_m, _ = operator.plays.run(inner_V, memory_V)

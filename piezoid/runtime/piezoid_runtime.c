@@ -44,11 +44,23 @@ static pz_real clamp(pz_real x, pz_real low, pz_real high) {
 
 /* ---- operators ----------------------------------------------------------------------------- */
 
-/* H: sum of w_i z_i over the memory. */
+static pz_real edge_width(const pz_parameters *p) {
+    return (pz_real)p->edge_steps * p->play_threshold_V[1];
+}
+
+/* phi_i(z), straight between its values at the edges; the outermost pieces go on for ever. */
+static pz_real play_value(const pz_parameters *p, int32_t i, pz_real z) {
+    const pz_real place = (z - p->edge_V) / edge_width(p);
+    const int32_t k = (int32_t)clamp(place, ZERO, (pz_real)(p->edge_count - 2));
+    const pz_real *value = p->play_value_m[i];
+    return value[k] + (value[k + 1] - value[k]) * (place - (pz_real)k);
+}
+
+/* H: sum of w_i z_i, or of phi_i(z_i), over the memory. */
 static pz_real play_sum(const pz_parameters *p, const pz_real *z) {
     pz_real sum = ZERO;
     for (int32_t i = 0; i < p->play_count; ++i) {
-        sum += p->play_weight_m_per_V[i] * z[i];
+        sum += p->edge_count > 0 ? play_value(p, i, z[i]) : p->play_weight_m_per_V[i] * z[i];
     }
     return sum;
 }
@@ -60,12 +72,72 @@ static void play_follow(const pz_parameters *p, pz_real *z, pz_real u) {
     }
 }
 
+/* H^-1 where plays have functions: outwards from z_0 as in play_inverse, from one place at which
+ * the sum can bend to the next. Between two of them it is straight, with the slope that it has in
+ * their middle: positive, as phi_0 rises. Every play begins to move once, and moving ones meet an
+ * edge where u is at edge + r_i or edge - r_i. As r_i is i r_1 and edges lie whole r_1 apart,
+ * those places are marks r_1 apart, from the first edge to r_n beyond the last: no more than
+ * `count` places are passed. */
+static pz_real value_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
+    const pz_real rest = play_sum(p, z);
+    const pz_real sign = wanted < rest ? -ONE : ONE;
+    const pz_real way = sign * (wanted - rest);
+    const pz_real step = p->play_threshold_V[1];
+    const pz_real per_V = ONE / edge_width(p);
+    const pz_real top = (pz_real)(p->edge_count - 2);
+    const int32_t span = (p->edge_count - 1) * p->edge_steps;
+    const int32_t marks = span + p->play_count;
+    const int32_t count = marks + p->play_count;
+    const pz_real first = sign < ZERO ? -(p->edge_V + (pz_real)span * step) : p->edge_V;
+    pz_real done = ZERO;
+    pz_real u = sign * z[0];
+    pz_real slope = ONE;
+    int32_t moving = 1;
+    int32_t mark = (int32_t)clamp((u - first) / step + ONE, ZERO, (pz_real)marks);
+    for (int32_t n = 0; n <= count; ++n) {
+        const int more = mark < marks;
+        const int waits = moving < p->play_count;
+        const int last = !more && !waits;
+        pz_real next = first + (pz_real)mark * step;
+        int starts = 0;
+        if (waits) {
+            const pz_real begins = sign * z[moving] + p->play_threshold_V[moving];
+            starts = !more || begins < next;
+            next = starts ? begins : next;
+        }
+        if (next > u || last) {
+            const pz_real middle = last ? u + step : PZ_REAL(0.5) * (u + next);
+            slope = ZERO;
+            for (int32_t i = 0; i < moving; ++i) {
+                const pz_real state = sign * (middle - p->play_threshold_V[i]);
+                const int32_t k = (int32_t)clamp((state - p->edge_V) * per_V, ZERO, top);
+                slope += p->play_value_m[i][k + 1] - p->play_value_m[i][k];
+            }
+            slope *= per_V;
+            if (last || done + slope * (next - u) >= way) {
+                break;
+            }
+            done += slope * (next - u);
+            u = next;
+        }
+        if (starts) {
+            ++moving;
+        } else {
+            ++mark;
+        }
+    }
+    return sign * (u + (way - done) / slope);
+}
+
 /* H^-1 from the forward memory z: the u at which the sum of plays is `wanted`.
  *
  * From the present input z_0 outwards, in either direction, play i starts to move where u has gone
  * r_i beyond z_i. Admissible memory is nested (|z_i - z_{i-1}| <= r_i - r_{i-1}), so those places
  * come in the order of i, and between them the sum has the slope w_0 + ... + w_i > 0. */
 static pz_real play_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
+    if (p->edge_count > 0) {
+        return value_inverse(p, z, wanted);
+    }
     const pz_real rest = play_sum(p, z);
     const pz_real sign = wanted < rest ? -ONE : ONE;
     const pz_real way = sign * (wanted - rest);
@@ -264,6 +336,8 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_PLAY_COUNT] = COUNT(play_count, 0, PZ_MAX_PLAYS),
     [PZ_KNOT_COUNT] = COUNT(knot_count, 0, PZ_MAX_KNOTS),
     [PZ_ENVELOPE_COUNT] = COUNT(envelope_count, 0, PZ_MAX_KNOTS),
+    [PZ_EDGE_COUNT] = COUNT(edge_count, 0, PZ_MAX_EDGES),
+    [PZ_EDGE_STEPS] = COUNT(edge_steps, 0, PZ_MAX_PLAYS),
     [PZ_RELAXATION_COUNT] = COUNT(relaxation_count, 0, PZ_MAX_RELAXATIONS),
     [PZ_REFERENCE_SECTION_COUNT] = COUNT(reference_section_count, 0, PZ_MAX_SECTIONS),
     [PZ_COMMAND_SECTION_COUNT] = COUNT(command_section_count, 0, PZ_MAX_SECTIONS),
@@ -302,6 +376,8 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_KNOT_WEIGHT] = REAL(knot_weight, -1e6, 1e6),
     [PZ_ENVELOPE_KNOT] = REAL(envelope_knot_V, -1e4, 1e4),
     [PZ_ENVELOPE_WEIGHT] = REAL(envelope_weight, -1e6, 1e6),
+    [PZ_EDGE] = REAL(edge_V, -1e4, 1e4),
+    [PZ_PLAY_VALUE] = REAL(play_value_m, -1e3, 1e3),
     [PZ_RELAXATION_RATE] = REAL(relaxation_rate, 0, 1),
     [PZ_RELAXATION_SHARE] = REAL(relaxation_share, -1, 1),
     [PZ_REFERENCE_SECTION] = REAL(reference_section, -1e9, 1e9),
@@ -384,6 +460,35 @@ static int32_t check_converter(const pz_parameters *p) {
     return PZ_OK;
 }
 
+/* Thresholds and edges lie on one lattice of r_1, which value_inverse walks along; functions do
+ * not fall, and that of the play that always moves rises. */
+static int32_t check_functions(const pz_parameters *p) {
+    const pz_real *r = p->play_threshold_V;
+    if (p->edge_count < 2) {
+        return PZ_EDGE_COUNT;
+    }
+    if (p->play_count < 2) {
+        return PZ_PLAY_COUNT;
+    }
+    for (int32_t i = 1; i < p->play_count; ++i) {
+        if (!near(r[i], (pz_real)i * r[1], r[i])) {
+            return PZ_PLAY_THRESHOLD;
+        }
+    }
+    if (p->edge_steps < 1) {
+        return PZ_EDGE_STEPS;
+    }
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        for (int32_t k = 1; k < p->edge_count; ++k) {
+            const pz_real rise = p->play_value_m[i][k] - p->play_value_m[i][k - 1];
+            if (!(i > 0 ? rise >= ZERO : rise > ZERO)) {
+                return PZ_PLAY_VALUE;
+            }
+        }
+    }
+    return PZ_OK;
+}
+
 static int32_t check_plays(const pz_parameters *p) {
     const pz_real *r = p->play_threshold_V;
     const pz_real *z = p->play_memory_V;
@@ -396,7 +501,7 @@ static int32_t check_plays(const pz_parameters *p) {
     }
     for (int32_t i = 0; i < p->play_count; ++i) {
         slope += p->play_weight_m_per_V[i];
-        if (!(slope > ZERO)) {
+        if (p->edge_count == 0 && !(slope > ZERO)) {
             return PZ_PLAY_WEIGHT;
         }
         if (i > 0 && !(r[i] > r[i - 1])) {
@@ -408,7 +513,7 @@ static int32_t check_plays(const pz_parameters *p) {
             return PZ_PLAY_MEMORY;
         }
     }
-    return PZ_OK;
+    return p->edge_count == 0 ? PZ_OK : check_functions(p);
 }
 
 /* Kinks increase and one is at 0; all slopes are positive. `place` is the index of the kinks in

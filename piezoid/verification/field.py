@@ -150,7 +150,7 @@ def rivals_of(
         shown = recordings or (_decaying_sweep(model),)
         plays, rig = len(model.hysteresis.plays.threshold), model.rig if recordings else Rig()
         other = generalised_model(shown, model.axis, plays=plays, rig=rig)
-        values = hysteresis_values(replace(model, hysteresis=other))
+        values = hysteresis_values(replace(model, hysteresis=other, minor_loops=None))
         yield Rival(
             method="gpi_dob",
             compensator=Compensator(axis=axis.for_method("mpi_dob").with_values(values)),

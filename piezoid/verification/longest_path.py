@@ -112,6 +112,12 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
         "filter_rest.count": sections,
         "dead_zones.ZERO": kinks,  # while (knot[i] < ZERO)
         "dead_zones.count": kinks,
+        "value_inverse.count": (  # marks and plays; the last piece
+            max(counts["edge_count"] - 1, 0) * int(float(str(values["edge_steps"])))
+            + 2 * counts["play_count"]
+            + 1
+        ),
+        "value_inverse.moving": counts["play_count"],
         "shift_in.0": taps,  # from count - 1 down
         "pz_log.7": 7,
         "pz_log.3": 10,  # from 21 down, the odd ones

@@ -162,6 +162,7 @@ def model(polarity=1):
     )
     return SimpleNamespace(
         polarity=polarity,
+        minor_loops=None,
         hysteresis=ModifiedPrandtlIshlinskii(
             plays=plays, dead_zones=zones, voltage_offset_V=5.0, displacement_offset_m=1e-5
         ),
