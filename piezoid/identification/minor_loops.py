@@ -8,7 +8,7 @@ extensions, lag and poles, is linear in them:
     min |L sum_i phi_i(z_i) + c - y|^2 + lambda |D phi|^2,   phi_i not falling
 
 is a convex program. Its shape is the smallest that predicts recordings left out as well as the
-best. The inverse of plays with dead zones has a bound of its error and this one has none: it is
+largest. The inverse of plays with dead zones has a bound of its error and this one has none: it is
 taken where it predicts better by half.
 """
 
@@ -37,7 +37,7 @@ CLOSE = 1.03  # as of the other shapes: nobody would notice
 WORTH = 1.5  # times the error of plays with dead zones: less is not worth its bound
 LEAST_SLOPE = 0.2  # of the mean one, of a branch right behind a turn: see coordinates.py
 RIDGE = 1e-3  # on differences of rises between neighbours; a tenth or ten times it: no difference
-ROWS = 6000  # of a recording
+ROWS = 3000  # of a recording
 STEPS = 20  # of the search for first states
 BEGINNING = 0.1  # weight of what states from before a recording are in: they are fitted as well
 WIPED = 0.95  # of the range of a recording: then what was before it is forgotten
@@ -139,20 +139,19 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
     if any(isinstance(extension, RateDependence) for extension in axis.extensions):
         return bare  # walls that come late are not linear in the functions
     low_V, high_V = axis.voltage_V
-    tried = []
-    for pieces in SHAPES:
+
+    def tried(pieces: int) -> tuple[float, Lattice, list[Rows]]:
         lattice = Lattice(
             centre_V=0.5 * (low_V + high_V), reach_V=0.5 * (high_V - low_V), pieces=pieces
         )
         rows = [part for r in recordings for part in _rows(bare, r, lattice)]
-        if not rows:
-            return bare
-        tried.append((_left_out(rows, lattice, axis), lattice, rows))
-    best = min(error for error, _, _ in tried)
-    error, lattice, rows = next(one for one in tried if one[0] <= CLOSE * best)
-    plain = axis.quality.held_out_rms_m
-    if WORTH * error > plain:
+        return (_left_out(rows, lattice, axis) if rows else np.inf), lattice, rows
+
+    largest, plain = tried(SHAPES[-1]), axis.quality.held_out_rms_m
+    if WORTH * largest[0] > plain:
         return bare
+    smaller = (shape for shape in map(tried, SHAPES[:-1]) if shape[0] <= CLOSE * largest[0])
+    error, lattice, rows = next(smaller, largest)
     said = (
         f"on recordings left out, {lattice.plays} plays behind functions of {lattice.pieces} "
         f"pieces leave {told(error, 'm')} where plays with dead zones leave {told(plain, 'm')}: "
@@ -260,8 +259,9 @@ def _left_out(rows: Sequence[Rows], lattice: Lattice, axis: AxisModel) -> float:
         for part in own:
             seen = len(part.target) // 2 if not _is_covered(part, others, lattice) else 0
             error = (part.target - part.columns @ rise)[seen:][part.counts[seen:]]
-            found.append(error - error.mean())
-    return float(np.sqrt(np.mean(np.concatenate(found) ** 2)))
+            if len(error):
+                found.append(error - error.mean())
+    return float(np.sqrt(np.mean(np.concatenate(found) ** 2))) if found else np.inf
 
 
 def _is_covered(part: Rows, others: Sequence[Rows], lattice: Lattice) -> bool:
