@@ -61,9 +61,10 @@ _HELD_OUT = {
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Something that was never measured, so that no fit can know it.
+    """Something that was never measured, or not as it is, so that no fit can know it.
 
-    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one
+    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one;
+            or the kind of what reading found odd, such as ``stands``
     reason  half a sentence
     most    score that a fit can have with it, 0 to 100
     """

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.assignment import Assignment, assign
+from piezoid.records.causality import told_early
 from piezoid.records.clock import (
     Clock,
     print_resolution_s,
@@ -37,6 +38,7 @@ from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 from piezoid.records.which_voltage import beyond_the_controller
+from piezoid.records.zero_jumps import told_jumps
 
 Rows = NDArray[np.intp]
 
@@ -157,10 +159,16 @@ def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEn
 
 
 def with_remarks(recording: Recording, lab: Lab) -> Recording:
-    """Return a recording with what is remarkable about drive and response together."""
-    said = (*remarks_on(recording), *beyond_the_controller(recording, lab))
+    """Return a recording with what is remarkable about drive and response together.
+
+    Where the zero jumped, a piece ends.
+    """
+    edges, jumps = told_jumps(recording)
+    early = told_early(recording)
+    said = (*remarks_on(recording), *jumps, *early, *beyond_the_controller(recording, lab))
     problems = (*recording.problems, *record_in_counts(said, recording.counted))
-    return replace(recording, problems=problems)
+    breaks = tuple(sorted({*recording.breaks, *edges}))
+    return replace(recording, breaks=breaks, problems=problems)
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:

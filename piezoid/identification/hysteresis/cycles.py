@@ -19,6 +19,7 @@ MOST = 1000  # that are compared: each with each
 SURE = 1e-3  # chance of such a trend where there is none, of four that are asked for
 GAIN = 2e-4  # a smaller change over all cycles means nothing to a controller
 TIP = 0.02  # of the samples of a cycle at either end of the drive
+SLIDES = 0.1  # samples over all cycles: less is how a period that is no whole number is cut
 WANDERS = 3.0  # times what the noise of its samples lets a tip scatter by
 
 
@@ -28,12 +29,11 @@ def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str
     stroke_m  what the number 1 of the response means
     noise     white, of a sample, scaled units
     """
-    rows = slice(piece.first, piece.last)
-    drive, response = piece.drive[rows], piece.response[rows]
-    found = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
+    found = _cycles(piece)
     if found is None:
         return ()
-    cycles, around = found.cut(response), found.cut(drive).mean(axis=0)
+    drives, cycles, _ = found
+    around = drives.mean(axis=0)
     count, period = cycles.shape
     mean = cycles.mean(axis=0) - cycles.mean()
     middle = cycles.mean(axis=1)
@@ -50,6 +50,50 @@ def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str
             piece.name, name, place[some], tip[some], (stroke_m, noise / width**0.5), count
         )
     return tuple(said)
+
+
+def slide_over_cycles(piece: Piece) -> str:
+    """Return a sentence on a displacement that slides against its drive in time, or an empty text.
+
+        arg(Y_i / U_i),     first harmonics of cycle i
+
+    Half a sentence, without what it may be at another speed.
+    """
+    found = _cycles(piece)
+    if found is None:
+        return ""
+    drives, cycles, period = found
+    wave = np.exp(-2j * np.pi * np.arange(cycles.shape[1]) / period)
+    phase = np.unwrap(np.angle((cycles @ wave) / (drives @ wave)))
+    late = -phase * period / (2.0 * np.pi)  # samples
+    count = len(late)
+    some = slice(None, None, max(1, count // MOST))
+    place = np.arange(count, dtype=np.float64)[some]
+    trend = trend_of(place, late[some])
+    change = 0.0 if trend is None else trend.slope * (count - 1)
+    if trend is None or trend.p_value > SURE or abs(change) < SLIDES:
+        return ""
+    scatter = spread_of(late[some] - trend.slope * place).sigma
+    if abs(change) < WANDERS * scatter:
+        return ""
+    slides_s = abs(change) / piece.sampling_rate_Hz
+    way = "later" if change > 0.0 else "earlier"
+    return (
+        f"{piece.name}: cycle by cycle the displacement comes {way} behind its drive, by "
+        f"{told(slides_s, 's')} over {count} equal cycles ({1e6 * trend.slope / period:+.3g} ppm "
+        "of the time): two clocks, it seems, or a lag or a loop that changes; no one lag or width "
+        "holds"
+    )
+
+
+def _cycles(piece: Piece) -> tuple[Array, Array, float] | None:
+    """Return drive and response by equal cycles, (count, samples) each, and the period."""
+    rows = slice(piece.first, piece.last)
+    drive, response = piece.drive[rows], piece.response[rows]
+    found = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
+    if found is None:
+        return None
+    return found.cut(drive), found.cut(response), float(found.period_samples)
 
 
 def _gain(name: str, place: Array, gain: Array, count: int) -> list[str]:

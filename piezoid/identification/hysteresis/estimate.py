@@ -12,6 +12,7 @@ from piezoid.identification.hysteresis.applicability import (
     reason_in_loops,
     reason_of_error,
     reason_of_lag,
+    reason_of_no_answer,
     widest_opening,
 )
 from piezoid.identification.hysteresis.certificate import certify
@@ -36,7 +37,7 @@ from piezoid.identification.hysteresis.physical import envelope_stretch, physica
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
-from piezoid.identification.hysteresis.scope import scope_of
+from piezoid.identification.hysteresis.scope import limits_as_recorded, limits_of_cycles, scope_of
 from piezoid.identification.hysteresis.search import (
     Fitted,
     Settings,
@@ -99,13 +100,24 @@ def estimate_axis(
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
-    lag = "" if in_loops else reason_of_lag(ready.pieces, choice, choosing, progress)
+    slides = limits_of_cycles(ready.pieces)
+    # Where the lag changes from cycle to cycle, no one lag is what the loop is.
+    lag = "" if in_loops or slides else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
+    only_lag = "" if slides else only_lag
     choice = without_bends(choice) if only_lag else choice
-    against = lag or only_lag or in_loops or reason_of_error(ready.pieces, choice)
+    against = (
+        reason_of_no_answer(ready.pieces, choice, ready.scales)
+        or lag
+        or only_lag
+        or in_loops
+        or reason_of_error(ready.pieces, choice)
+    )
     progress("final fit")
     fitted = _final(ready, choice)
     found = _axis_model(ordered, axis, rig, ready, choice, fitted, against)
+    limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
+    limits = tuple(sorted(limits, key=lambda limit: limit.most))
     given = [recording.name for recording in recordings]
     starts = tuple(sorted(found.starts, key=lambda start: given.index(start.recording)))
     return replace(found, starts=starts, quality=replace(found.quality, limits=limits))
