@@ -181,12 +181,13 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
     """
     interval_s = 1.0 / sampling_rate_Hz
     whole, rest_s = _split_delay(system.delay_s, interval_s)
-    transition, _ = _held(system, interval_s)
-    after, newest = _held(system, interval_s - rest_s)
+    transition, newest = _held(system, interval_s - rest_s)
     taps = [np.zeros_like(system.B)] * whole + [newest]
     direct = [np.zeros_like(system.D)] * whole + [system.D]
     if rest_s > 0.0:
-        taps.append(after @ _held(system, rest_s)[1])
+        before, oldest = _held(system, rest_s)
+        taps.append(transition @ oldest)
+        transition = transition @ before
         direct.insert(whole, np.zeros_like(system.D))
     return _with_late_inputs(transition, taps, system.C, direct, interval_s)
 

@@ -224,16 +224,19 @@ class _Point:
         """Return the sum of squares at all rows."""
         return sum(float(error @ error) for error in self.errors)
 
-    @property
+    @Once
+    def gram(self) -> Array:
+        """The products of the tangents with each other, all rows together."""
+        return sum((part.T @ part for part in self.tangents), np.zeros((1, 1)))
+
+    @Once
     def cost(self) -> float:
         return self.squares + _prior_cost(self.state)
 
     def linearised(self) -> NormalEquations:
-        rows, errors = self.tangents, self.errors
-        gram = sum((part.T @ part for part in rows), np.zeros((1, 1)))
-        pairs = zip(rows, errors, strict=True)
+        pairs = zip(self.tangents, self.errors, strict=True)
         slope = sum((part.T @ error for part, error in pairs), np.zeros(1))
-        return _with_prior(self.state, gram, slope, self.cost)
+        return _with_prior(self.state, self.gram, slope, self.cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +248,14 @@ class _OnFold:
     columns: Sequence[Array]
     gram: Array
 
-    @property
+    @Once
     def left(self) -> list[Array]:
-        return [error[k] for error, k in zip(self.point.errors, self.kept, strict=True)]
+        """The errors, 0 at the rows left out: the columns are megabytes, and are not copied."""
+        return [np.where(k, e, 0.0) for e, k in zip(self.point.errors, self.kept, strict=True)]
 
-    @property
+    @Once
     def cost(self) -> float:
-        return sum(float(np.sum(e**2)) for e in self.left) + _prior_cost(self.point.state)
+        return sum(float(e @ e) for e in self.left) + _prior_cost(self.point.state)
 
     def linearised(self) -> NormalEquations:
         pairs = zip(self.columns, self.left, strict=True)
@@ -284,14 +288,14 @@ def _search(state: State, parts: Sequence[Part], *, longest_lag_s: float, steps:
 def _on_fold(fold: int, end: _Point, bounds: tuple[Array, Array]) -> tuple[Array, list[Array]]:
     """Return where a few chords on the rows kept lead, and the residual at the rows left out."""
     kept = [part.fold != fold for part in end.parts]
-    columns = [rows[k] for rows, k in zip(end.tangents, kept, strict=True)]  # megabytes: once
-    gram = sum((part.T @ part for part in columns), np.zeros((1, 1)))
+    out = [rows[~k] for rows, k in zip(end.tangents, kept, strict=True)]
+    gram = end.gram - sum((part.T @ part for part in out), np.zeros((1, 1)))
     start = end.state.vector
 
     def at(vector: Array) -> _OnFold:
         known = np.array_equal(vector, start)  # the end's residual is worth a simulation
         point = end if known else _Point(end.state.at(vector), end.parts)
-        return _OnFold(point, kept, columns, gram)
+        return _OnFold(point, kept, end.tangents, gram)
 
     found = minimise(at, start, bounds, rule=CHORDS)
     errors = found.point.point.errors
@@ -311,7 +315,9 @@ def _priors(state: State) -> list[tuple[Array, Array, slice]]:
     found = []
     for extension, place in zip(state.extensions, state.slices, strict=True):
         scale = abs(state.scales.displacement_m) if extension.in_metres else 1.0
-        found.append((extension.prior() / scale, extension.free().value, place))
+        rows = extension.prior()
+        if len(rows):
+            found.append((rows / scale, extension.free().value, place))
     return found
 
 
