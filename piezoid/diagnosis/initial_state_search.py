@@ -51,6 +51,10 @@ POINTS = 500  # samples of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are moved
 FARTHEST = 1.2
 
+InitialStates = tuple[View, View]
+"""A view with the best shared hypothesis, and with initial states that fit each track best: both
+the same whatever initial states the view had."""
+
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
     """Return the view with the shared hypothesis that leaves the smallest error."""

@@ -16,7 +16,7 @@ from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
-from piezoid.identification.joint.fit_extended import Extended, fit_extended
+from piezoid.identification.joint.fit_extended import Extended, closest_fit, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
@@ -93,7 +93,9 @@ def refitted(
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
-    final = _best((model, baseline.model), recordings, every, structure, places)
+    final = closest_fit(
+        (model, baseline.model), recordings, every, structure=structure, places=places
+    )
     final = _loosened(final, recordings, structure, places)
     fitted = _fitted(given, every, final)
     starts = (final.model, baseline.model)
@@ -103,13 +105,21 @@ def refitted(
         mine = fitted.get(one.effect, ())
         rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
         bare = WITHOUT.get(one.effect, structure)
-        without[one.effect] = _best(starts, recordings, rest, bare, places)
+        without[one.effect] = closest_fit(starts, recordings, rest, structure=bare, places=places)
     if faults:
-        broken = _best(starts, raw or recordings, final.model.extensions, structure, None)
+        broken = closest_fit(
+            starts, raw or recordings, final.model.extensions, structure=structure
+        )
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without what has no name")
-        without[NAME] = _best(starts, whole, final.model.extensions, structure, places_of_whole)
+        without[NAME] = closest_fit(
+            starts,
+            whole,
+            final.model.extensions,
+            structure=structure,
+            places=places_of_whole,
+        )
     changed = bool(found) or bool(faults) or whole is not None
     return Refitted(
         baseline=baseline,
@@ -119,21 +129,6 @@ def refitted(
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
         model=_shipped(model, recordings, final, structure, places) if changed else model,
     )
-
-
-def _best(
-    starts: Sequence[AxisModel],
-    recordings: Sequence[Recording],
-    extensions: Sequence[Extension],
-    structure: Structure,
-    places: Sequence[Samples] | None,
-) -> Extended:
-    """Return the closest of the fits from several starts: thresholds have many good places."""
-    fits = (
-        fit_extended(start, recordings, extensions, structure=structure, places=places)
-        for start in starts
-    )
-    return min(fits, key=lambda fit: fit.rms_m)
 
 
 def _loosened(
@@ -201,7 +196,9 @@ def _shipped(
         lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
         starts = [replace(final.model, lag=lag) for lag in lags]
         kept = replace(structure, lag=True)
-        return _best(starts, recordings, final.model.extensions, kept, places).model
+        return closest_fit(
+            starts, recordings, final.model.extensions, structure=kept, places=places
+        ).model
     one = late[0]
     if isinstance(one, Delay) and one.delay_samples > 0.0:
         return final.model

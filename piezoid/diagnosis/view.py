@@ -155,6 +155,8 @@ def with_free_memory(view: View) -> View:
 
 def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks."""
+    if reversals == view.nuisance.reversals:
+        return view
     return replace(view, nuisance=replace(view.nuisance, histories=_after(view, reversals)))
 
 

@@ -97,5 +97,5 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
     monkeypatch.setattr(search, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
     monkeypatch.setattr(search, "with_own_initial_states", lambda *_: of_memory(OWN, own))
     monkeypatch.setattr(search, "with_shared_reversals", lambda _, reversals: reversals)
-    clean, faults = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
+    clean, faults, _ = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
     assert (seen, clean, faults) == ([looked_at], left_with, {})

@@ -54,7 +54,8 @@ def _where(view: View, k: int) -> Array:
 def _of(place: Array, periods: float) -> Array:
     """Return the waves of first and second order, (samples, 4)."""
     turn = np.pi * periods * place
-    return np.column_stack([np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return np.column_stack([cosine, sine, 2.0 * cosine**2 - 1.0, 2.0 * sine * cosine])
 
 
 def _of_track(view: View, k: int, periods: float) -> Array:
