@@ -189,12 +189,11 @@ def _follows(piece: Piece) -> bool:
     drive, response = piece.drive[rows], piece.response[rows]
     if answers(drive, response):
         return True
-    edges = np.linspace(drive.min(), drive.max(), BINS + 1)
-    rising = np.gradient(drive) > 0.0
-    place = np.searchsorted(edges[1:-1], drive) + BINS * rising
+    # not by direction as well: a servo's drive rises where its sensor reads too little
+    place = np.searchsorted(np.linspace(drive.min(), drive.max(), BINS + 1)[1:-1], drive)
     half = len(drive) // 2
-    count = np.bincount(place[:half], minlength=2 * BINS)
-    level = np.bincount(place[:half], response[:half], 2 * BINS) / np.maximum(count, 1)
+    count = np.bincount(place[:half], minlength=BINS)
+    level = np.bincount(place[:half], response[:half], BINS) / np.maximum(count, 1)
     seen = count[place[half:]] > 0
     moved, foretold = response[half:][seen], level[place[half:]][seen]
     if not len(moved):

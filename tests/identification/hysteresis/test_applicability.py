@@ -125,3 +125,33 @@ def test_a_reading_of_something_else_is_not_called_lag() -> None:
     verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
     assert not verdict.applies
     assert "phase lag" not in verdict.reason
+
+
+def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:  # type: ignore[type-arg]
+    return fit([recording(drive, response_m)])["x"].verdict.reason
+
+
+def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blamed() -> None:
+    rng = np.random.default_rng(12)
+    drive = decaying(15, per_unit=20)
+    # another axis' column: a walk of its own
+    walk_m = np.cumsum(rng.normal(0.0, 4e-8, len(drive)))
+    # a servo: an integrator holds the sensor against a floor that walks, and its drive is told
+    floor_m, held_m, servo_V = np.cumsum(rng.normal(0.0, 2e-9, 6000)), [], []
+    effort_m = 0.0
+    for moved_m in floor_m.tolist():
+        held_m.append(effort_m + moved_m)
+        effort_m -= 0.05 * held_m[-1]
+        servo_V.append(1e7 * effort_m)
+    noise_m = rng.normal(0.0, 1e-9, 6000)
+    for told in (reason_of(drive, walk_m), reason_of(np.array(servo_V), held_m + noise_m)):
+        assert "does not follow the drive" in told
+        assert "a feedback that holds the sensor" in told
+
+
+def test_what_is_shaped_otherwise_still_follows_its_drive() -> None:
+    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
+    late = first_order_lag(1e-6 * plays, 0.05, RATE_Hz)
+    for response in (1e-7 * plays**2, late):
+        assert "does not follow the drive" not in reason_of(drive, noisy(response))
