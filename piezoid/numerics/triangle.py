@@ -13,7 +13,7 @@ from scipy.linalg import lapack
 
 from piezoid.numerics.arrays import Array
 
-BLOCK = 8  # columns reflected together
+BLOCK = 16  # columns reflected together
 
 
 def empty_triangle(columns: int) -> Array:
