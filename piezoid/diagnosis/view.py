@@ -51,7 +51,7 @@ class View:
 
     @Once
     def driven(self) -> dict[object, "View"]:
-        """Return room for this view with other commands, by what changed them."""
+        """Return room for this view with other commands or initial states, by what changed."""
         return {}
 
     @Once

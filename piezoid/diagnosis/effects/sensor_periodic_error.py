@@ -72,7 +72,7 @@ def _of_track(view: View, k: int, periods: float) -> Array:
         rows = np.column_stack([waves[track.place], np.ones(len(track.place))])
         found = np.linalg.lstsq(rows, apart[track.place], rcond=None)[0]
         error += CALM * (waves @ found[:-1] - error)
-    return _of(_read(view, k, error), periods)[track.place]
+    return _of(_read(view, k, error)[track.place], periods)
 
 
 def _waves(view: View, periods: float) -> Array:
