@@ -13,9 +13,9 @@ NOISE = 10.0  # times its rms: a range that normal noise does not reach in any r
 # follows it. Behind a lag of ten samples the largest correlation is 0.3, and of two independent
 # signals one in a million goes beyond five standard errors.
 FOLLOWS, ERRORS = 0.3, 5.0
-# Of two outsiders' wideband recordings the sum of squares, with r(0)^2, is 0.7 to 6, of three
-# sensors that a servo holds at most 0.2.
-ANSWERS = 0.3
+# Of outsiders' wideband recordings and white drives into a mode the sum of squares less r(0)^2 is
+# 0.1 to 5, of two sensors that a servo holds below 0.001. Hum in both makes r(0)^2 up to 0.1.
+ANSWERS, AT_ONCE = 0.03, 0.5
 LAGS = 64  # samples by which a stage may follow
 
 
@@ -43,10 +43,12 @@ def follows(drive: Array, response: Array) -> bool:
 def answers(drive: Array, response: Array) -> bool:
     """Tell whether the steps of a response are, for a good part, the answer to those of a drive.
 
-    Under feedback a little of them is, and the drive answers as well.
+    Under feedback the noise of the sensor goes into the drive at once, and comes back with the
+    other sign: r(1) = - r(0), which is taken off.
     """
     spread, after, count = _after(drive, response)
-    return spread + float(after[0]) ** 2 > max(ANSWERS, ERRORS * sqrt(8.0 * LAGS) / count)
+    at_once = float(after[0]) ** 2
+    return at_once > AT_ONCE or spread - at_once > max(ANSWERS, ERRORS * sqrt(8.0 * LAGS) / count)
 
 
 def _after(drive: Array, response: Array) -> tuple[float, Array, int]:

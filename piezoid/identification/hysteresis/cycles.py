@@ -11,7 +11,7 @@ import numpy as np
 from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import spread_of, trend_of
+from piezoid.numerics.robust import Trend, spread_of, trend_of
 from piezoid.readable import told
 
 FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
@@ -35,15 +35,12 @@ def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str
     drives, cycles, _ = found
     around = drives.mean(axis=0)
     count, period = cycles.shape
-    mean = cycles.mean(axis=0) - cycles.mean()
-    middle = cycles.mean(axis=1)
-    gain = (cycles - middle[:, None]) @ mean / (mean @ mean)
     width = max(int(TIP * period), 1)
     order = np.argsort(around, kind="stable")
     tips = {"upper": order[-width:], "lower": order[:width]}
     place = np.arange(count, dtype=np.float64)
     some = slice(None, None, max(1, count // MOST))
-    said = _gain(piece.name, place[some], gain[some], count)
+    said = _gain(piece.name, _gain_trend(cycles), count)
     for name, where in tips.items():
         tip = cycles[:, where].mean(axis=1)
         said += _tip(
@@ -96,13 +93,27 @@ def _cycles(piece: Piece) -> tuple[Array, Array, float] | None:
     return found.cut(drive), found.cut(response), float(found.period_samples)
 
 
-def _gain(name: str, place: Array, gain: Array, count: int) -> list[str]:
-    trend = trend_of(place, gain)
+def gain_goes(piece: Piece) -> bool:
+    """Tell whether the sensitivity of a piece goes slowly over its equal cycles."""
+    found = _cycles(piece)
+    return found is not None and _gain_trend(found[1]) is not None
+
+
+def _gain_trend(cycles: Array) -> Trend | None:
+    """Return how the sensitivity goes from cycle to cycle, None where it does not."""
+    mean = cycles.mean(axis=0) - cycles.mean()
+    gain = (cycles - cycles.mean(axis=1)[:, None]) @ mean / (mean @ mean)
+    some = slice(None, None, max(1, len(gain) // MOST))
+    trend = trend_of(np.arange(len(gain), dtype=np.float64)[some], gain[some])
+    if trend is None or trend.p_value > SURE or abs(trend.slope) * (len(gain) - 1) < GAIN:
+        return None
+    return trend
+
+
+def _gain(name: str, trend: Trend | None, count: int) -> list[str]:
     if trend is None:
         return []
     change, low, high = (end * (count - 1) for end in (trend.slope, *trend.ci95))
-    if trend.p_value > SURE or abs(change) < GAIN:
-        return []
     return [
         f"{name}: cycle by cycle the sensitivity goes by {100 * change:+.3g} % over {count} equal "
         f"cycles (95 %: {100 * low:.3g} to {100 * high:.3g} %)."

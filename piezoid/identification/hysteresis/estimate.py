@@ -17,7 +17,7 @@ from piezoid.identification.hysteresis.applicability import (
 )
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.cycles import trends_over_cycles
+from piezoid.identification.hysteresis.cycles import gain_goes, trends_over_cycles
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
@@ -101,10 +101,12 @@ def estimate_axis(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
     slides = limits_of_cycles(ready.pieces)
-    # Where the lag changes from cycle to cycle, no one lag is what the loop is.
-    lag = "" if in_loops or slides else reason_of_lag(ready.pieces, choice, choosing, progress)
+    # Where lag or gain change from cycle to cycle, what they leave hides by how much plays do
+    # better than one lag.
+    goes = bool(slides) or any(gain_goes(piece) for piece in ready.pieces)
+    lag = "" if in_loops or goes else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
-    only_lag = "" if slides else only_lag
+    only_lag = "" if goes else only_lag
     choice = without_bends(choice) if only_lag else choice
     against = (
         reason_of_no_answer(ready.pieces, choice, ready.scales)
