@@ -24,9 +24,22 @@ def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
     return filter_columns(column, first_order(time_s, rate_Hz), state)[:, 0]
 
 
-def laddered(signal: Array, times_s: Sequence[float], rate_Hz: float) -> Array:
-    """Return the sum of a signal behind first-order lags side by side, all steady before."""
-    return ladder(signal, [first_order(time_s, rate_Hz) for time_s in times_s])
+def laddered(
+    signal: Array, times_s: Sequence[float], rate_Hz: float, share: Array | None = None
+) -> Array:
+    """Return the sum of a signal behind first-order lags side by side, all steady before.
+
+    share  (lags,)  of each in the sum; 1 where nothing is said
+    """
+    each = np.ones(len(times_s)) if share is None else share
+    filters = [
+        (pole, a * b0, a * b1)
+        for a, (pole, b0, b1) in zip(
+            each.tolist(), (first_order(time_s, rate_Hz) for time_s in times_s), strict=True
+        )
+    ]
+    first = float(signal[0])
+    return first * float(np.sum(each)) + ladder(signal - first, filters)
 
 
 def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:
