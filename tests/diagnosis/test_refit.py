@@ -17,7 +17,7 @@ TRUE = (SlewLimit(limit_V_per_s=80.0), Delay(delay_s=5e-4), CREEP)
 FOUND = (
     Found(effect="slew_limit", parameters={"limit_per_s": 15.5}, coefficient=np.zeros(0)),
     Found(effect="delay", parameters={"delay_s": 3e-4}, coefficient=np.array([1.2])),
-    Found(effect="creep", coefficient=np.array([0.02, 0.0, 0.02])),
+    Found(effect="creep", coefficient=np.array([0.02])),
 )
 
 
