@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Parameters
 from piezoid.diagnosis.view import View
-from piezoid.identification.hysteresis.filters import filter_columns, first_order
+from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import recursive_filter
@@ -15,13 +15,6 @@ from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 
 GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
-
-
-def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal behind a first-order lag, steady before its first sample."""
-    column = np.asarray(signal)[:, None]
-    state = np.repeat(column[:1], 2, axis=0)
-    return filter_columns(column, first_order(time_s, rate_Hz), state)[:, 0]
 
 
 def laddered(
@@ -32,12 +25,8 @@ def laddered(
     share  (lags,)  of each in the sum; 1 where nothing is said
     """
     each = np.ones(len(times_s)) if share is None else share
-    filters = [
-        (pole, a * b0, a * b1)
-        for a, (pole, b0, b1) in zip(
-            each.tolist(), (first_order(time_s, rate_Hz) for time_s in times_s), strict=True
-        )
-    ]
+    plain = zip(each.tolist(), (first_order(time_s, rate_Hz) for time_s in times_s), strict=True)
+    filters = [(pole, a * b0, a * b1) for a, (pole, b0, b1) in plain]
     first = float(signal[0])
     return first * float(np.sum(each)) + ladder(signal - first, filters)
 

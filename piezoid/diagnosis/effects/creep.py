@@ -125,7 +125,7 @@ EFFECT = Effect(
     name="creep",
     explanation=__doc__ or "",
     unit="percent of a step per decade of time",
-    # on 26 stages of thirteen laws: 14 % rms
+    # on 25 stages of thirteen laws: 14 % rms
     model_error=0.15,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
