@@ -80,9 +80,10 @@ def staircase(rng: np.random.Generator, hold_s: float) -> np.ndarray:
     return np.concatenate(steps)
 
 
-@pytest.mark.parametrize(("hold_s", "tilt"), [(3.0, 0.0), (6.0, 0.15)])
-def test_the_size_of_creep_is_what_a_step_adds_in_a_decade_even_or_not(hold_s, tilt) -> None:
-    """Taken for even, a spectrum that rises by 0.15 for each decade is stated a third too low."""
+@pytest.mark.parametrize("tilt", [-0.15, 0.15])
+def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds(tilt) -> None:
+    """Taken for even, these spectra are stated 12 % too high and 14 % too low."""
+    hold_s = 3.0
     rng = np.random.default_rng(int(hold_s))
     time_s = np.arange(int(20 * RATE_Hz)) / RATE_Hz
     loops_V = 50.0 - 50.0 * np.cos(np.pi * time_s) * np.linspace(1.0, 0.3, len(time_s))
@@ -98,7 +99,7 @@ def test_the_size_of_creep_is_what_a_step_adds_in_a_decade_even_or_not(hold_s, t
             )
         )
     (found,) = [one for one in piezoid.diagnose(recordings).findings if one.effect == "creep"]
-    assert found.size.value == pytest.approx(1.0, rel=0.1)
+    assert found.size.value == pytest.approx(1.0, rel=0.05)
     assert found.size.ci95[0] < 1.0 < found.size.ci95[1]
 
 
