@@ -7,6 +7,7 @@ rows left out in the same way. The baseline is the static model with the declare
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from piezoid.diagnosis.effect import Found, setting_of
 from piezoid.diagnosis.effects import EFFECTS
@@ -16,7 +17,7 @@ from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension, Samples
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
-from piezoid.identification.joint.fit_extended import Extended, closest_fit, fit_extended
+from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
@@ -93,28 +94,25 @@ def refitted(
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
-    final = closest_fit(
-        (model, baseline.model), recordings, every, structure=structure, places=places
+    final = fit_extended(
+        model, recordings, every, others=(baseline.model,), structure=structure, places=places
     )
     final = _loosened(final, recordings, structure, places)
     fitted = _fitted(given, every, final)
-    starts = (final.model, baseline.model)
+    again = partial(fit_extended, final.model, others=(baseline.model,))
     without = {}
     for one in found:
         progress(f"refitting without {one.effect.replace('_', ' ')}")
         mine = fitted.get(one.effect, ())
         rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
         bare = WITHOUT.get(one.effect, structure)
-        without[one.effect] = closest_fit(starts, recordings, rest, structure=bare, places=places)
+        without[one.effect] = again(recordings, rest, structure=bare, places=places)
     if faults:
-        broken = closest_fit(
-            starts, raw or recordings, final.model.extensions, structure=structure
-        )
+        broken = again(raw or recordings, final.model.extensions, structure=structure)
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without what has no name")
-        without[NAME] = closest_fit(
-            starts,
+        without[NAME] = again(
             whole,
             final.model.extensions,
             structure=structure,
@@ -194,10 +192,10 @@ def _shipped(
     late = [e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)]
     if not late:
         lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
-        starts = [replace(final.model, lag=lag) for lag in lags]
-        kept = replace(structure, lag=True)
-        return closest_fit(
-            starts, recordings, final.model.extensions, structure=kept, places=places
+        start, other = (replace(final.model, lag=lag) for lag in lags)
+        kept, every = replace(structure, lag=True), final.model.extensions
+        return fit_extended(
+            start, recordings, every, others=(other,), structure=kept, places=places
         ).model
     one = late[0]
     if isinstance(one, Delay) and one.delay_samples > 0.0:

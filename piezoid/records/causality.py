@@ -17,9 +17,12 @@ import numpy as np
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import told
-from piezoid.records.recording import Problem, Quantity, Recording
+from piezoid.records.recording import Problem, Recording
 from piezoid.records.sweep import noise_of, reversals_of
 
+# On 273 recordings, of 30 stages of two outsiders and 39 healthy ones of the zoo, a share above
+# EARLY is at most 0.8 times the bends elsewhere, and the noise there grows 1.25 times; readings
+# smoothed by a centred window have 3 times the noise.
 FEWEST = 2  # turns of each kind
 SHORTEST = 4  # samples of a stretch
 PER_BRANCH = 8  # stretches of the longest kind in a branch
@@ -92,27 +95,20 @@ def _share(values: Array, turns: Array, length: int) -> tuple[float, float]:
     return float(bend[5 * length] / turned), float(np.abs(bend[: 3 * length] / turned).max())
 
 
-def told_early(recording: Recording) -> tuple[Problem, ...]:
-    """Return what is to be said of displacements that turn before their drive."""
-    said = []
-    for axis in recording.axes:
-        drive = recording.find(Quantity.VOLTAGE, axis)
-        response = recording.find(Quantity.DISPLACEMENT, axis)
-        if drive is None or response is None:
-            continue
-        longest = max(recording.pieces, key=lambda part: part.stop - part.start)
-        early = early_turns(drive.values[longest], response.values[longest])
-        if early is not None and (early.share > WHOLE or early.noise > SMOOTH):
-            said.append(_told(early, recording.sampling_rate_Hz, axis))
-    return tuple(said)
+def told_early(recording: Recording, axis: str) -> list[Problem]:
+    """Tell a displacement of an axis that turns before its drive.
 
-
-def _told(early: Early, rate_Hz: float, axis: str) -> Problem:
-    before = told(early.samples / rate_Hz, "s")
+    kinds  ``smoothed``, ``leads``
+    """
+    longest = max(recording.pieces, key=lambda part: part.stop - part.start)
+    drive, response = recording.voltage_V(axis)[longest], recording.displacement_m(axis)[longest]
+    early = early_turns(drive, response)
+    if early is None or not (early.share > WHOLE or early.noise > SMOOTH):
+        return []
+    before = told(early.samples / recording.sampling_rate_Hz, "s")
     begins = (
         f"the displacement of {axis} begins to turn {before} ({early.samples} samples) before its "
-        f"drive does, and has made {100 * early.share:.0f} % of the turn when "
-        "it does"
+        f"drive does, and has made {100 * early.share:.0f} % of the turn when it does"
     )
     if early.share > WHOLE:
         kind, why = "leads", "is the drive read late, or are its stamps those of another clock?"
@@ -123,4 +119,4 @@ def _told(early: Early, rate_Hz: float, axis: str) -> Problem:
             "turns are then no mode, the noise is not the sensor's, and delay and dynamics cannot "
             "be had. Read the file as it was recorded"
         )
-    return Problem(kind=kind, place=f"axis {axis}", text=f"{begins}; {why}")
+    return [Problem(kind=kind, place=f"axis {axis}", text=f"{begins}; {why}")]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from piezoid.counts import record_in_counts
 from piezoid.errors import LabFileError, RecordingError, UnitError
 from piezoid.records.assignment import Assignment, assign
-from piezoid.records.causality import told_early
 from piezoid.records.clock import (
     Clock,
     print_resolution_s,
@@ -164,8 +163,7 @@ def with_remarks(recording: Recording, lab: Lab) -> Recording:
     Where the zero jumped, a piece ends.
     """
     edges, jumps = told_jumps(recording)
-    early = told_early(recording)
-    said = (*remarks_on(recording), *jumps, *early, *beyond_the_controller(recording, lab))
+    said = (*remarks_on(recording), *jumps, *beyond_the_controller(recording, lab))
     problems = (*recording.problems, *record_in_counts(said, recording.counted))
     breaks = tuple(sorted({*recording.breaks, *edges}))
     return replace(recording, breaks=breaks, problems=problems)

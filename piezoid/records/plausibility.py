@@ -6,6 +6,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import told
+from piezoid.records.causality import told_early
 from piezoid.records.faults import noise_rms
 from piezoid.records.recording import Channel, Problem, Quantity, Recording
 from piezoid.records.rest import answers
@@ -35,7 +36,7 @@ _THROUGHOUT = 0.9  # of the samples: in the rest the loop settles (0.98 in that 
 def remarks_on(recording: Recording) -> tuple[Problem, ...]:
     """Return remarks on every axis that has a drive and a displacement.
 
-    kinds  ``implausible_gain``, ``leads``, ``closed_loop``, ``stands``
+    kinds  ``implausible_gain``, ``leads``, ``smoothed``, ``closed_loop``, ``stands``
     """
     found: list[Problem] = []
     for axis in recording.axes:
@@ -46,6 +47,7 @@ def remarks_on(recording: Recording) -> tuple[Problem, ...]:
         if not recording.counted:
             found += _implausible(drive.values, response.values, axis)
         found += _leading(drive, response)
+        found += told_early(recording, axis)
         found += _held(recording, axis)
         found += standing_tips(recording, axis)
     return tuple(found)

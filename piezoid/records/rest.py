@@ -13,9 +13,10 @@ NOISE = 10.0  # times its rms: a range that normal noise does not reach in any r
 # follows it. Behind a lag of ten samples the largest correlation is 0.3, and of two independent
 # signals one in a million goes beyond five standard errors.
 FOLLOWS, ERRORS = 0.3, 5.0
-# Of outsiders' wideband recordings and white drives into a mode the sum of squares less r(0)^2 is
-# 0.1 to 5, of two sensors that a servo holds below 0.001. Hum in both makes r(0)^2 up to 0.1.
-ANSWERS, AT_ONCE = 0.03, 0.5
+# White drives into modes of Q 0.5 to 40 leave 0.3 to 0.04, outsiders' wideband recordings 0.1 to
+# 5, sensors that servos of a gain of 0.02 to 0.6 a sample hold 0.001; a white drive that is
+# followed at once 1. The steps of such a servo's drive correlate by - 0.33 at least.
+ANSWERS, AT_ONCE, WHITE = 0.03, 0.3, -0.4
 LAGS = 64  # samples by which a stage may follow
 
 
@@ -43,12 +44,16 @@ def follows(drive: Array, response: Array) -> bool:
 def answers(drive: Array, response: Array) -> bool:
     """Tell whether the steps of a response are, for a good part, the answer to those of a drive.
 
-    Under feedback the noise of the sensor goes into the drive at once, and comes back with the
-    other sign: r(1) = - r(0), which is taken off.
+    Under feedback the drive takes up what the sensor reads, and the stage follows a sample later:
+    r(1) = - r(0), whose product is taken off. Of a drive drawn anew at every sample, whose own
+    steps correlate by - 1/2, the answer looks like that, and no servo's drive is.
     """
     spread, after, count = _after(drive, response)
-    at_once = float(after[0]) ** 2
-    return at_once > AT_ONCE or spread - at_once > max(ANSWERS, ERRORS * sqrt(8.0 * LAGS) / count)
+    steps = np.diff(drive)
+    is_white = float(steps[1:] @ steps[:-1]) < WHITE * float(steps @ steps)
+    returned = 0.0 if is_white else max(0.0, -float(after[0] * after[1]))
+    least = max(ANSWERS, ERRORS * sqrt(8.0 * LAGS) / count)
+    return spread - returned > least or float(after[0]) ** 2 - returned > AT_ONCE
 
 
 def _after(drive: Array, response: Array) -> tuple[float, Array, int]:

@@ -60,3 +60,13 @@ def test_of_a_sine_nothing_is_told(tmp_path: Path) -> None:
     sine = -np.cos(2.0 * np.pi * np.arange(4800) / 600.0)
     smooth = averaged(reading("preisach", field=sine), 51)
     assert "smoothed" not in kinds(tmp_path, smooth, sine)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_of_a_staircase_nothing_is_told(tmp_path: Path, law: str) -> None:
+    # its turns are flat: half of a turn seems made before the last step
+    levels = np.tile(np.concatenate([np.arange(-5, 5), np.arange(5, -5, -1)]), 6) / 5.0
+    for held in (50, 200):
+        stairs = np.repeat(levels, held)
+        told = set(kinds(tmp_path, reading(law, field=stairs), stairs))
+        assert not {"smoothed", "leads"} & told

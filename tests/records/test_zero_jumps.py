@@ -65,11 +65,17 @@ def test_a_slow_sensor_spreads_a_jump_and_hides_it_not(tmp_path: Path) -> None:
     assert any(1000 < edge < 1015 for edge in recording.breaks)
 
 
-def test_what_comes_back_with_the_drive_is_no_slip(tmp_path: Path) -> None:
-    dead_spot = 0.9 * (FIELD > 0.2)
-    alternating = stairs(*((k, 0.9 * (-1) ** n) for n, k in enumerate(range(150, 2300, 300))))
-    for added in (dead_spot, alternating):
-        assert not jumps_of(read(tmp_path, "duhem", added))
+@pytest.mark.parametrize("law", ["duhem", "plays", "dahl"])
+def test_what_comes_back_with_the_drive_is_no_slip(tmp_path: Path, law: str) -> None:
+    few = FIELD[:1500]
+    one_spot = 0.9 * (few > 0.2)
+    for spots in (one_spot, one_spot + 0.6 * (few > 0.6), one_spot + 0.6 * (few > 0.35)):
+        assert not jumps_of(read(tmp_path, law, spots, few))
+
+
+def test_what_switches_between_two_levels_is_no_slip(tmp_path: Path) -> None:
+    switching = stairs(*((k, 0.9 * (-1) ** n) for n, k in enumerate(range(150, 2300, 300))))
+    assert not jumps_of(read(tmp_path, "duhem", switching))
 
 
 def test_steps_of_the_drive_are_no_jumps_of_the_zero(tmp_path: Path) -> None:

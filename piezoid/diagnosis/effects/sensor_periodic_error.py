@@ -7,8 +7,8 @@ Why it happens
 How it is detected
     Waves of one spatial frequency explain what static hysteresis cannot, far better than those of
     all other spatial frequencies that were tried. Every recording may have its own phase, for an
-    interferometer counts from where it was switched on. A wave lower
-    than half a step of a coarse converter is left out: rounding alone makes one of step / pi.
+    interferometer counts from where it was switched on. A wave lower than half a step of a coarse
+    converter is left out: rounding alone makes one of step / pi.
 What the extension adds
     A first and a second order of the cyclic error behind the stage, to be corrected there.
 Source

@@ -17,7 +17,7 @@ from piezoid.identification.hysteresis.applicability import (
 )
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.cycles import gain_goes, trends_over_cycles
+from piezoid.identification.hysteresis.cycles import Cycles, cycles_of, trends_over_cycles
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
@@ -100,10 +100,11 @@ def estimate_axis(
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
-    slides = limits_of_cycles(ready.pieces)
+    cycles = [one for one in map(cycles_of, ready.pieces) if one is not None]
+    slides = limits_of_cycles(cycles)
     # Where lag or gain change from cycle to cycle, what they leave hides by how much plays do
     # better than one lag.
-    goes = bool(slides) or any(gain_goes(piece) for piece in ready.pieces)
+    goes = bool(slides) or any(one.gain is not None for one in cycles)
     lag = "" if in_loops or goes else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
     only_lag = "" if goes else only_lag
@@ -117,7 +118,7 @@ def estimate_axis(
     )
     progress("final fit")
     fitted = _final(ready, choice)
-    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against)
+    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against, cycles)
     limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
     limits = tuple(sorted(limits, key=lambda limit: limit.most))
     given = [recording.name for recording in recordings]
@@ -249,6 +250,7 @@ def _axis_model(
     choice: Choice,
     fitted: Fitted,
     against: str,
+    cycles: Sequence[Cycles],
 ) -> AxisModel:
     scales, theta = ready.scales, fitted.minimum.theta
     stroke_m = abs(scales.displacement_m)
@@ -263,8 +265,8 @@ def _axis_model(
     quality = _quality(fitted, choice, ready.pieces, stroke_m)
     trends = [
         said
-        for piece in ready.pieces
-        for said in trends_over_cycles(piece, stroke_m, quality.noise_rms_m / stroke_m)
+        for one in cycles
+        for said in trends_over_cycles(one, stroke_m, quality.noise_rms_m / stroke_m)
     ]
     return AxisModel(
         axis=axis,

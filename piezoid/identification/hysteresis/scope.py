@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.identification.hysteresis.cycles import slide_over_cycles
+from piezoid.identification.hysteresis.cycles import Cycles, told_slide
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
 from piezoid.records.recording import Recording
@@ -131,9 +131,9 @@ def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limi
     )
 
 
-def limits_of_cycles(pieces: Sequence[Piece]) -> tuple[Limit, ...]:
+def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
     """Return the recordings whose displacement slides against its drive from cycle to cycle."""
-    slides = [slide_over_cycles(piece) for piece in pieces]
+    slides = map(told_slide, cycles)
     return tuple(Limit(lack="slides", reason=said, most=SLIDES) for said in slides if said)
 
 

@@ -99,6 +99,7 @@ def fit_extended(
     recordings: Sequence[Recording],
     extensions: Sequence[Extension] = (),
     *,
+    others: Sequence[AxisModel] = (),
     structure: Structure = WHOLE,
     places: Sequence[Samples] | None = None,
     steps: int = STEPS,
@@ -110,6 +111,8 @@ def fit_extended(
     model       fitted axis: where the search begins, and how many plays and dead zones there are
     recordings  of this axis; those the model does not know begin at rest
     extensions  with start values near the truth
+    others      models to begin at as well, for thresholds have many good places: the closest fit
+                is returned, and that alone is judged on rows left out
     structure   what of the hysteresis itself may be used
     places      samples that may count, piece by piece; None: all, spread thinly
 
@@ -119,37 +122,19 @@ def fit_extended(
     What goes wrong: a number the rows do not determine stays where it began, and a mode that
     begins more than its width away is not found.
     """
-    return closest_fit(
-        (model,), recordings, extensions, structure=structure, places=places, steps=steps
-    )
-
-
-def closest_fit(
-    starts: Sequence[AxisModel],
-    recordings: Sequence[Recording],
-    extensions: Sequence[Extension] = (),
-    *,
-    structure: Structure = WHOLE,
-    places: Sequence[Samples] | None = None,
-    steps: int = STEPS,
-) -> Extended:
-    """Return the closest of the fits from several starts: thresholds have many good places.
-
-    The others are as for ``fit_extended``. Only the closest is judged on rows left out.
-    """
     ends = []
-    for model in starts:
-        parts = parts_of(model, recordings, places)
-        state = state_of(model, parts, extensions, structure)
+    for start in (model, *others):
+        parts = parts_of(start, recordings, places)
+        state = state_of(start, parts, extensions, structure)
         bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
         found = _search(state, parts, bounds, steps)
-        ends.append((model, bounds, found.point, found.converged))
-    model, bounds, end, converged = min(ends, key=lambda one: one[2].rms_m)
+        ends.append((start, bounds, found.point, found.converged))
+    begun, bounds, end, converged = min(ends, key=lambda one: one[2].rms_m)
     reached = _judged(end, bounds, converged)
     stroke_m = abs(reached.state.scales.displacement_m)
     held_m = reached.held * stroke_m
     return Extended(
-        model=_model(model, end.parts, reached, held_m),
+        model=_model(begun, end.parts, reached, held_m),
         rms_m=reached.rms * stroke_m,
         held_out_rms_m=reached.held_out_rms * stroke_m,
         held_m=held_m,

@@ -1,6 +1,7 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
 import itertools
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from tests.identification.hysteresis.stages import (
     through,
     wandering,
 )
+from tests.laws import LAWS, recorded
 
 
 def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
@@ -155,3 +157,16 @@ def test_what_is_shaped_otherwise_still_follows_its_drive() -> None:
     late = first_order_lag(1e-6 * plays, 0.05, RATE_Hz)
     for response in (1e-7 * plays**2, late):
         assert "does not follow the drive" not in reason_of(drive, noisy(response))
+
+
+@pytest.mark.parametrize("law", ["duhem", "plays"])
+def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
+    law: str, tmp_path: Path
+) -> None:
+    turn = np.arange(4800) / 120.0
+    field = -np.cos(2.0 * np.pi * turn)
+    response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * turn / turn[-1])
+    noise_um = np.random.default_rng(2).normal(0.0, 0.01, 4800)
+    found = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
+    assert "phase lag" not in found.verdict.reason
+    assert any("the sensitivity goes by +" in said for said in found.verdict.remarks)

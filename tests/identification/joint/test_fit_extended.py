@@ -20,7 +20,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.joint.fit_extended import closest_fit, fit_extended
+from piezoid.identification.joint.fit_extended import fit_extended
 from piezoid.identification.joint.vector import FOLDS, KEPT, Structure, parts_of
 from piezoid.identification.simulation import simulate_recording
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
@@ -107,7 +107,7 @@ def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> Non
     held = Structure(lag=False)
     recordings, steps = recordings_of(true), 1
     alone = [fit_extended(m, recordings, structure=held, steps=steps) for m in (far, near)]
-    found = closest_fit((far, near), recordings, structure=held, steps=steps)
+    found = fit_extended(far, recordings, others=(near,), structure=held, steps=steps)
     best = min(alone, key=lambda fit: fit.rms_m)
     assert (found.rms_m, found.held_out_rms_m) == (best.rms_m, best.held_out_rms_m)
     assert found.rms_m < max(fit.rms_m for fit in alone)
