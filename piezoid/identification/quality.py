@@ -59,6 +59,9 @@ _HELD_OUT = {
 }
 
 
+NEVER_MEASURED = ("branch", "loop", "speed", "amplitude", "recording")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
     """Something that was never measured, or not as it is, so that no fit can know it.
@@ -72,6 +75,11 @@ class Limit:
     lack: str
     reason: str
     most: int
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether something was read that a clean recording would not show."""
+        return self.lack not in NEVER_MEASURED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -125,6 +125,18 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     assert "hysteresis" not in said
 
 
+def test_what_is_odd_about_a_recording_stands_in_the_verdict_beside_what_it_lacks(
+    tmp_path: Path,
+) -> None:
+    field = triangles(8, 300)
+    slipped_um = 10 * LAWS["preisach"](field) + noise_um(2400) + 0.9 * (np.arange(2400) >= 1000)
+    verdict, score, said = calibrated(tmp_path, field, slipped_um)
+    assert "driven at one speed" in verdict.partition(". ")[0]
+    for told in (verdict, said):
+        assert "sweep.csv: the displacement of x jumps once while its drive does not" in told
+    assert score <= 50
+
+
 def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:
     field = np.random.default_rng(5).uniform(-1.0, 1.0, 2000)
     verdict, score, said = calibrated(
