@@ -113,9 +113,8 @@ RULES = (
     ),
     Rule(
         name="other initial states",
-        places=((forward_selection, "with_own_initial_states"),),
-        without=lambda view, *_: view,
-        matters=_leaves_less(OTHER_INITIAL_STATES),
+        places=((forward_selection, "leaves_clearly_less"),),
+        without=lambda *_: False,
     ),
     Rule(
         name="other initial states before faults",

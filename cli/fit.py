@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from piezoid.calibration.calibrate import Calibration, Told
     from piezoid.calibration.controllers import Controllers
+    from piezoid.diagnosis.diagnosis import Finding
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.model import AxisModel
@@ -171,9 +172,15 @@ def _diagnosis_sentences(found: "Calibration") -> tuple[str, ...]:
     named = []
     for one in found.diagnoses:
         shape = shape_lacked(one, found.model.axes.get(one.axis))
-        said = f"{', '.join(one.names) or 'nothing'} named{f'; {shape}' if shape else ''}"
+        causes = ", ".join(map(_told_apart, one.findings)) or "nothing"
+        said = f"{causes} named{f'; {shape}' if shape else ''}"
         named.append(f"diagnosis of axis {one.axis}: {in_counts(said, one.counted)}")
     return (*named, *found.undiagnosed)
+
+
+def _told_apart(finding: "Finding") -> str:
+    rivals = " or ".join(finding.not_separable_from)
+    return f"{finding.effect} (not separable from {rivals})" if rivals else finding.effect
 
 
 def _show_model(model: "ActuatorModel") -> None:

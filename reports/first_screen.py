@@ -172,7 +172,9 @@ def _tip_loop(page: Page) -> tuple[AxisDesign, LoopDesign] | None:
 def _guarantee(page: Page, loop: LoopDesign | None, range_m: float) -> str:
     if loop is None:
         return "none: no controller"
-    if loop.certificate is None or not loop.certificate.is_guaranteed:
+    if loop.certificate is None:
+        return "none: no bound of the hysteresis is known"
+    if not loop.certificate.is_guaranteed:
         return "none: small gain not proven"
     if page.verification is None or not page.verification.passed:
         return "none: not verified"

@@ -16,7 +16,7 @@ LOOSE = 0.2  # of the loop's width: an interval wider than that leaves the width
 FEW_BLOCKS = 10
 
 
-# what was never measured, in a few words, and the recording that would
+# what was never measured or is odd about what was, in a few words, and the recording that helps
 REMEDY = {
     "branch": (
         "that only one branch was recorded",
@@ -34,6 +34,34 @@ REMEDY = {
     "amplitude": (
         "that every branch has one amplitude",
         "Record reversals of decreasing size over the whole range.",
+    ),
+    "closed_loop": (
+        "that a feedback seems to hold the sensor",
+        "Open the loop and record again, the drive free.",
+    ),
+    "leads": (
+        "that the displacement turns before its drive",
+        "Check which column is which, and that one clock stamps both.",
+    ),
+    "smoothed": (
+        "that the readings were smoothed afterwards",
+        "Read the file as it was recorded: noise, delay and modes are in what smoothing took.",
+    ),
+    "implausible_gain": (
+        "a gain that hardly any stage has",
+        "Check both units, and whether the drive is a monitor's output.",
+    ),
+    "stands": (
+        "that the displacement stands while the drive goes on",
+        "Record with the drive inside that end, or leave those cycles out.",
+    ),
+    "slides": (
+        "that the displacement slides against its drive",
+        "Stamp both channels by one clock, and record again.",
+    ),
+    "zero_jump": (
+        "a zero that jumps",
+        "Tighten the mount, look after the sensor's zero and its counter, and record again.",
     ),
 }
 

@@ -23,14 +23,13 @@ from typing import Any
 
 from scipy.stats import kstest
 
-from benchmarks.zoo.score import diagnosed
+from benchmarks.zoo.score import PAST, diagnosed
 from benchmarks.zoo.stages import NAMES, drawn, stage
 from piezoid.diagnosis.healthy import chance_of, score_of
 from piezoid.errors import PiezoidError
 
 TABLE = Path(__file__).parents[2] / "piezoid/diagnosis/healthy_scores.json"
 DIGITS = 4  # of a score
-PAST = "initial_state"
 
 
 def main() -> None:

@@ -27,6 +27,7 @@ from piezoid_datasets.virtual_lab.write import write_campaign
 
 PUT_IN = 0.1
 ELSE = "something_else"
+PAST = "initial_state"
 Numbers = Mapping[str, float | str]
 
 
@@ -98,7 +99,7 @@ class Case:
     size         of full size
     unexplained  p of what is left; None where the diagnosis does not say
     past_percent rms, of the stroke, of what the past of the records changes against one that
-                 cycled until nothing moved, where it does most; told of healthy stages
+                 cycled until nothing moved, where it does most
     noise_percent  rms of the sensor's noise, of the stroke
     times_noise  what the widest class of hysteresis leaves, of the noise
     failed       what was said instead of a diagnosis
@@ -125,17 +126,22 @@ class Case:
 
     @property
     def wrong(self) -> tuple[Said, ...]:
-        """Names from the catalogue that are not hidden."""
-        return tuple(s for s in self.said if s.name != ELSE and s.name not in self.hidden)
+        """Names from the catalogue that are neither hidden nor a past that is there."""
+        true = {*self.hidden, ELSE, *((PAST,) if self.past_shows else ())}
+        return tuple(s for s in self.said if s.name not in true)
+
+    @property
+    def past_shows(self) -> bool:
+        """Whether what the drive did before the records moves one by more than the noise.
+
+        Laws that forget by and by show it, and a laboratory that lets its drive wander hides it.
+        """
+        return (self.past_percent or 0.0) > self.noise_percent
 
     @property
     def fair(self) -> bool:
-        """Whether a healthy stage is told nothing but that its past is unknown, and rightly.
-
-        Laws that forget by and by show what the drive did before a record.
-        """
-        shows = (self.past_percent or 0.0) > self.noise_percent
-        return shows and bool(self.said) and {s.name for s in self.said} == {"initial_state"}
+        """Whether a healthy stage is told nothing but that its past is unknown, and rightly."""
+        return bool(self.said) and self.past_shows and {s.name for s in self.said} == {PAST}
 
     def row(self) -> dict[str, Any]:
         """Return what a line of the file of results holds."""
@@ -182,8 +188,7 @@ def judged(asked: Asked, drawn: Callable[..., Campaign]) -> Case:
         for effect in campaign.answer.effects
         if effect.measured_percent > PUT_IN * effect.asked_percent
     )
-    if not asked.hidden:
-        known["past_percent"] = _change_percent(campaign, drawn(asked, settled=True))
+    known["past_percent"] = _change_percent(campaign, drawn(asked, settled=True))
     known["noise_percent"] = 100.0 * campaign.rig.noise_rms_m / campaign.rig.stroke_m
     known["samples"] = sum(len(rows.time_s) for rows in campaign.recordings)
     try:

@@ -191,7 +191,9 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
 
     def limit(size: tuple[Response, Response], held: NDArray[np.bool_], bound: object) -> None:
         if held.any():
-            asked.append(cp.abs(size[0][held] @ x + size[1][held]) <= bound)
+            rows, constant = size[0][held], size[1][held]
+            parts = [rows.real @ x + constant.real, rows.imag @ x + constant.imag]
+            asked.append(cp.SOC(bound, cp.vstack(parts)))
 
     room = real + slack * reference
     for size, upper in zip(cones.limited, cones.limits[:3], strict=True):

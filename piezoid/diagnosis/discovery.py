@@ -185,12 +185,12 @@ def everywhere(remainder: Remainder, seed: int = 0) -> tuple[CoordinateScore, ..
         for one in found
     ]
     found.append(_in_time(remainder, chance))
-    reading = along_reading(view).place
+    # the reading itself holds what is left: a wave as short as the noise would follow that
     repeating = (
         _line(remainder),
         _of_index(remainder),
         _of_way(remainder, "distance_travelled", travelled(view), "half strokes"),
-        _of_way(remainder, "reading", reading, "half strokes"),
+        _of_way(remainder, "reading", view.static, "half strokes"),
     )
     found += [one for one in repeating if one]
     return tuple(sorted(found, key=lambda lives: -lives.gain))

@@ -18,6 +18,7 @@ from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
+    InitialStates,
     with_own_initial_states,
     with_shared_initial_state,
 )
@@ -152,19 +153,34 @@ class SelectionState:
     selected  effects, in the order in which they were selected
     faults    of the data, by effect
     screened  the last score test of each effect that was not selected, also ``BETWEEN`` recordings
+    initial   the best shared and the best own initial states, where they are known
     """
 
     clean: View
     selected: tuple[SelectedEffect, ...]
     faults: Mapping[str, Fault]
     screened: Mapping[str, ScoreTest]
+    initial: InitialStates | None = None
 
 
-def select_forward(clean: View, faults: Mapping[str, Fault], executor: Executor) -> SelectionState:
-    """Select one effect after another until none is evidence."""
+def select_forward(
+    clean: View,
+    faults: Mapping[str, Fault],
+    executor: Executor,
+    initial: InitialStates | None = None,
+) -> SelectionState:
+    """Select one effect after another until none is evidence.
+
+    initial  of the view, where they are known
+    """
     executor.report("looking behind jumps of the drive")
+    selected = modes_behind_jumps(clean)
     state = SelectionState(
-        clean=clean, selected=modes_behind_jumps(clean), faults=faults, screened={}
+        clean=clean,
+        selected=selected,
+        faults=faults,
+        screened={},
+        initial=None if selected else initial,
     )
     for _ in range(MOST_CAUSES + 2):
         view = extended(state.clean, state.selected)
@@ -184,29 +200,43 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
 
     view  with everything selected, on which the score tests were made
     """
+
+    def bend() -> View:
+        return with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view
+
     beside = SelectionContext(clean=state.clean, selected=state.selected, view=view)
     tried = refit_shortlist(state.screened.values(), beside, executor)
     best = best_candidate(tried)
     least = best.view.rms if best else np.inf
     moved = moved_to_other_side(beside, best)
     if moved is not None:
-        return replace(state, selected=moved)
-    shared = with_shared_initial_state(view, executor)
-    own, bent = executor.both(
-        lambda: with_own_initial_states(view, shared),
-        lambda: with_best_bouc_wen(view) if view.rms > NOISY * view.noise else view,
-    )
+        return replace(state, selected=moved, initial=None)
+    if state.initial is None:
+        shared = with_shared_initial_state(view, executor)
+        own, bent = executor.both(lambda: with_own_initial_states(view, shared), bend)
+    else:
+        (shared, own), bent = state.initial, bend()
     if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
-        return replace(state, clean=with_bouc_wen(state.clean, bent.nuisance.bouc_wen))
+        clean = with_bouc_wen(state.clean, bent.nuisance.bouc_wen)
+        return replace(state, clean=clean, initial=None)
     # an effect that is evidence but too small to name speaks against other initial states
     least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
-    if own.rms < min(OTHER_INITIAL_STATES * view.rms, least):
+    if leaves_clearly_less(own, view, least):
+        # beside selected effects they are not the same again: these follow the static response
         return replace(
-            state, clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals))
+            state,
+            clean=with_free_memory(with_reversals(state.clean, own.nuisance.reversals)),
+            initial=None if state.selected else (shared, own),
         )
     if best is None:
         return _with_slips_in_place(state, view)
-    return replace(state, selected=_settled(state.clean, [*state.selected, best.selected]))
+    selected = _settled(state.clean, [*state.selected, best.selected])
+    return replace(state, selected=selected, initial=None)
+
+
+def leaves_clearly_less(own: View, view: View, least: float) -> bool:
+    """Tell whether a view with other initial states is taken; ``least``: what an effect leaves."""
+    return own.rms < min(OTHER_INITIAL_STATES * view.rms, least)
 
 
 def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | None:
@@ -221,7 +251,7 @@ def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | 
         slips = slips_in_place(state.clean, rest, view, known)
         if slips is not None:
             faults = {**state.faults, SLIP: slips[1].after(known)}
-            return replace(state, clean=slips[0], selected=rest, faults=faults)
+            return replace(state, clean=slips[0], selected=rest, faults=faults, initial=None)
     return None
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from piezoid.diagnosis.initial_states import Reversals, memory_after
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape
-from piezoid.diagnosis.tracks import Places, Track
+from piezoid.diagnosis.tracks import Places, Track, way_to
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.play import play_columns
@@ -52,7 +52,7 @@ class History:
     @Once
     def rows(self) -> States:
         """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
-        return states_at(self.track.drive, self.reversals, self.track.place)
+        return _states_on(*self.track.way, self.reversals)
 
     @Once
     def states(self) -> States:
@@ -101,25 +101,12 @@ class History:
         return np.maximum.accumulate(drive), np.minimum.accumulate(drive)
 
 
-def way_to(drive: Array, place: Places) -> tuple[Places, Places]:
-    """Return the samples of a drive that say all of its way to some rows, and the rows in them.
-
-    place     (rows,)     samples in rising order
-    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
-    """
-    moves = np.flatnonzero(np.diff(drive))
-    up = drive[moves + 1] > drive[moves]
-    reversals = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
-    told = np.zeros(len(drive), dtype=bool)
-    told[0] = told[reversals] = told[place] = True
-    way = np.flatnonzero(told)
-    return way, np.searchsorted(way, place)
-
-
 def states_at(drive: Array, reversals: Reversals, place: Places) -> States:
     """Return the states at some samples of any drive that turned before."""
-    way, rows = way_to(drive, place)
-    path = drive[way]
+    return _states_on(*way_to(drive, place), reversals)
+
+
+def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:
     plays, _ = play_columns(path, THRESHOLD, memory_after(path, reversals))
     return _rows(plays, rows), _rows(rubbing(path, rubbed(path, reversals)), rows)
 

@@ -70,12 +70,13 @@ def shared_hypotheses(drives: Sequence[Array], rest: float) -> tuple[tuple[Rever
     rest  the drive at 0 V, where a stage lies that nobody uses
     """
     known = [_on_purpose(drive, rest) for drive in drives]
+    ends = [np.array(_left_by((), drive)) for drive in drives]  # all that later ones can know
     rounds = [_round_of(drive) for drive in drives]
     found: list[tuple[Reversals, ...]] = []
     for led in (False, True) if any(rounds) else (False,):
         lead = rounds if led else [()] * len(drives)
         found += [tuple(map(_led, reversals, lead)) for reversals in zip(*known, strict=True)]
-        found += [_one_after_another(reversals, drives, lead) for reversals in known[0]]
+        found += [_one_after_another(reversals, ends, lead) for reversals in known[0]]
     return tuple(found)
 
 
@@ -102,11 +103,11 @@ def _on_purpose(drive: Array, rest: float) -> tuple[Reversals, ...]:
 
 
 def _one_after_another(
-    reversals: Reversals, drives: Sequence[Array], lead: Sequence[Reversals]
+    reversals: Reversals, ends: Sequence[Array], lead: Sequence[Reversals]
 ) -> tuple[Reversals, ...]:
     found = [_led(reversals, lead[0])]
-    for drive, first in zip(drives[:-1], lead[1:], strict=True):
-        found.append(_led(_left_by(found[-1], drive), first))
+    for end, first in zip(ends[:-1], lead[1:], strict=True):
+        found.append(_led(_left_by(found[-1], end), first))
     return (*found,)
 
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of, way_to
+from piezoid.diagnosis.history import ONCE_BEYOND, History, states_at, static_of
 from piezoid.diagnosis.initial_states import Reversals
 from piezoid.diagnosis.shape import (
     BOUC_WEN_COLUMNS,
@@ -34,7 +34,7 @@ from piezoid.diagnosis.shape import (
     states_under,
     write_shape,
 )
-from piezoid.diagnosis.tracks import Places, Track
+from piezoid.diagnosis.tracks import Places, Track, way_to
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 
@@ -120,13 +120,11 @@ class NuisanceClass:
     @property
     def bouc_wen_rows(self) -> Array:
         """Return the columns of the Bouc-Wen state at all rows."""
-        parts = [
-            bouc_wen_columns(
-                self.bent_at(h.reversals, h.track.drive, h.track.place),
-                h.track.drive[h.track.place],
-            )
-            for h in self.histories
-        ]
+        parts = []
+        for history in self.histories:
+            path, rows = history.track.way
+            state = self.bent(history.reversals, path)[rows]
+            parts.append(bouc_wen_columns(state, path[rows]))
         return np.concatenate(parts)
 
     @Once
@@ -162,8 +160,8 @@ class NuisanceClass:
 
     def bent_at(self, reversals: Reversals, drive: Array, place: Places) -> Array:
         """Return the Bouc-Wen state at some samples of a drive that turned before, (rows,)."""
-        way, rows = way_to(drive, place)
-        return self.bent(reversals, drive[way])[rows]
+        path, rows = way_to(drive, place)
+        return self.bent(reversals, path)[rows]
 
     def static_rows(self, k: int, weight: Array, drive: Array) -> Array:
         """Return what the shared columns make of another drive at a track's rows, (rows,)."""

@@ -7,6 +7,7 @@ rows left out in the same way. The baseline is the static model with the declare
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from piezoid.diagnosis.effect import Found, setting_of
 from piezoid.diagnosis.effects import EFFECTS
@@ -93,23 +94,30 @@ def refitted(
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
-    final = _best((model, baseline.model), recordings, every, structure, places)
+    final = fit_extended(
+        model, recordings, every, others=(baseline.model,), structure=structure, places=places
+    )
     final = _loosened(final, recordings, structure, places)
     fitted = _fitted(given, every, final)
-    starts = (final.model, baseline.model)
+    again = partial(fit_extended, final.model, others=(baseline.model,))
     without = {}
     for one in found:
         progress(f"refitting without {one.effect.replace('_', ' ')}")
         mine = fitted.get(one.effect, ())
         rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
         bare = WITHOUT.get(one.effect, structure)
-        without[one.effect] = _best(starts, recordings, rest, bare, places)
+        without[one.effect] = again(recordings, rest, structure=bare, places=places)
     if faults:
-        broken = _best(starts, raw or recordings, final.model.extensions, structure, None)
+        broken = again(raw or recordings, final.model.extensions, structure=structure)
         without |= dict.fromkeys(faults, broken)
     if whole is not None:
         progress("refitting without what has no name")
-        without[NAME] = _best(starts, whole, final.model.extensions, structure, places_of_whole)
+        without[NAME] = again(
+            whole,
+            final.model.extensions,
+            structure=structure,
+            places=places_of_whole,
+        )
     changed = bool(found) or bool(faults) or whole is not None
     return Refitted(
         baseline=baseline,
@@ -119,21 +127,6 @@ def refitted(
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
         model=_shipped(model, recordings, final, structure, places) if changed else model,
     )
-
-
-def _best(
-    starts: Sequence[AxisModel],
-    recordings: Sequence[Recording],
-    extensions: Sequence[Extension],
-    structure: Structure,
-    places: Sequence[Samples] | None,
-) -> Extended:
-    """Return the closest of the fits from several starts: thresholds have many good places."""
-    fits = (
-        fit_extended(start, recordings, extensions, structure=structure, places=places)
-        for start in starts
-    )
-    return min(fits, key=lambda fit: fit.rms_m)
 
 
 def _loosened(
@@ -199,9 +192,11 @@ def _shipped(
     late = [e for e in final.model.extensions if isinstance(e, Delay | FirstOrderLag)]
     if not late:
         lags = (model.lag, replace(model.lag, time_s=LEFT_OF_LAG * model.lag.time_s))
-        starts = [replace(final.model, lag=lag) for lag in lags]
-        kept = replace(structure, lag=True)
-        return _best(starts, recordings, final.model.extensions, kept, places).model
+        start, other = (replace(final.model, lag=lag) for lag in lags)
+        kept, every = replace(structure, lag=True), final.model.extensions
+        return fit_extended(
+            start, recordings, every, others=(other,), structure=kept, places=places
+        ).model
     one = late[0]
     if isinstance(one, Delay) and one.delay_samples > 0.0:
         return final.model

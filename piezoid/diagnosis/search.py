@@ -21,6 +21,7 @@ from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.forward_selection import SLIP, select_forward
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
+    InitialStates,
     shared_does_as_well,
     with_own_initial_states,
     with_shared_initial_state,
@@ -66,8 +67,8 @@ class Outcome:
 
 def search(view: View, executor: Executor = SERIAL) -> Outcome:
     """Find the causes of what the nuisance class cannot follow."""
-    clean, faults = repaired(view, executor)
-    state = select_forward(clean, faults, executor)
+    clean, faults, initial = repaired(view, executor)
+    state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = extended(state.clean, [cause.selected for cause in causes])
     named = {cause.effect.name for cause in causes}
@@ -92,7 +93,7 @@ def without_causes(view: View, against: str, executor: Executor = SERIAL) -> Out
     Whatever stands for a cause there would stand for the missing class. A slip of the clock is
     told by readings against a model, and is not looked for either.
     """
-    clean, faults = repaired(view, executor, but=SLIP)
+    clean, faults, _ = repaired(view, executor, but=SLIP)
     return Outcome(
         first=view,
         clean=clean,
@@ -157,10 +158,13 @@ def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:
     }
 
 
-def repaired(view: View, executor: Executor, *, but: str = "") -> tuple[View, dict[str, Fault]]:
+def repaired(
+    view: View, executor: Executor, *, but: str = ""
+) -> tuple[View, dict[str, Fault], InitialStates | None]:
     """Return the view without the faults that can be undone, and all of them by effect.
 
     The initial state is the shared hypothesis that is evident, or a drive cycled over its range.
+    The last value is what is known of initial states, where nothing was repaired.
 
     but  name of a fault that is not looked for
     """
@@ -183,4 +187,5 @@ def repaired(view: View, executor: Executor, *, but: str = "") -> tuple[View, di
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    return with_shared_reversals(view, believed.nuisance.reversals), faults
+    known = (shared, own) if view.tracks == own.tracks else None
+    return with_shared_reversals(view, believed.nuisance.reversals), faults, known

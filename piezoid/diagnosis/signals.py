@@ -7,7 +7,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Parameters
 from piezoid.diagnosis.view import View
-from piezoid.identification.hysteresis.filters import filter_columns, first_order
+from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import recursive_filter
@@ -17,16 +17,18 @@ from piezoid.records.recording import Quantity, Recording
 GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
 
 
-def relaxed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal behind a first-order lag, steady before its first sample."""
-    column = np.asarray(signal)[:, None]
-    state = np.repeat(column[:1], 2, axis=0)
-    return filter_columns(column, first_order(time_s, rate_Hz), state)[:, 0]
+def laddered(
+    signal: Array, times_s: Sequence[float], rate_Hz: float, share: Array | None = None
+) -> Array:
+    """Return the sum of a signal behind first-order lags side by side, all steady before.
 
-
-def laddered(signal: Array, times_s: Sequence[float], rate_Hz: float) -> Array:
-    """Return the sum of a signal behind first-order lags side by side, all steady before."""
-    return ladder(signal, [first_order(time_s, rate_Hz) for time_s in times_s])
+    share  (lags,)  of each in the sum; 1 where nothing is said
+    """
+    each = np.ones(len(times_s)) if share is None else share
+    plain = zip(each.tolist(), (first_order(time_s, rate_Hz) for time_s in times_s), strict=True)
+    filters = [(pole, a * b0, a * b1) for a, (pole, b0, b1) in plain]
+    first = float(signal[0])
+    return first * float(np.sum(each)) + ladder(signal - first, filters)
 
 
 def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:

@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.signals import answers_of_others, relaxed
+from piezoid.diagnosis.signals import answers_of_others
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.diagnosis.view import View, with_tracks
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 
 FARTHEST = 0.1  # of a track: the longest slip

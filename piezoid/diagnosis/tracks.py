@@ -88,6 +88,11 @@ class Track:
         turn, there = np.array(found, dtype=int).reshape(-1, 2).T
         return turn, there
 
+    @Once
+    def way(self) -> tuple[Array, Places]:
+        """Return the drive where it says all of its way to the rows, and the rows in that."""
+        return way_to(self.drive, self.place)
+
     @property
     def time_s(self) -> Array:
         """Time of every sample from the first."""
@@ -97,6 +102,21 @@ class Track:
     def duration_s(self) -> float:
         """Time from the first sample to the last."""
         return (len(self.drive) - 1) / self.rate_Hz
+
+
+def way_to(drive: Array, place: Places) -> tuple[Array, Places]:
+    """Return a drive where it says all of its way to some rows, and the rows in that.
+
+    place     (rows,)     samples in rising order
+    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
+    """
+    moves = np.flatnonzero(np.diff(drive))
+    up = drive[moves + 1] > drive[moves]
+    reversals = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
+    told = np.zeros(len(drive), dtype=bool)
+    told[0] = told[reversals] = told[place] = True
+    way = np.flatnonzero(told)
+    return drive[way], np.searchsorted(way, place)
 
 
 def tracks_of(

@@ -51,7 +51,7 @@ class View:
 
     @Once
     def driven(self) -> dict[object, "View"]:
-        """Return room for this view with other commands, by what changed them."""
+        """Return room for this view with other commands or initial states, by what changed."""
         return {}
 
     @Once
@@ -155,6 +155,8 @@ def with_free_memory(view: View) -> View:
 
 def with_reversals(view: View, reversals: tuple[Reversals, ...]) -> View:
     """Return the view with other initial states of its tracks."""
+    if reversals == view.nuisance.reversals:
+        return view
     return replace(view, nuisance=replace(view.nuisance, histories=_after(view, reversals)))
 
 

@@ -59,11 +59,15 @@ _HELD_OUT = {
 }
 
 
+NEVER_MEASURED = ("branch", "loop", "speed", "amplitude", "recording")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Limit:
-    """Something that was never measured, so that no fit can know it.
+    """Something that was never measured, or not as it is, so that no fit can know it.
 
-    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one
+    lack    ``branch``, ``loop``, ``speed``, ``amplitude`` or ``recording``: there is only one;
+            or the kind of what reading found odd, such as ``stands``
     reason  half a sentence
     most    score that a fit can have with it, 0 to 100
     """
@@ -71,6 +75,11 @@ class Limit:
     lack: str
     reason: str
     most: int
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether something was read that a clean recording would not show."""
+        return self.lack not in NEVER_MEASURED
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -37,7 +37,7 @@ class ContinuousSystem:
         """Return the frequency response, (lines, outputs, inputs)."""
         s = np.asarray(2j * np.pi * np.asarray(frequency_Hz, dtype=np.float64), np.complex128)
         delay = np.exp(-s * self.delay_s)[:, None, None]
-        return np.asarray(delay * _transfer(self, s))
+        return np.asarray(delay * _transfer(self.A, self.B, self.C, self.D, s))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,7 +64,8 @@ class DiscreteSystem:
     def response(self, frequency_Hz: ArrayLike) -> NDArray[np.complex128]:
         """Return the frequency response, (lines, outputs, inputs)."""
         f = np.asarray(frequency_Hz, dtype=np.float64)
-        return _transfer(self, np.exp(2j * np.pi * f * self.interval_s))
+        z = np.exp(2j * np.pi * f * self.interval_s)
+        return _transfer(self.A, self.B, self.C, self.D, z)
 
     def step(self, state: Array, drive: Array) -> tuple[Array, Array]:
         """Return the next state and this sample's output.
@@ -108,29 +109,22 @@ def _freeze_matrices(system: ContinuousSystem | DiscreteSystem) -> None:
 
 
 def _transfer(
-    system: ContinuousSystem | DiscreteSystem, variable: NDArray[np.complex128]
+    A: Array, B: Array, C: Array, D: Array, v: NDArray[np.complex128]
 ) -> NDArray[np.complex128]:
-    """C (v I - A)^-1 B + D on every value of the variable."""
-    if len(system.A) == 2:
-        return _transfer_of_two_states(system, variable)
-    resolvent = variable[:, None, None] * np.eye(len(system.A)) - system.A
-    inner = np.linalg.solve(resolvent, np.broadcast_to(system.B, (len(variable), *system.B.shape)))
-    return np.asarray(system.C @ inner + system.D)
+    """C (v I - A)^-1 B + D on every value of the variable.
 
+    Of two states by the adjugate: fits of modes spend their time here, and it is ten times faster.
 
-def _transfer_of_two_states(
-    system: ContinuousSystem | DiscreteSystem, v: NDArray[np.complex128]
-) -> NDArray[np.complex128]:
-    """The same by the adjugate: fits of modes spend their time here, and it is ten times faster.
-
-    adj(v I - A) = v I - adj(A)
+        adj(v I - A) = v I - adj(A)
     """
-    (a, b), (c, d) = system.A
-    adjugate = np.array([[d, -b], [-c, a]])
-    determinant = (v - a) * (v - d) - b * c
-    first, second = system.C @ system.B, system.C @ adjugate @ system.B
-    numerator = np.multiply.outer(v, first) - second
-    return np.asarray(numerator / determinant[:, None, None] + system.D)
+    if len(A) == 2:
+        (a, b), (c, d) = A
+        determinant = (v - a) * (v - d) - b * c
+        numerator = np.multiply.outer(v, C @ B) - C @ np.array([[d, -b], [-c, a]]) @ B
+        return np.asarray(numerator / determinant[:, None, None] + D)
+    resolvent = v[:, None, None] * np.eye(len(A)) - A
+    inner = np.linalg.solve(resolvent, np.broadcast_to(B, (len(v), *B.shape)))
+    return np.asarray(C @ inner + D)
 
 
 def _run_blocks(system: DiscreteSystem, u: Array, x: Array) -> tuple[Array, Array]:
@@ -180,15 +174,37 @@ def sample(system: ContinuousSystem, sampling_rate_Hz: float) -> DiscreteSystem:
     term sees the input that has arrived: u[k-d] for e = 0, else u[k-d-1].
     """
     interval_s = 1.0 / sampling_rate_Hz
-    whole, rest_s = _split_delay(system.delay_s, interval_s)
-    transition, _ = _held(system, interval_s)
-    after, newest = _held(system, interval_s - rest_s)
-    taps = [np.zeros_like(system.B)] * whole + [newest]
-    direct = [np.zeros_like(system.D)] * whole + [system.D]
-    if rest_s > 0.0:
-        taps.append(after @ _held(system, rest_s)[1])
-        direct.insert(whole, np.zeros_like(system.D))
+    whole, transition, taps, direct = _held_late(system, interval_s)
+    taps = [np.zeros_like(system.B)] * whole + taps
+    direct = [np.zeros_like(system.D)] * whole + direct
     return _with_late_inputs(transition, taps, system.C, direct, interval_s)
+
+
+def sampled_response(
+    system: ContinuousSystem, sampling_rate_Hz: float, frequency_Hz: Array
+) -> NDArray[np.complex128]:
+    """Return the response of ``sample(...)``, (lines, outputs, inputs); a delay costs nothing."""
+    interval_s = 1.0 / sampling_rate_Hz
+    whole, transition, taps, direct = _held_late(system, interval_s)
+    z = np.exp(2j * np.pi * frequency_Hz * interval_s)
+    both = _transfer(transition, np.hstack(taps), system.C, np.hstack(direct), z)
+    newest, *oldest = np.split(both, len(taps), axis=2)
+    behind = z[:, None, None]
+    found = newest + oldest[0] / behind if oldest else newest
+    return np.asarray(found / behind**whole)
+
+
+def _held_late(
+    system: ContinuousSystem, interval_s: float
+) -> tuple[int, Array, list[Array], list[Array]]:
+    """Whole samples of delay; A(T); what the inputs after them do to states and to outputs."""
+    whole, rest_s = _split_delay(system.delay_s, interval_s)
+    transition, newest = _held(system, interval_s - rest_s)
+    if rest_s <= 0.0:
+        return whole, transition, [newest], [system.D]
+    before, oldest = _held(system, rest_s)
+    direct = [np.zeros_like(system.D), system.D]
+    return whole, transition @ before, [newest, transition @ oldest], direct
 
 
 def _split_delay(delay_s: float, interval_s: float) -> tuple[int, float]:

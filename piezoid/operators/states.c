@@ -48,6 +48,19 @@ void pk_ladder(size_t samples, const double *input, size_t rungs, const double *
 
 void pk_filter(size_t samples, const double *input, size_t order, const double *b, const double *a,
                double *memory, double *output) {
+    if (order == 2) { /* modes: the memory stays in registers */
+        double newer = memory[0], older = memory[1];
+        for (size_t k = 0; k < samples; ++k) {
+            const double x = input[k];
+            const double y = newer + b[0] * x;
+            newer = older + b[1] * x - a[1] * y;
+            older = memory[2] + b[2] * x - a[2] * y;
+            output[k] = y;
+        }
+        memory[0] = newer;
+        memory[1] = older;
+        return;
+    }
     for (size_t k = 0; k < samples; ++k) {
         const double x = input[k];
         const double y = memory[0] + b[0] * x;

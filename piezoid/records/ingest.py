@@ -37,6 +37,7 @@ from piezoid.records.sample_rows import SampleRows
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
 from piezoid.records.which_voltage import beyond_the_controller
+from piezoid.records.zero_jumps import told_jumps
 
 Rows = NDArray[np.intp]
 
@@ -157,10 +158,15 @@ def _shifted(entry: RecordingEntry, begin_s: float, end_s: float) -> RecordingEn
 
 
 def with_remarks(recording: Recording, lab: Lab) -> Recording:
-    """Return a recording with what is remarkable about drive and response together."""
-    said = (*remarks_on(recording), *beyond_the_controller(recording, lab))
+    """Return a recording with what is remarkable about drive and response together.
+
+    Where the zero jumped, a piece ends.
+    """
+    edges, jumps = told_jumps(recording)
+    said = (*remarks_on(recording), *jumps, *beyond_the_controller(recording, lab))
     problems = (*recording.problems, *record_in_counts(said, recording.counted))
-    return replace(recording, problems=problems)
+    breaks = tuple(sorted({*recording.breaks, *edges}))
+    return replace(recording, breaks=breaks, problems=problems)
 
 
 def ingest_table(table: RawTable, lab: Lab, entry: RecordingEntry | None) -> Recording:

@@ -6,8 +6,10 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.readable import told
+from piezoid.records.causality import told_early
 from piezoid.records.faults import noise_rms
 from piezoid.records.recording import Channel, Problem, Quantity, Recording
+from piezoid.records.rest import answers
 from piezoid.records.standing import standing_tips
 
 # Tubes move some nm per volt of their electrodes, stacks 0.1 to 1 um, levers and benders 10 um;
@@ -34,7 +36,7 @@ _THROUGHOUT = 0.9  # of the samples: in the rest the loop settles (0.98 in that 
 def remarks_on(recording: Recording) -> tuple[Problem, ...]:
     """Return remarks on every axis that has a drive and a displacement.
 
-    kinds  ``implausible_gain``, ``leads``, ``closed_loop``, ``stands``
+    kinds  ``implausible_gain``, ``leads``, ``smoothed``, ``closed_loop``, ``stands``
     """
     found: list[Problem] = []
     for axis in recording.axes:
@@ -45,6 +47,7 @@ def remarks_on(recording: Recording) -> tuple[Problem, ...]:
         if not recording.counted:
             found += _implausible(drive.values, response.values, axis)
         found += _leading(drive, response)
+        found += told_early(recording, axis)
         found += _held(recording, axis)
         found += standing_tips(recording, axis)
     return tuple(found)
@@ -118,10 +121,14 @@ def held_stretch(recording: Recording, axis: str) -> slice | None:
     share = float(np.ptp(drive_V[first:last]) / np.ptp(drive_V)) if np.ptp(drive_V) > 0 else 0.0
     is_seen = stroke_m > NOISE_ONLY * noise_m
     wanted = _UNMOVED * noise_m / stroke_m if is_seen else _DRIVE_SHARE
+    # Of a drive that goes to and fro within a block the means say nothing.
+    here = slice(first * size, last * size)
+    if answers(voltage_V[here], displacement_m[here]):
+        return None
     # What gives the same number for ever is stuck or dead, which is said elsewhere.
     if last - first < _HELD_BLOCKS or share < wanted or not np.ptp(response_m[first:last]) > 0:
         return None
-    return slice(first * size, last * size)
+    return here
 
 
 def is_held_throughout(recording: Recording, axis: str) -> bool:

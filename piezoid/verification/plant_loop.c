@@ -117,6 +117,15 @@ double pl_reading(const pl_plant *plant, double fault, double noise, double last
 double pl_period(pl_plant *plant, double u, double from, double to);
 void pl_loop(pl_plant *plant, const pl_run *run);
 
+/* Of a NaN and a number the number, as fmax and fmin have it, where the NaN stands first. */
+static double larger(double x, double y) {
+    return x > y ? x : y;
+}
+
+static double smaller(double x, double y) {
+    return x < y ? x : y;
+}
+
 static double dot(const double *row, const double *x, size_t count) {
     double sum = 0.0;
     for (size_t i = 0; i < count; ++i) {
@@ -184,7 +193,7 @@ static double second(pl_plant *plant, double voltage_V) {
     double sum = 0.0;
     for (size_t i = 0; i < plant->second_plays; ++i) {
         const double r = plant->second_threshold_V[i];
-        plant->second_play_V[i] = fmax(drive - r, fmin(drive + r, plant->second_play_V[i]));
+        plant->second_play_V[i] = larger(drive - r, smaller(drive + r, plant->second_play_V[i]));
         const double z = plant->second_play_V[i] / plant->second_reach_V;
         double power = 1.0;
         for (size_t n = 0; n < plant->second_powers; ++n) {
@@ -197,15 +206,20 @@ static double second(pl_plant *plant, double voltage_V) {
 
 /* The first play has no threshold: its part is reversible, and there at once. */
 static double plays(pl_plant *plant, double voltage_V) {
-    const double clipped = fmax(plant->low_V, fmin(plant->high_V, voltage_V));
+    const double clipped = larger(smaller(voltage_V, plant->high_V), plant->low_V);
     const double drive = mapped(clipped - plant->voltage_offset_V, &plant->envelope);
+    const size_t count = plant->plays;
+    const double *const r = plant->threshold_V;
+    const double *const weight = plant->weight;
+    double *const play = plant->play_V;
     double irreversible = 0.0;
-    for (size_t i = 0; i < plant->plays; ++i) {
-        const double r = plant->threshold_V[i];
-        plant->play_V[i] = fmax(drive - r, fmin(drive + r, plant->play_V[i]));
-        irreversible += i > 0 ? plant->weight[i] * plant->play_V[i] : 0.0;
+    for (size_t i = 0; i < count; ++i) {
+        play[i] = larger(drive - r[i], smaller(drive + r[i], play[i]));
     }
-    const double sum = plant->weight[0] * plant->play_V[0] + activated(plant, irreversible);
+    for (size_t i = 1; i < count; ++i) {
+        irreversible += weight[i] * play[i];
+    }
+    const double sum = weight[0] * play[0] + activated(plant, irreversible);
     const double moved = mapped(sum, &plant->zones) + second(plant, clipped);
     return plant->polarity * moved + plant->displacement_offset_m;
 }

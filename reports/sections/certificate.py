@@ -28,6 +28,12 @@ def _parts(axis: AxisModel) -> tuple[Part, ...]:
 
 def _sentence(axis: AxisModel) -> str:
     found = axis.certificate
+    if not axis.quality.is_tested:
+        return (
+            f"Axis {axis.axis}: no certificate. Nothing was left out to test the model on, and "
+            "what it leaves of its own data bounds no error on others; the terms below are those "
+            "of the fit alone."
+        )
     if found.bound_m > axis.quality.range_m:
         return (
             f"Axis {axis.axis}: no useful bound. The terms below add up to more than the whole "

@@ -64,9 +64,17 @@ def sentences(page: Page) -> tuple[tuple[str, str], ...]:
     limits, then = _what_next(page, [*wrong, *worst_first])
     return (
         (_answer(good, wrong), applies),
+        *_data([*wrong, *worst_first], applies),
         ("Limits", f"{_how_well(page, good, wrong)} {limits}"),
         ("Next", then),
     )
+
+
+def _data(axes: list[AxisModel], said: str) -> tuple[tuple[str, str], ...]:
+    """Return what is odd about the recordings and not said yet: nobody guesses it from a score."""
+    odd = [limit.reason for axis in axes for limit in axis.quality.limits if limit.is_odd]
+    left = [reason for reason in dict.fromkeys(odd) if reason not in said]
+    return (("Data", f"{'; '.join(left)}."),) if left else ()
 
 
 def _since(page: Page) -> tuple[tuple[str, str], ...]:

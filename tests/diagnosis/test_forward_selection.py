@@ -43,6 +43,19 @@ def test_other_initial_states_are_taken_in_where_they_leave_clearly_less(
     assert taken(monkeypatch, own=own) == took
 
 
+def test_initial_states_that_are_known_are_not_searched_again(monkeypatch) -> None:
+    """Nothing but them has changed: what the step before found of them still holds."""
+    assert taken(monkeypatch, own=0.94) is None
+    monkeypatch.delattr(forward_selection, "with_own_initial_states")
+    known = of_memory(HABIT, 0.9), of_memory(OWN, 0.5)
+    state = forward_selection.SelectionState(
+        clean=CYCLED, selected=(), faults={}, screened={}, initial=known
+    )
+    following = forward_selection._next_state(state, of_memory(CYCLED, 1.0, 0.4), SERIAL)
+    assert following is not None
+    assert (following.clean, following.initial) == (OWN, known)
+
+
 @pytest.mark.parametrize(("left", "evident", "took"), [(0.4, True, None), (0.4, False, OWN)])
 def test_what_is_evident_and_too_small_to_be_named_speaks_against_other_pasts(
     monkeypatch, left, evident, took
@@ -97,5 +110,5 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
     monkeypatch.setattr(search, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
     monkeypatch.setattr(search, "with_own_initial_states", lambda *_: of_memory(OWN, own))
     monkeypatch.setattr(search, "with_shared_reversals", lambda _, reversals: reversals)
-    clean, faults = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
+    clean, faults, _ = search.repaired(of_memory(CYCLED, 1.0), SERIAL)
     assert (seen, clean, faults) == ([looked_at], left_with, {})

@@ -12,14 +12,12 @@ from piezoid.records.lab import Acquisition, Lab
 from tests.identification.joint.stage import NOISE_m, disturbed, known_model, recordings_of
 
 SCALES = {"voltage_V": 5.0, "voltage_offset_V": 5.0, "stroke_m": 1.2e-5}
-CREEP = CreepLadder(time_s=(0.3, 3.0), share=(0.02, 0.03))
+CREEP = CreepLadder(time_s=tuple(np.geomspace(0.02, 200.0, 12).tolist()), share=(0.008,) * 12)
 TRUE = (SlewLimit(limit_V_per_s=80.0), Delay(delay_s=5e-4), CREEP)
 FOUND = (
     Found(effect="slew_limit", parameters={"limit_per_s": 15.5}, coefficient=np.zeros(0)),
     Found(effect="delay", parameters={"delay_s": 3e-4}, coefficient=np.array([1.2])),
-    Found(
-        effect="creep", parameters={"first_s": 0.3, "last_s": 3.0}, coefficient=np.array([0.02])
-    ),
+    Found(effect="creep", coefficient=np.array([0.02])),
 )
 
 

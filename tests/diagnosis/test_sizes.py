@@ -54,12 +54,13 @@ RATE_Hz = 200.0
 PER_DECADE = 12  # rungs of the quadrature
 
 
-def crept(response_m: np.ndarray) -> np.ndarray:
-    """Return relaxations from 10 ms to three hours, a whole step in each decade, from rest."""
+def crept(response_m: np.ndarray, tilt: float) -> np.ndarray:
+    """Return relaxations from 10 ms to three hours, a whole step in the decade about 10 s."""
     total = np.zeros_like(response_m)
-    for tau_s in 10.0 ** (-2.0 + (np.arange(6 * PER_DECADE) + 0.5) / PER_DECADE):
-        pole = np.exp(-1.0 / (RATE_Hz * tau_s))
-        total += lfilter([1.0 - pole], [1.0, -pole], response_m)
+    for decade in -2.0 + (np.arange(6 * PER_DECADE) + 0.5) / PER_DECADE:
+        pole = np.exp(-1.0 / (RATE_Hz * 10.0**decade))
+        share = 1.0 + tilt * (decade - 1.0)
+        total += lfilter([share * (1.0 - pole)], [1.0, -pole], response_m)
     return total / PER_DECADE
 
 
@@ -79,15 +80,17 @@ def staircase(rng: np.random.Generator, hold_s: float) -> np.ndarray:
     return np.concatenate(steps)
 
 
-@pytest.mark.parametrize("hold_s", [3.0, 6.0])
-def test_the_size_of_creep_is_the_part_of_a_step_that_each_decade_of_time_adds(hold_s) -> None:
+@pytest.mark.parametrize("tilt", [-0.15, 0.15])
+def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds(tilt) -> None:
+    """Taken for even, these spectra are stated 12 % too high and 14 % too low."""
+    hold_s = 3.0
     rng = np.random.default_rng(int(hold_s))
     time_s = np.arange(int(20 * RATE_Hz)) / RATE_Hz
     loops_V = 50.0 - 50.0 * np.cos(np.pi * time_s) * np.linspace(1.0, 0.3, len(time_s))
     recordings = []
     for drive_V in (staircase(rng, hold_s), loops_V, staircase(rng, hold_s)):
         quick_m = plays(drive_V)
-        measured_m = quick_m + 0.01 * crept(quick_m) + rng.normal(0.0, 0.3e-9, len(quick_m))
+        measured_m = quick_m + 0.01 * crept(quick_m, tilt) + rng.normal(0.0, 0.3e-9, len(quick_m))
         recordings.append(
             piezoid.Recording.from_arrays(
                 time_s=np.arange(len(drive_V)) / RATE_Hz,

@@ -73,7 +73,7 @@ def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) 
         '[[recording]]\nfile = "y.csv"\naxis = "y"\n'
         'columns = { time = "time [s]", voltage = "voltage [V]", displacement = "pos [um]" }\n'
     )
-    given = "fit", "x.csv", "y.csv", "--lab", "lab.toml", "--out", "stage"
+    given = "fit", "x.csv", "y.csv", "--lab", "lab.toml", "--out", "stage", "--quiet"
     done = piezoid(*given, "--processes", "2", place=tmp_path)
     assert done.returncode == 3
     assert "y.csv" in done.stderr

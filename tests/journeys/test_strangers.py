@@ -47,15 +47,23 @@ def calibrated(folder: Path, field: Array, reading_um: Array) -> tuple[str, int,
 
 def test_one_loop_is_modelled_and_said_to_be_untested(tmp_path: Path) -> None:
     field = triangles(1, 900)
-    verdict, score, said = calibrated(
-        tmp_path, field, 10 * LAWS["preisach"](field) + noise_um(900)
+    sweep = write(tmp_path / "sweep.csv", field, 10 * LAWS["preisach"](field) + noise_um(900))
+    (tmp_path / "lab.toml").write_text(
+        "[acquisition]\nsampling_rate_Hz = 20000\n[amplifier]\nbandwidth_Hz = 1000\n"
+        "[actuator]\nbandwidth_Hz = 500\n"
     )
+    done = piezoid("fit", sweep, "--lab", tmp_path / "lab.toml", "--out", tmp_path / "stage")
+    verdict, told = verdict_of(tmp_path / "stage/report.html")
+    score, said = int(told), " ".join(done.stdout.split())
     assert "only one loop was recorded" in verdict.partition(". ")[0]
     assert "cannot be tested on one loop" in said
     assert "On data it was fitted to" in verdict
     assert score <= 40
     quality = json.loads((tmp_path / "stage/model.json").read_text())["axes"]["x"]["quality"]
     assert quality["held_out_rms_percent"] < 0.3
+    assert "no bound" in done.stdout
+    (axis,) = json.loads((tmp_path / "stage/design.json").read_text())["axes"]
+    assert all(loop["certificate"] is None for loop in axis["loops"])
 
 
 def test_half_a_stroke_on_one_branch_is_no_hysteresis_model(tmp_path: Path) -> None:
@@ -115,6 +123,18 @@ def test_noise_on_a_drive_that_rests_is_no_sweep(tmp_path: Path) -> None:
     said = " ".join(done.stdout.split())
     assert "with the drive at rest" in said
     assert "hysteresis" not in said
+
+
+def test_what_is_odd_about_a_recording_stands_in_the_verdict_beside_what_it_lacks(
+    tmp_path: Path,
+) -> None:
+    field = triangles(8, 300)
+    slipped_um = 10 * LAWS["preisach"](field) + noise_um(2400) + 0.9 * (np.arange(2400) >= 1000)
+    verdict, score, said = calibrated(tmp_path, field, slipped_um)
+    assert "driven at one speed" in verdict.partition(". ")[0]
+    for told in (verdict, said):
+        assert "sweep.csv: the displacement of x jumps once while its drive does not" in told
+    assert score <= 50
 
 
 def test_a_drive_drawn_anew_at_every_sample_turns_all_the_time(tmp_path: Path) -> None:

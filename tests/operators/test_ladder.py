@@ -25,6 +25,13 @@ def test_a_ladder_is_the_sum_of_its_rungs() -> None:
     np.testing.assert_allclose(ladder(signal, RUNGS), apart, rtol=1e-12)
 
 
+def test_rungs_have_shares() -> None:
+    signal = 3.0 + np.cumsum(np.random.default_rng(2).normal(size=500))
+    share = np.array([0.5, 0.0, -2.0, 0.1])
+    apart = share @ np.array([behind(signal, *rung) for rung in RUNGS])
+    np.testing.assert_allclose(ladder(signal, RUNGS, share), apart, rtol=1e-12, atol=1e-12)
+
+
 def test_a_ladder_stands_still_where_its_signal_does() -> None:
     np.testing.assert_allclose(ladder(np.full(50, 2.5), RUNGS), 2.5 * len(RUNGS), rtol=1e-12)
 

@@ -13,6 +13,7 @@ from piezoid.operators.linear import (
     fraction,
     resonance,
     sample,
+    sampled_response,
 )
 
 RATE_HZ = 20_000.0
@@ -97,6 +98,24 @@ def test_a_record_cut_in_two_runs_like_one(rng: np.random.Generator) -> None:
     first, state = system.run(drive[:171])
     second, _ = system.run(drive[171:], state)
     np.testing.assert_allclose(np.concatenate([first, second]), whole, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 53.75])
+@pytest.mark.parametrize("before", [[], [first_order(4000)]], ids=["two states", "three"])
+def test_the_response_behind_a_hold_is_that_of_the_states_it_does_without(
+    delay_samples: float, before: list[ContinuousSystem]
+) -> None:
+    late = ContinuousSystem(
+        **{name: getattr(resonance(630, 0.02), name) for name in "ABC"},
+        D=np.array([[0.25]]),
+        delay_s=delay_samples / RATE_HZ,
+    )
+    chain, frequency_Hz = cascade(*before, late), np.linspace(10, 9900, 50)
+    np.testing.assert_allclose(
+        sampled_response(chain, RATE_HZ, frequency_Hz),
+        sample(chain, RATE_HZ).response(frequency_Hz),
+        atol=ROUNDING,
+    )
 
 
 def test_the_fraction_has_the_response_of_the_sampled_system() -> None:

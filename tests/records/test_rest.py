@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from piezoid.records.rest import follows
+from piezoid.records.rest import answers, follows
 
 
 def ringing(drive: np.ndarray, quality: float) -> np.ndarray:
@@ -31,3 +31,22 @@ def test_hum_that_both_channels_read_and_a_zero_that_walks_are_no_answer(rng) ->
             walk = 0.05 * rng.standard_normal(count).cumsum()
             reading = rng.standard_normal(count) + rng.uniform() * second + walk
             assert not follows(drive, reading)
+
+
+@pytest.mark.parametrize("quality", [0.5, 3.0, 12.0, 40.0])
+def test_a_mode_answers_a_white_drive_and_so_does_a_stage_without_one(rng, quality) -> None:
+    drive, noise = rng.standard_normal((2, 8000))
+    assert answers(drive, ringing(drive, quality) + 0.02 * noise)
+    assert answers(drive, drive + 0.1 * noise)
+
+
+@pytest.mark.parametrize("gain", [0.02, 0.05, 0.2, 0.6])
+@pytest.mark.parametrize("noise", [0.0, 0.1, 1.0])
+def test_a_sensor_that_a_servo_holds_answers_nothing(rng, gain, noise) -> None:
+    floor = 0.02 * rng.standard_normal(8000).cumsum() + noise * rng.standard_normal(8000)
+    effort, held, servo = 0.0, [], []
+    for moved in floor.tolist():
+        held.append(effort + moved)
+        effort -= gain * held[-1]
+        servo.append(effort)
+    assert not answers(np.array(servo), np.array(held))

@@ -20,10 +20,11 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import filtered_change, relaxed, with_displacement
+from piezoid.diagnosis.signals import filtered_change, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 

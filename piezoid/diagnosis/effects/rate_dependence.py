@@ -17,10 +17,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import added_percent, relaxed, with_displacement
+from piezoid.diagnosis.signals import added_percent, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import activated
 from piezoid.records.recording import Recording

@@ -7,8 +7,8 @@ Why it happens
 How it is detected
     Waves of one spatial frequency explain what static hysteresis cannot, far better than those of
     all other spatial frequencies that were tried. Every recording may have its own phase, for an
-    interferometer counts from where it was switched on. What a coarse converter makes, at its own
-    step and half of it, is left out.
+    interferometer counts from where it was switched on. A wave lower than half a step of a coarse
+    converter is left out: rounding alone makes one of step / pi.
 What the extension adds
     A first and a second order of the cyclic error behind the stage, to be corrected there.
 Source
@@ -16,7 +16,6 @@ Source
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -55,7 +54,8 @@ def _where(view: View, k: int) -> Array:
 def _of(place: Array, periods: float) -> Array:
     """Return the waves of first and second order, (samples, 4)."""
     turn = np.pi * periods * place
-    return np.column_stack([np.cos(turn), np.sin(turn), np.cos(2 * turn), np.sin(2 * turn)])
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return np.column_stack([cosine, sine, 2.0 * cosine**2 - 1.0, 2.0 * sine * cosine])
 
 
 def _of_track(view: View, k: int, periods: float) -> Array:
@@ -72,7 +72,7 @@ def _of_track(view: View, k: int, periods: float) -> Array:
         rows = np.column_stack([waves[track.place], np.ones(len(track.place))])
         found = np.linalg.lstsq(rows, apart[track.place], rcond=None)[0]
         error += CALM * (waves @ found[:-1] - error)
-    return _of(_read(view, k, error), periods)[track.place]
+    return _of(_read(view, k, error)[track.place], periods)
 
 
 def _waves(view: View, periods: float) -> Array:
@@ -86,7 +86,10 @@ def _waves(view: View, periods: float) -> Array:
 
 
 def _power(view: View) -> tuple[Array, Array]:
-    """Return spatial frequencies, and how much of the residual one wave of each follows."""
+    """Return spatial frequencies, and how much of the residual one wave of each follows.
+
+    Of a coarse converter a wave counts that is higher than half a step.
+    """
     edges = view.nuisance.edges
     tried = STEP * np.arange(round(MOST / STEP) + 1, dtype=np.float64)
     power: Array = np.zeros(len(tried))
@@ -96,26 +99,17 @@ def _power(view: View) -> tuple[Array, Array]:
         residual = view.null.residual[edges[k] : edges[k + 1]]
         # one cell of the transform is a spatial frequency of 1 / (length of the padded range)
         padded = round(2.0 / STEP / RANGE * CELLS)
-        wave = np.fft.rfft(np.bincount(cell, residual, CELLS), padded)[: len(tried)]
-        shown = np.ptp(place) * tried / 2.0 > PASSED
-        power += np.where(shown, np.abs(wave) ** 2 / max(len(place), 1), 0.0)
+        wave = np.abs(np.fft.rfft(np.bincount(cell, residual, CELLS), padded)[: len(tried)])
+        rows = max(len(place), 1)
+        code = step_size(np.round(view.tracks[k].response, 9))
+        shown = (np.ptp(place) * tried / 2.0 > PASSED) & (2.0 * wave / rows > code / 2.0)
+        power += np.where(shown, wave**2 / rows, 0.0)
     return tried, power
-
-
-def _of_converter(view: View, tried: Array) -> NDArray[np.bool_]:
-    """Return which spatial frequencies belong to the lattice of a coarse converter."""
-    steps = np.array([step_size(np.round(track.response, 9)) for track in view.tracks])
-    own = np.zeros(len(tried), dtype=bool)
-    for step in steps[steps > 0.0]:
-        for order in (1.0, 2.0):
-            # the lattice may be seen to one in a hundred only where it is not exact
-            own |= np.abs(tried - order * 2.0 / step) < max(2.0 * SHARP, 0.01 * order * 2.0 / step)
-    return own
 
 
 def _trials(view: View) -> list[Trial]:
     tried, power = _power(view)
-    power = np.where((tried < FEWEST) | _of_converter(view, tried), 0.0, power)
+    power = np.where(tried < FEWEST, 0.0, power)
     if not np.any(power > 0.0):
         return []
     best = float(tried[int(np.argmax(power))])

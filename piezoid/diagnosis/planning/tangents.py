@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import delayed, mode, rate_of, relaxed
+from piezoid.diagnosis.signals import delayed, mode, rate_of
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
 
 PER_DECADE = 2

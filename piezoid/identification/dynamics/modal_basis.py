@@ -14,7 +14,7 @@ from piezoid.operators.linear import (
     cascade,
     first_order,
     resonance,
-    sample,
+    sampled_response,
 )
 
 Hold = Literal["band_limited", "zero_order"]
@@ -96,7 +96,7 @@ class Lines:
         """Return the response of a system of one input behind the declared chain."""
         if self.hold == "zero_order":
             whole = system if self._before is None else cascade(self._before, system)
-            return sample(whole, self.sampling_rate_Hz).response(self.frequency_Hz)[:, :, 0]
+            return sampled_response(whole, self.sampling_rate_Hz, self.frequency_Hz)[:, :, 0]
         return system.response(self.frequency_Hz)[:, :, 0] * self._chain[:, None]
 
     @cached_property

@@ -7,8 +7,9 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Free, Where, free, within
 from piezoid.identification.extensions.loop_effect import LoopEffect
-from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
+from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import ContinuousSystem
 
 MOST = 0.5
@@ -46,11 +47,10 @@ class CreepLadder(Extension):
 
     def response(self, moved: Array, where: Where) -> Array:
         """Return the displacement with what crept."""
-        total = np.array(moved)
-        for time_s, share in zip(self.time_s, self.share, strict=True):
-            if share > 0.0:
-                total += share * relaxed(moved, time_s, where.rate_Hz)
-        return total
+        rungs = [first_order(time_s, where.rate_Hz) for time_s in self.time_s]
+        columns = moved.reshape(len(moved), -1)
+        crept = np.column_stack([ladder(column, rungs, self.share) for column in columns.T])
+        return np.asarray(moved + crept.reshape(moved.shape))
 
     def loop_effect(self, rate_Hz: float) -> LoopEffect:  # noqa: ARG002
         """Return the ladder as a linear system that relaxes over seconds."""

@@ -148,8 +148,11 @@ class Extension:
         raise NotImplementedError(self.kind)
 
     def prior(self) -> Array:
-        """Return rows whose product with the numbers is near 0 beforehand, (rows, numbers)."""
-        return np.zeros((0, len(self.free().value)))
+        """Return rows whose product with the numbers is near 0 beforehand, (rows, numbers).
+
+        Where there are none, nobody asks for columns: a fit comes here at every step.
+        """
+        return np.zeros((0, 0))
 
 
 def within(place: str, value: float, low: float, high: float) -> None:

@@ -15,11 +15,12 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, no_lag
 from piezoid.identification.hysteresis.loops import Loop, loops_of
 from piezoid.identification.hysteresis.order import Choice, attempt
-from piezoid.identification.hysteresis.pieces import Piece
+from piezoid.identification.hysteresis.pieces import Piece, Scales, widest_swing
 from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.readable import told
+from piezoid.records.rest import answers
 from piezoid.records.sweep import noise_of
 
 WIDE = 0.01  # of the displacement range: a loop worth explaining
@@ -28,6 +29,7 @@ BINS = 20  # of the drive, in each of which the branches are averaged
 BUTTERFLY = 0.25  # of the displacement range: how far both ends stand from an extreme between
 TURNING = 0.05  # of the displacement range: how far a branch may turn back
 UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
+FOLLOWED = 0.7  # of the rms of the motion: what leaves more follows half of its power at most
 AS_GOOD = 1.1  # held-out error of the lag alone over that of the hysteresis model
 
 
@@ -162,3 +164,39 @@ def reason_of_error(pieces: Sequence[Piece], choice: Choice) -> str:
         f"the best fit leaves {100 * share:.1f} % of the displacement range on held-out data; "
         "plays, dead zones and a lag are not what this response is made of"
     )
+
+
+def reason_of_no_answer(pieces: Sequence[Piece], choice: Choice, scales: Scales) -> str:
+    """Return that the displacement does not follow its drive at all, or an empty text."""
+    responses = [p.response[p.first : p.last] for p in pieces]
+    moved = float(np.sqrt(np.mean(np.concatenate([(y - y.mean()) ** 2 for y in responses]))))
+    left = choice.best.held_out_rms
+    if left <= FOLLOWED * moved or any(_follows(piece) for piece in pieces):
+        return ""
+    stroke_m = abs(scales.displacement_m)
+    low, high = widest_swing(pieces)
+    return (
+        f"the displacement does not follow the drive: of its {told(moved * stroke_m, 'm')} rms "
+        f"about the mean the best fit leaves {told(left * stroke_m, 'm')} on held-out data, while "
+        f"the drive moves by {told((high - low) * scales.voltage_V, 'V')}; a feedback that holds "
+        "the sensor, a stage that is not connected and another axis' column look like that"
+    )
+
+
+def _follows(piece: Piece) -> bool:
+    """Tell whether a response answers its drive, at once or as the same level of it did before."""
+    rows = slice(piece.first, piece.last)
+    drive, response = piece.drive[rows], piece.response[rows]
+    if answers(drive, response):
+        return True
+    # not by direction as well: a servo's drive rises where its sensor reads too little
+    place = np.searchsorted(np.linspace(drive.min(), drive.max(), BINS + 1)[1:-1], drive)
+    half = len(drive) // 2
+    count = np.bincount(place[:half], minlength=BINS)
+    level = np.bincount(place[:half], response[:half], BINS) / np.maximum(count, 1)
+    seen = count[place[half:]] > 0
+    moved, foretold = response[half:][seen], level[place[half:]][seen]
+    if not len(moved):
+        return True
+    left = (moved - moved.mean()) - (foretold - foretold.mean())
+    return float(np.std(left)) < FOLLOWED * float(np.std(moved))

@@ -6,12 +6,15 @@ One fit over all cycles averages what goes on slowly; one number a cycle shows i
 noise of a sample.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
-from piezoid.numerics.arrays import Array
-from piezoid.numerics.robust import spread_of, trend_of
+from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.robust import Trend, spread_of, trend_of
 from piezoid.readable import told
 
 FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
@@ -19,62 +22,139 @@ MOST = 1000  # that are compared: each with each
 SURE = 1e-3  # chance of such a trend where there is none, of four that are asked for
 GAIN = 2e-4  # a smaller change over all cycles means nothing to a controller
 TIP = 0.02  # of the samples of a cycle at either end of the drive
+SLIDES = 0.1  # samples over all cycles: less is how a period that is no whole number is cut
 WANDERS = 3.0  # times what the noise of its samples lets a tip scatter by
 
 
-def trends_over_cycles(piece: Piece, stroke_m: float, noise: float) -> tuple[str, ...]:
-    """Return one sentence for everything that goes on slowly over a piece's equal cycles.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cycles:
+    """The equal cycles of a piece, samples between two taken straight.
 
-    stroke_m  what the number 1 of the response means
-    noise     white, of a sample, scaled units
+    name              of the recording
+    sampling_rate_Hz  > 0
+    drive, response   (cycles, samples)  scaled
+    period_samples    of one cycle, any number
     """
+
+    name: str
+    sampling_rate_Hz: float
+    drive: Array
+    response: Array
+    period_samples: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "drive", "response", ndim=2)
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.drive)
+
+    @property
+    def _some(self) -> slice:
+        return slice(None, None, max(1, self.count // MOST))
+
+    def trend(self, values: Array) -> Trend | None:
+        """Return the trend of one number a cycle, (cycles,), for each cycle."""
+        return trend_of(np.arange(self.count, dtype=np.float64)[self._some], values[self._some])
+
+    def scatter(self, values: Array, trend: Trend) -> float:
+        """Return how far numbers scatter about their trend."""
+        return spread_of((values - trend.slope * np.arange(self.count))[self._some]).sigma
+
+    @cached_property
+    def gain(self) -> Trend | None:
+        """How the sensitivity goes, for each cycle and relative; None where it does not."""
+        mean = self.response.mean(axis=0) - self.response.mean()
+        moved = self.response - self.response.mean(axis=1)[:, None]
+        trend = self.trend(moved @ mean / (mean @ mean))
+        if trend is None or trend.p_value > SURE or abs(trend.slope) * (self.count - 1) < GAIN:
+            return None
+        return trend
+
+    @cached_property
+    def slide(self) -> Trend | None:
+        """By how many samples a cycle the displacement slides against its drive, or None.
+
+        - P / (2 pi) arg(Y_i / U_i),     first harmonics of cycle i and its period P
+        """
+        turn = np.arange(self.drive.shape[1]) / self.period_samples
+        wave = np.exp(-2j * np.pi * turn)
+        phase = np.unwrap(np.angle((self.response @ wave) / (self.drive @ wave)))
+        late = -phase * self.period_samples / (2.0 * np.pi)
+        trend = self.trend(late)
+        if trend is None or trend.p_value > SURE:
+            return None
+        change = abs(trend.slope) * (self.count - 1)
+        return trend if change >= max(SLIDES, WANDERS * self.scatter(late, trend)) else None
+
+
+def cycles_of(piece: Piece) -> Cycles | None:
+    """Return the equal cycles of a piece, None where they are too few to show a trend."""
     rows = slice(piece.first, piece.last)
     drive, response = piece.drive[rows], piece.response[rows]
     found = equal_cycles(drive, fewest=FEWEST) if np.ptp(drive) > 0.0 else None
     if found is None:
-        return ()
-    cycles, around = found.cut(response), found.cut(drive).mean(axis=0)
-    count, period = cycles.shape
-    mean = cycles.mean(axis=0) - cycles.mean()
-    middle = cycles.mean(axis=1)
-    gain = (cycles - middle[:, None]) @ mean / (mean @ mean)
-    width = max(int(TIP * period), 1)
+        return None
+    return Cycles(
+        name=piece.name,
+        sampling_rate_Hz=piece.sampling_rate_Hz,
+        drive=found.cut(drive),
+        response=found.cut(response),
+        period_samples=float(found.period_samples),
+    )
+
+
+def trends_over_cycles(cycles: Cycles, stroke_m: float, noise: float) -> tuple[str, ...]:
+    """Return one sentence for everything that goes on slowly over equal cycles, but slides.
+
+    stroke_m  what the number 1 of the response means
+    noise     white, of a sample, scaled units
+    """
+    around = cycles.drive.mean(axis=0)
+    width = max(int(TIP * len(around)), 1)
     order = np.argsort(around, kind="stable")
-    tips = {"upper": order[-width:], "lower": order[:width]}
-    place = np.arange(count, dtype=np.float64)
-    some = slice(None, None, max(1, count // MOST))
-    said = _gain(piece.name, place[some], gain[some], count)
-    for name, where in tips.items():
-        tip = cycles[:, where].mean(axis=1)
-        said += _tip(
-            piece.name, name, place[some], tip[some], (stroke_m, noise / width**0.5), count
-        )
+    said = _gain(cycles)
+    for name, where in (("upper", order[-width:]), ("lower", order[:width])):
+        level = cycles.response[:, where].mean(axis=1)
+        said += _tip(cycles, name, level, (stroke_m, noise / width**0.5))
     return tuple(said)
 
 
-def _gain(name: str, place: Array, gain: Array, count: int) -> list[str]:
-    trend = trend_of(place, gain)
+def told_slide(cycles: Cycles) -> str:
+    """Return half a sentence on a displacement that slides against its drive, or an empty text."""
+    trend = cycles.slide
+    if trend is None:
+        return ""
+    slides_s = abs(trend.slope) * (cycles.count - 1) / cycles.sampling_rate_Hz
+    way = "falls behind" if trend.slope > 0.0 else "gains on"
+    ppm = 1e6 * trend.slope / cycles.period_samples
+    return (
+        f"{cycles.name}: cycle by cycle the displacement {way} its drive, by "
+        f"{told(slides_s, 's')} over {cycles.count} equal cycles ({ppm:+.3g} ppm of the time): "
+        "two clocks, it seems, or a lag or a loop that changes; no one lag or width holds"
+    )
+
+
+def _gain(cycles: Cycles) -> list[str]:
+    trend = cycles.gain
     if trend is None:
         return []
-    change, low, high = (end * (count - 1) for end in (trend.slope, *trend.ci95))
-    if trend.p_value > SURE or abs(change) < GAIN:
-        return []
+    change, low, high = (end * (cycles.count - 1) for end in (trend.slope, *trend.ci95))
     return [
-        f"{name}: cycle by cycle the sensitivity goes by {100 * change:+.3g} % over {count} equal "
-        f"cycles (95 %: {100 * low:.3g} to {100 * high:.3g} %)."
+        f"{cycles.name}: cycle by cycle the sensitivity goes by {100 * change:+.3g} % over "
+        f"{cycles.count} equal cycles (95 %: {100 * low:.3g} to {100 * high:.3g} %)."
     ]
 
 
-def _tip(
-    name: str, tip: str, place: Array, level: Array, scale: tuple[float, float], count: int
-) -> list[str]:
+def _tip(cycles: Cycles, tip: str, level: Array, scale: tuple[float, float]) -> list[str]:
     stroke_m, noise = scale
-    trend = trend_of(place, level)
+    trend = cycles.trend(level)
     if trend is None:
         return []
-    change = trend.slope * (count - 1)
+    change = trend.slope * (cycles.count - 1)
     # the first cycles may still forget what came before them: no scatter of the others
-    scatter = spread_of(level - trend.slope * place).sigma
+    scatter = cycles.scatter(level, trend)
     goes = trend.p_value < SURE and abs(change) > WANDERS * noise
     wanders = scatter > WANDERS * noise
     if not (goes or wanders):
@@ -84,4 +164,6 @@ def _tip(
         f"wanders by {told(scatter * stroke_m, 'm')} rms about its trend, where the noise of its "
         f"samples is {told(noise * stroke_m, 'm')}"
     ] * wanders
-    return [f"{name}: over {count} equal cycles the {tip} tip {' and '.join(parts)}."]
+    return [
+        f"{cycles.name}: over {cycles.count} equal cycles the {tip} tip {' and '.join(parts)}."
+    ]

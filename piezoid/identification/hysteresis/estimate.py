@@ -12,11 +12,12 @@ from piezoid.identification.hysteresis.applicability import (
     reason_in_loops,
     reason_of_error,
     reason_of_lag,
+    reason_of_no_answer,
     widest_opening,
 )
 from piezoid.identification.hysteresis.certificate import certify
 from piezoid.identification.hysteresis.coordinates import Shape
-from piezoid.identification.hysteresis.cycles import trends_over_cycles
+from piezoid.identification.hysteresis.cycles import Cycles, cycles_of, trends_over_cycles
 from piezoid.identification.hysteresis.forgetting import Transient, without_transients
 from piezoid.identification.hysteresis.gauss_newton import minimise
 from piezoid.identification.hysteresis.jackknife import jackknife
@@ -36,7 +37,7 @@ from piezoid.identification.hysteresis.physical import envelope_stretch, physica
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
 from piezoid.identification.hysteresis.rows import starting_memory
-from piezoid.identification.hysteresis.scope import scope_of
+from piezoid.identification.hysteresis.scope import limits_as_recorded, limits_of_cycles, scope_of
 from piezoid.identification.hysteresis.search import (
     Fitted,
     Settings,
@@ -99,13 +100,27 @@ def estimate_axis(
     choice = choose_shape(
         ready.pieces, choosing, orders=tried, elsewhere=elsewhere, progress=progress
     )
-    lag = "" if in_loops else reason_of_lag(ready.pieces, choice, choosing, progress)
+    cycles = [one for one in map(cycles_of, ready.pieces) if one is not None]
+    slides = limits_of_cycles(cycles)
+    # Where lag or gain change from cycle to cycle, what they leave hides by how much plays do
+    # better than one lag.
+    goes = bool(slides) or any(one.gain is not None for one in cycles)
+    lag = "" if in_loops or goes else reason_of_lag(ready.pieces, choice, choosing, progress)
     limits, only_lag = _limits(ready, choice, progress)
+    only_lag = "" if goes else only_lag
     choice = without_bends(choice) if only_lag else choice
-    against = lag or only_lag or in_loops or reason_of_error(ready.pieces, choice)
+    against = (
+        reason_of_no_answer(ready.pieces, choice, ready.scales)
+        or lag
+        or only_lag
+        or in_loops
+        or reason_of_error(ready.pieces, choice)
+    )
     progress("final fit")
     fitted = _final(ready, choice)
-    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against)
+    found = _axis_model(ordered, axis, rig, ready, choice, fitted, against, cycles)
+    limits = (*limits, *limits_as_recorded(ordered, axis), *slides)
+    limits = tuple(sorted(limits, key=lambda limit: limit.most))
     given = [recording.name for recording in recordings]
     starts = tuple(sorted(found.starts, key=lambda start: given.index(start.recording)))
     return replace(found, starts=starts, quality=replace(found.quality, limits=limits))
@@ -235,6 +250,7 @@ def _axis_model(
     choice: Choice,
     fitted: Fitted,
     against: str,
+    cycles: Sequence[Cycles],
 ) -> AxisModel:
     scales, theta = ready.scales, fitted.minimum.theta
     stroke_m = abs(scales.displacement_m)
@@ -249,8 +265,8 @@ def _axis_model(
     quality = _quality(fitted, choice, ready.pieces, stroke_m)
     trends = [
         said
-        for piece in ready.pieces
-        for said in trends_over_cycles(piece, stroke_m, quality.noise_rms_m / stroke_m)
+        for one in cycles
+        for said in trends_over_cycles(one, stroke_m, quality.noise_rms_m / stroke_m)
     ]
     return AxisModel(
         axis=axis,

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.identification.hysteresis.cycles import Cycles, told_slide
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.quality import Limit
+from piezoid.records.recording import Recording
 from piezoid.records.sweep import noise_of, reversals_of
 
 LARGE = 0.2  # of the drive's range: a branch that shows a loop
@@ -22,6 +24,17 @@ OTHER_SIZE = 1.25  # times the span of the smallest: reversals of more than one 
 # the most a score may be: none of them is "good" (90), and what leaves open whether there is a
 # loop, or what it is, is no more than "usable with care" (50)
 MOST = {"branch": 20, "loop": 40, "speed": 50, "amplitude": 70, "recording": 85}
+# the same for what reading found odd about drive and displacement together: a clean recording of
+# the stage may look otherwise
+AS_RECORDED = {
+    "closed_loop": 40,
+    "leads": 50,
+    "smoothed": 50,
+    "implausible_gain": 70,
+    "stands": 70,
+    "zero_jump": 85,
+}
+SLIDES = 50  # as a lag that cannot be told from a width
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,6 +115,26 @@ class Scope:
         if self.recordings == 1:
             found.append(("recording", "there is only one recording: no other drive was tested"))
         return tuple(Limit(lack=name, reason=reason, most=MOST[name]) for name, reason in found)
+
+
+def limits_as_recorded(recordings: Sequence[Recording], axis: str) -> tuple[Limit, ...]:
+    """Return what is odd about drive and displacement of an axis, as reading the files told it."""
+    return tuple(
+        Limit(
+            lack=problem.kind,
+            reason=f"{recording.name}: {problem.text.partition('. ')[0]}",
+            most=AS_RECORDED[problem.kind],
+        )
+        for recording in recordings
+        for problem in recording.problems
+        if problem.kind in AS_RECORDED and problem.place == f"axis {axis}"
+    )
+
+
+def limits_of_cycles(cycles: Sequence[Cycles]) -> tuple[Limit, ...]:
+    """Return the recordings whose displacement slides against its drive from cycle to cycle."""
+    slides = map(told_slide, cycles)
+    return tuple(Limit(lack="slides", reason=said, most=SLIDES) for said in slides if said)
 
 
 def scope_of(pieces: Sequence[Piece]) -> Scope:

@@ -33,7 +33,7 @@ from piezoid.identification.model import AxisModel, Lag, PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
+from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
 from piezoid.operators.chain import Chain, Following
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.records.recording import Recording
@@ -99,6 +99,7 @@ def fit_extended(
     recordings: Sequence[Recording],
     extensions: Sequence[Extension] = (),
     *,
+    others: Sequence[AxisModel] = (),
     structure: Structure = WHOLE,
     places: Sequence[Samples] | None = None,
     steps: int = STEPS,
@@ -110,6 +111,8 @@ def fit_extended(
     model       fitted axis: where the search begins, and how many plays and dead zones there are
     recordings  of this axis; those the model does not know begin at rest
     extensions  with start values near the truth
+    others      models to begin at as well, for thresholds have many good places: the closest fit
+                is returned, and that alone is judged on rows left out
     structure   what of the hysteresis itself may be used
     places      samples that may count, piece by piece; None: all, spread thinly
 
@@ -119,14 +122,19 @@ def fit_extended(
     What goes wrong: a number the rows do not determine stays where it began, and a mode that
     begins more than its width away is not found.
     """
-    parts = parts_of(model, recordings, places)
-    state = state_of(model, parts, extensions, structure)
-    longest_s = longest_lag_s([part.piece for part in parts])
-    reached = _search(state, parts, longest_lag_s=longest_s, steps=steps)
+    ends = []
+    for start in (model, *others):
+        parts = parts_of(start, recordings, places)
+        state = state_of(start, parts, extensions, structure)
+        bounds = state.bounds(longest_lag_s([part.piece for part in parts]))
+        found = _search(state, parts, bounds, steps)
+        ends.append((start, bounds, found.point, found.converged))
+    begun, bounds, end, converged = min(ends, key=lambda one: one[2].rms_m)
+    reached = _judged(end, bounds, converged)
     stroke_m = abs(reached.state.scales.displacement_m)
     held_m = reached.held * stroke_m
     return Extended(
-        model=_model(model, parts, reached, held_m),
+        model=_model(begun, end.parts, reached, held_m),
         rms_m=reached.rms * stroke_m,
         held_out_rms_m=reached.held_out_rms * stroke_m,
         held_m=held_m,
@@ -219,21 +227,36 @@ class _Point:
         state = self.state
         return [tangents_of(state, k, p, follow(state, k, p)) for k, p in enumerate(self.parts)]
 
-    @property
+    @Once
     def squares(self) -> float:
         """Return the sum of squares at all rows."""
         return sum(float(error @ error) for error in self.errors)
 
     @property
+    def rows(self) -> int:
+        return sum(len(error) for error in self.errors)
+
+    @property
+    def rms(self) -> float:
+        return float(np.sqrt(self.squares / self.rows))
+
+    @property
+    def rms_m(self) -> float:
+        return self.rms * abs(self.state.scales.displacement_m)
+
+    @Once
+    def gram(self) -> Array:
+        """The products of the tangents with each other, all rows together."""
+        return sum((part.T @ part for part in self.tangents), np.zeros((1, 1)))
+
+    @Once
     def cost(self) -> float:
         return self.squares + _prior_cost(self.state)
 
     def linearised(self) -> NormalEquations:
-        rows, errors = self.tangents, self.errors
-        gram = sum((part.T @ part for part in rows), np.zeros((1, 1)))
-        pairs = zip(rows, errors, strict=True)
+        pairs = zip(self.tangents, self.errors, strict=True)
         slope = sum((part.T @ error for part, error in pairs), np.zeros(1))
-        return _with_prior(self.state, gram, slope, self.cost)
+        return _with_prior(self.state, self.gram, slope, self.cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +268,14 @@ class _OnFold:
     columns: Sequence[Array]
     gram: Array
 
-    @property
+    @Once
     def left(self) -> list[Array]:
-        return [error[k] for error, k in zip(self.point.errors, self.kept, strict=True)]
+        """The errors, 0 at the rows left out: the columns are megabytes, and are not copied."""
+        return [np.where(k, e, 0.0) for e, k in zip(self.point.errors, self.kept, strict=True)]
 
-    @property
+    @Once
     def cost(self) -> float:
-        return sum(float(np.sum(e**2)) for e in self.left) + _prior_cost(self.point.state)
+        return sum(float(e @ e) for e in self.left) + _prior_cost(self.point.state)
 
     def linearised(self) -> NormalEquations:
         pairs = zip(self.columns, self.left, strict=True)
@@ -259,39 +283,42 @@ class _OnFold:
         return _with_prior(self.point.state, self.gram, slope, self.cost)
 
 
-def _search(state: State, parts: Sequence[Part], *, longest_lag_s: float, steps: int) -> _Reached:
-    """Search from a point for the least error, then repeat it on the rows kept of each fold."""
-    bounds = state.bounds(longest_lag_s)
-    found = minimise(
+def _search(
+    state: State, parts: Sequence[Part], bounds: tuple[Array, Array], steps: int
+) -> Minimum[_Point]:
+    """Search from a point for the least error."""
+    return minimise(
         lambda vector: _Point(state.at(vector), parts),
         state.vector,
         bounds,
         rule=Rule(tolerance=CONVERGED, iterations=steps, tries=8, damping=1e-4),
     )
-    end = found.point
+
+
+def _judged(end: _Point, bounds: tuple[Array, Array], converged: bool) -> _Reached:
+    """Repeat a search that has ended on the rows kept of each fold."""
     folds = [_on_fold(fold, end, bounds) for fold in range(FOLDS)]
-    count = sum(len(error) for error in end.errors)
     return _Reached(
         state=end.state,
-        rms=float(np.sqrt(end.squares / count)),
+        rms=end.rms,
         held=np.concatenate([error for _, left_out in folds for error in left_out]),
-        rows=count,
+        rows=end.rows,
         folds=np.array([vector for vector, _ in folds]),
-        converged=found.converged,
+        converged=converged,
     )
 
 
 def _on_fold(fold: int, end: _Point, bounds: tuple[Array, Array]) -> tuple[Array, list[Array]]:
     """Return where a few chords on the rows kept lead, and the residual at the rows left out."""
     kept = [part.fold != fold for part in end.parts]
-    columns = [rows[k] for rows, k in zip(end.tangents, kept, strict=True)]  # megabytes: once
-    gram = sum((part.T @ part for part in columns), np.zeros((1, 1)))
+    out = [rows[~k] for rows, k in zip(end.tangents, kept, strict=True)]
+    gram = end.gram - sum((part.T @ part for part in out), np.zeros((1, 1)))
     start = end.state.vector
 
     def at(vector: Array) -> _OnFold:
         known = np.array_equal(vector, start)  # the end's residual is worth a simulation
         point = end if known else _Point(end.state.at(vector), end.parts)
-        return _OnFold(point, kept, columns, gram)
+        return _OnFold(point, kept, end.tangents, gram)
 
     found = minimise(at, start, bounds, rule=CHORDS)
     errors = found.point.point.errors
@@ -311,7 +338,9 @@ def _priors(state: State) -> list[tuple[Array, Array, slice]]:
     found = []
     for extension, place in zip(state.extensions, state.slices, strict=True):
         scale = abs(state.scales.displacement_m) if extension.in_metres else 1.0
-        found.append((extension.prior() / scale, extension.free().value, place))
+        rows = extension.prior()
+        if len(rows):
+            found.append((rows / scale, extension.free().value, place))
     return found
 
 

@@ -44,7 +44,8 @@ def test_moving_to_its_own_numbers_changes_nothing(extension: Extension) -> None
     assert extension.moved_to(free.value) == extension
     assert ((free.lower <= free.value) & (free.value <= free.upper)).all()
     assert (free.step > 0.0).all()
-    assert extension.prior().shape[1] == len(free.value)
+    rows = extension.prior()
+    assert not len(rows) or rows.shape[1] == len(free.value)
 
 
 @pytest.mark.parametrize("extension", one_of_each(), **ids)

@@ -1,6 +1,7 @@
 """Data this class of model cannot describe end in a verdict with its reason, not in a bad fit."""
 
 import itertools
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from tests.identification.hysteresis.stages import (
     through,
     wandering,
 )
+from tests.laws import LAWS, recorded
 
 
 def noisy(values: np.ndarray, seed: int = 1) -> np.ndarray:  # type: ignore[type-arg]
@@ -125,3 +127,46 @@ def test_a_reading_of_something_else_is_not_called_lag() -> None:
     verdict = fit([recording(drive, noisy(1e-6 * elsewhere))])["x"].verdict
     assert not verdict.applies
     assert "phase lag" not in verdict.reason
+
+
+def reason_of(drive: np.ndarray, response_m: np.ndarray) -> str:  # type: ignore[type-arg]
+    return fit([recording(drive, response_m)])["x"].verdict.reason
+
+
+def test_a_sensor_that_does_not_follow_its_drive_is_said_to_and_no_shape_is_blamed() -> None:
+    rng = np.random.default_rng(12)
+    drive = decaying(15, per_unit=20)
+    # another axis' column: a walk of its own
+    walk_m = np.cumsum(rng.normal(0.0, 4e-8, len(drive)))
+    # a servo: an integrator holds the sensor against a floor that walks, and its drive is told
+    floor_m, held_m, servo_V = np.cumsum(rng.normal(0.0, 2e-9, 6000)), [], []
+    effort_m = 0.0
+    for moved_m in floor_m.tolist():
+        held_m.append(effort_m + moved_m)
+        effort_m -= 0.05 * held_m[-1]
+        servo_V.append(1e7 * effort_m)
+    noise_m = rng.normal(0.0, 1e-9, 6000)
+    for told in (reason_of(drive, walk_m), reason_of(np.array(servo_V), held_m + noise_m)):
+        assert "does not follow the drive" in told
+        assert "a feedback that holds the sensor" in told
+
+
+def test_what_is_shaped_otherwise_still_follows_its_drive() -> None:
+    drive = np.tile(decaying(2, per_unit=40)[:-1], 6)
+    plays = play_sum(drive, np.array([0.0, 1.0, 2.0]), np.array([1.0, 0.5, 0.3]), np.zeros(3))
+    late = first_order_lag(1e-6 * plays, 0.05, RATE_Hz)
+    for response in (1e-7 * plays**2, late):
+        assert "does not follow the drive" not in reason_of(drive, noisy(response))
+
+
+@pytest.mark.parametrize("law", ["duhem", "plays"])
+def test_a_gain_that_changes_over_the_cycles_makes_no_lag_of_a_loop(
+    law: str, tmp_path: Path
+) -> None:
+    turn = np.arange(4800) / 120.0
+    field = -np.cos(2.0 * np.pi * turn)
+    response_um = 10.0 * LAWS[law](field) * (1.0 + 0.06 * turn / turn[-1])
+    noise_um = np.random.default_rng(2).normal(0.0, 0.01, 4800)
+    found = fit([recorded(tmp_path, field, response_um + noise_um)])["x"]
+    assert "phase lag" not in found.verdict.reason
+    assert any("the sensitivity goes by +" in said for said in found.verdict.remarks)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.repetition import equal_cycles
-from piezoid.identification.hysteresis.cycles import trends_over_cycles
+from piezoid.identification.hysteresis.cycles import cycles_of, trends_over_cycles
 from piezoid.identification.hysteresis.pieces import Piece, Rig, pieces_of, scales_of
+from piezoid.identification.hysteresis.scope import limits_of_cycles
 from piezoid.numerics.arrays import Array
 from tests.laws import LAWS, recorded, triangles
 
@@ -23,7 +24,9 @@ def said(folder: Path, law: str, change: Array, added_um: Array) -> str:
     piece: Piece
     (piece,) = pieces_of((recording,), "x", scales, Rig())
     stroke_m = abs(scales.displacement_m)
-    return " ".join(trends_over_cycles(piece, stroke_m, 1e-6 * NOISE_um / stroke_m))
+    cycles = cycles_of(piece)
+    assert cycles is not None
+    return " ".join(trends_over_cycles(cycles, stroke_m, 1e-6 * NOISE_um / stroke_m))
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -46,7 +49,9 @@ def test_a_period_of_no_whole_number_of_samples_hides_no_trend(tmp_path: Path, s
         scales = scales_of((recording,), "x")
         (piece,) = pieces_of((recording,), "x", scales, Rig())
         stroke_m = abs(scales.displacement_m)
-        text = " ".join(trends_over_cycles(piece, stroke_m, 1e-6 * NOISE_um / stroke_m))
+        cycles = cycles_of(piece)
+        assert cycles is not None
+        text = " ".join(trends_over_cycles(cycles, stroke_m, 1e-6 * NOISE_um / stroke_m))
         assert ("the sensitivity goes by -1." in text) == (lost > 0.0)
 
 
@@ -59,7 +64,8 @@ def test_a_drive_that_shrinks_is_no_sensitivity_that_falls() -> None:
 
 def test_tips_that_wander_are_told_beside_the_noise(tmp_path: Path) -> None:
     level = 0.1 * np.random.default_rng(9).standard_normal(COUNT)
-    text = said(tmp_path, "dahl", np.ones(len(CYCLE)), level[CYCLE])
+    slowly = np.interp(np.arange(len(CYCLE)) / PERIOD, np.arange(COUNT), level)
+    text = said(tmp_path, "dahl", np.ones(len(CYCLE)), slowly)
     assert "the upper tip wanders by" in text
     assert "the sensitivity" not in text
 
@@ -67,3 +73,21 @@ def test_tips_that_wander_are_told_beside_the_noise(tmp_path: Path) -> None:
 @pytest.mark.parametrize("law", ["preisach", "duhem"])
 def test_steady_cycles_have_no_trend(tmp_path: Path, law: str) -> None:
     assert said(tmp_path, law, np.ones(len(CYCLE)), np.zeros(len(CYCLE))) == ""
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_displacement_of_another_clock_slides_against_its_drive(
+    tmp_path: Path, law: str
+) -> None:
+    turn = np.arange(COUNT * PERIOD) / (PERIOD + 0.37)
+    for ppm in (0.0, 700.0):
+        noise_um = NOISE_um * np.random.default_rng(8).standard_normal(len(turn))
+        read_um = 10.0 * LAWS[law](-np.cos(2.0 * np.pi * turn * (1.0 - 1e-6 * ppm))) + noise_um
+        recording = recorded(tmp_path, -np.cos(2.0 * np.pi * turn), read_um)
+        pieces = pieces_of((recording,), "x", scales_of((recording,), "x"), Rig())
+        (cycles,) = map(cycles_of, pieces)
+        assert cycles is not None
+        said = [limit.reason for limit in limits_of_cycles([cycles])]
+        assert len(said) == (1 if ppm else 0)
+        assert not ppm or "+7" in said[0].partition("equal cycles (")[2][:3]
+        assert not ppm or "falls behind its drive, by 6." in said[0]

@@ -99,6 +99,20 @@ def test_the_model_that_comes_back_simulates_the_residual_the_fit_reports() -> N
     assert found.model.quality.held_out_rms_m == found.held_out_rms_m
 
 
+def test_of_several_starts_the_closest_fit_is_taken_as_if_it_were_alone() -> None:
+    true, near = Delay(delay_s=3e-4), known_model()
+    plays = near.hysteresis.plays
+    wide = replace(plays, threshold=1.5 * plays.threshold)
+    far = replace(near, hysteresis=replace(near.hysteresis, plays=wide))
+    held = Structure(lag=False)
+    recordings, steps = recordings_of(true), 1
+    alone = [fit_extended(m, recordings, structure=held, steps=steps) for m in (far, near)]
+    found = fit_extended(far, recordings, others=(near,), structure=held, steps=steps)
+    best = min(alone, key=lambda fit: fit.rms_m)
+    assert (found.rms_m, found.held_out_rms_m) == (best.rms_m, best.held_out_rms_m)
+    assert found.rms_m < max(fit.rms_m for fit in alone)
+
+
 def test_every_row_is_left_out_at_most_once_and_beginnings_are_kept() -> None:
     for part in parts_of(known_model(), recordings_of()):
         assert set(part.fold.tolist()) == {KEPT, *range(FOLDS)}

@@ -1,0 +1,102 @@
+"""A zero that jumps and stays: told with size and place, and read as pieces of their own zero."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.identification.fit import fit
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Problem, Recording
+from tests.laws import LAWS, recorded, triangles
+
+FIELD = triangles(8, 300, 0.04)
+NOISE_um = 0.008
+
+
+def read(folder: Path, law: str, added_um: Array, field: Array = FIELD) -> Recording:
+    noise_um = NOISE_um * np.random.default_rng(3).standard_normal(len(field))
+    return recorded(folder, field, 10.0 * LAWS[law](field) + added_um + noise_um)
+
+
+def jumps_of(recording: Recording) -> tuple[Problem, ...]:
+    return tuple(p for p in recording.problems if p.kind == "zero_jump")
+
+
+def stairs(*at: tuple[int, float], ramp: int = 1) -> Array:
+    place = np.arange(len(FIELD))
+    return sum(
+        (size * np.clip((place - sample + 1) / ramp, 0.0, 1.0) for sample, size in at),
+        np.zeros(len(FIELD)),
+    )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_one_slip_is_told_and_costs_the_fit_nothing(tmp_path: Path, law: str) -> None:
+    clean = read(tmp_path, law, stairs())
+    assert not jumps_of(clean)
+    slipped = read(tmp_path, law, stairs((1000, 0.9)))
+    (told,) = jumps_of(slipped)
+    assert "jumps once" in told.text
+    assert "+9" in told.text
+    assert "at 1.998 s" in told.text
+    assert "one event cannot tell" in told.text
+    assert slipped.breaks == (1000,)
+    apart = [slipped.displacement_m()[piece] for piece in slipped.pieces]
+    shift_m = np.concatenate(apart) - clean.displacement_m()
+    assert np.ptp(shift_m[:1000]) < 1e-12
+    assert told.farthest == pytest.approx(0.9e-6, rel=0.06)
+
+
+def test_fringes_are_told_from_slips_by_their_one_size(tmp_path: Path) -> None:
+    fringes = stairs((420, 0.3164), (1160, 0.3164), (1790, -0.6328))
+    (told,) = jumps_of(read(tmp_path, "preisach", fringes))
+    assert "jumps 3 times" in told.text
+    assert "helium-neon laser loses multiples of 316 nm" in told.text
+    (told,) = jumps_of(read(tmp_path, "preisach", stairs((420, 0.24), (1160, 0.86), (1790, 0.55))))
+    assert "multiples" not in told.text
+
+
+def test_a_slow_sensor_spreads_a_jump_and_hides_it_not(tmp_path: Path) -> None:
+    recording = read(tmp_path, "dahl", stairs((1000, 1.5), ramp=6))
+    assert len(jumps_of(recording)) == 1
+    assert any(990 < edge <= 1000 for edge in recording.breaks)
+    assert any(1000 < edge < 1015 for edge in recording.breaks)
+
+
+@pytest.mark.parametrize("law", ["duhem", "plays", "dahl"])
+def test_what_comes_back_with_the_drive_is_no_slip(tmp_path: Path, law: str) -> None:
+    few = FIELD[:1500]
+    one_spot = 0.9 * (few > 0.2)
+    for spots in (one_spot, one_spot + 0.6 * (few > 0.6), one_spot + 0.6 * (few > 0.35)):
+        assert not jumps_of(read(tmp_path, law, spots, few))
+
+
+def test_what_switches_between_two_levels_is_no_slip(tmp_path: Path) -> None:
+    switching = stairs(*((k, 0.9 * (-1) ** n) for n, k in enumerate(range(150, 2300, 300))))
+    assert not jumps_of(read(tmp_path, "duhem", switching))
+
+
+def test_steps_of_the_drive_are_no_jumps_of_the_zero(tmp_path: Path) -> None:
+    levels = np.round(10.0 * FIELD) / 10.0
+    assert not jumps_of(read(tmp_path, "plays", np.zeros(len(FIELD)), levels))
+
+
+def test_a_drive_at_rest_shows_a_jump_as_well(tmp_path: Path) -> None:
+    recording = read(tmp_path, "plays", stairs((700, 0.25)), np.zeros(len(FIELD)))
+    (told,) = jumps_of(recording)
+    assert told.farthest == pytest.approx(0.25e-6, rel=0.15)
+
+
+@pytest.mark.parametrize("law", ["preisach", "dahl"])
+def test_a_fit_holds_its_error_and_says_what_was_odd(tmp_path: Path, law: str) -> None:
+    clean = read(tmp_path, law, stairs())
+    slipped = read(tmp_path, law, stairs((1000, 0.9)))
+    was, now = (fit([one]).axes["x"] for one in (clean, slipped))
+    assert now.quality.held_out_rms_m < 1.5 * was.quality.held_out_rms_m
+    (limit,) = (one for one in now.quality.limits if one.lack == "zero_jump")
+    assert "sweep.csv: the displacement of x jumps once" in limit.reason
+    assert "The parts between" not in limit.reason
+    worst_first = [one.most for one in now.quality.limits]
+    assert all(a <= b for a, b in pairwise(worst_first))
