@@ -25,7 +25,7 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
-from piezoid.identification.minor_loops import SHAPES, Lattice, Rows, functions_of, rises_of
+from piezoid.identification.minor_loops import SHAPES, Lattice, functions_of, rises_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import (
     Converter,
@@ -124,14 +124,9 @@ def function_model(field: Array, moved: Array) -> Functions:
     _, memory = play_columns(np.tile(CYCLE, 2), lattice.threshold_V, zero)
     states, _ = play_columns(field, lattice.threshold_V, memory)
     columns = np.stack(list(lattice.risen(states)), axis=1)
-    rows = Rows(
-        recording="sweep",
-        columns=columns,
-        target=moved,
-        counts=np.ones(len(moved), dtype=bool),
-        reach=(-1.0, 1.0),
-    )
-    rises = rises_of([rows], lattice, float(np.ptp(moved)))
+    rows = np.column_stack([columns, moved])
+    rows -= rows.mean(axis=0)
+    rises = rises_of(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
     offset = float(np.mean(moved - columns @ rises))
     return Functions(operator=functions_of(rises, lattice, offset), parameters=len(rises) + 1)
 

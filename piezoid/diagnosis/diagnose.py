@@ -68,7 +68,7 @@ def diagnose(
     """
     counted = counted_in(recordings)
     if model is not None:
-        model = replace(model, minor_loops=None)
+        model = model.without_minor_loops()
     with refusing_in_counts(counted):
         found = _diagnosed(recordings, axis, lab or Lab(), model, progress, threads)
         return found.told_in_counts(counted)

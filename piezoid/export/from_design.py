@@ -228,9 +228,9 @@ def _ramp_s(member: Member) -> float:
 
 def hysteresis_values(model: AxisModel) -> Given:
     """Return the model's operator under the runtime's names, in the de-poled state."""
-    operator, functions = model.hysteresis, model.minor_loops
-    if functions is not None:
-        return {"polarity": model.polarity, **function_values(functions)}
+    operator = model.operator
+    if isinstance(operator, PreisachPlays):
+        return {"polarity": model.polarity, **function_values(operator)}
     given: Given = {
         "polarity": model.polarity,
         "voltage_offset_V": operator.voltage_offset_V,

@@ -286,7 +286,7 @@ def refined(
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
         found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
     held = moving(recordings, axis.axis)
-    told = with_minor_loops(with_discrepancy(found, held), held)
+    told = with_discrepancy(with_minor_loops(found, held), held)
     return told.told_in_counts(counted_in(recordings))
 
 

@@ -121,6 +121,56 @@ class Discrepancy:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class MinorLoops:
+    """Plays behind functions that simulate and ship in place of plays with dead zones.
+
+    operator      0 where ``AxisModel.hysteresis`` is
+    without_m     (blocks, plays, edges - 1)  what the functions rise between edges in fits without
+                  one block of time each
+    least_rise_m  that of the play of no width between edges, in all of these
+    plain         what plays with dead zones leave and how far they may be wrong, by which a
+                  diagnosis goes: quality and certificate as the axis has them without this
+    """
+
+    operator: PreisachPlays
+    without_m: Array
+    least_rise_m: float
+    plain: "Believed"
+
+    def __post_init__(self) -> None:
+        freeze(self, "without_m", ndim=3)
+        if self.without_m.shape[1:] != self.operator.rise_m.shape:
+            raise ValueError(
+                f"fits without blocks of shape {self.without_m.shape}, expected "
+                f"{self.operator.rise_m.shape} each"
+            )
+
+    def drawn(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
+        """Draw operators that the recordings allow.
+
+            rise + sum_c xi_c sqrt((G - 1)/G) (rise_(c) - mean),   xi standard normal
+
+        None of their functions falls, as none does in a fit.
+        """
+        blocks = len(self.without_m)
+        kicks = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)
+        centred_m = self.without_m - self.without_m.mean(axis=0)
+        rises_m = self.operator.rise_m + np.tensordot(kicks, centred_m, axes=1)
+        rises_m[:, 0] = np.maximum(rises_m[:, 0], self.least_rise_m)
+        return tuple(self.operator.with_rises(rise_m) for rise_m in np.maximum(rises_m, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Believed:
+    """How far a fit may be believed, where another one took its place."""
+
+    rms_m: float
+    held_out_rms_m: float
+    held_out_kind: str
+    certificate: Certificate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AxisModel:
     """One axis of a stage.
 
@@ -139,8 +189,8 @@ class AxisModel:
     response     how the dynamics were found in a measured frequency response; None where they
                  were not
     extensions   what a diagnosis added, in the order in which they act
-    minor_loops  what simulates and ships in place of ``hysteresis``, by which bounds, intervals
-                 and a diagnosis still go; None where it predicts no better
+    minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
+                 diagnosis still goes; None where it predicts no better
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -166,7 +216,7 @@ class AxisModel:
     bandwidth: BandwidthVerdict | None = None
     response: ResponseFit | None = None
     extensions: tuple[Extension, ...] = ()
-    minor_loops: PreisachPlays | None = None
+    minor_loops: MinorLoops | None = None
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
@@ -204,6 +254,32 @@ class AxisModel:
                 remedy="Write into the [[recording]] of each file in lab.toml, and fit again:\n\n"
                 f"scale = {{ {one} = ... }}\n",
             )
+
+    @property
+    def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:
+        """What simulates and ships.
+
+        >>> model["x"].operator is model["x"].hysteresis
+        True
+        """
+        return self.hysteresis if self.minor_loops is None else self.minor_loops.operator
+
+    def without_minor_loops(self) -> "AxisModel":
+        """Return the axis as plays with dead zones describe it.
+
+        >>> model["x"].without_minor_loops().minor_loops is None
+        True
+        """
+        if self.minor_loops is None:
+            return self
+        plain = self.minor_loops.plain
+        quality = replace(
+            self.quality,
+            rms_m=plain.rms_m,
+            held_out_rms_m=plain.held_out_rms_m,
+            held_out_kind=plain.held_out_kind,
+        )
+        return replace(self, minor_loops=None, quality=quality, certificate=plain.certificate)
 
     @property
     def virgin_memory_V(self) -> Array:
@@ -280,10 +356,7 @@ class AxisModel:
         zero = self.zero_m if zero_m is None else zero_m
         output_m = self.polarity * (wanted_m - zero) + self.hysteresis.displacement_offset_m
         memory = self._memory(memory_V)
-        if self.minor_loops is not None:
-            started_V = self.memory_at(self.minor_loops.threshold_V, memory)
-            return self.minor_loops.inverse_run(output_m, started_V)[0]
-        return self.hysteresis.inverse_run(output_m, memory)[0]
+        return self.operator.inverse_run(output_m, self._states_V(memory))[0]
 
     def memory_at(self, threshold_V: Array, memory_V: Array) -> Array:
         """Return the states of plays of other half-widths, without an envelope, (plays,).
@@ -297,6 +370,12 @@ class AxisModel:
         away_V = memory_V - memory_V[0]
         threshold = self.hysteresis.plays.threshold
         return np.asarray(left_V + np.interp(threshold_V, threshold, away_V))
+
+    def _states_V(self, memory_V: Array) -> Array:
+        """Return the states of the plays that simulate, from those of ``hysteresis``."""
+        if self.minor_loops is None:
+            return memory_V
+        return self.memory_at(self.minor_loops.operator.threshold_V, memory_V)
 
     def _memory(self, given: Array | None) -> Array:
         """Return the memory before the first sample, or refuse one of another length."""
@@ -457,8 +536,7 @@ class AxisModel:
         (2,)
         """
         if self.minor_loops is not None:
-            started_V = self.memory_at(self.minor_loops.threshold_V, memory_V)
-            return self.minor_loops.run(driven_V, started_V)[0]
+            return self.operator.run(driven_V, self._states_V(memory_V))[0]
         operator = self.hysteresis
         inner_V = operator.envelope.run(driven_V - operator.voltage_offset_V)
         h_m, _ = operator.plays.run(inner_V, memory_V)

@@ -50,6 +50,18 @@ class PreisachPlays:
         if self.rise_m.min() < 0.0 or self.rise_m[0].min() <= 0.0:
             raise ValueError(f"a function falls by {-self.rise_m.min():.3g} m between edges")
 
+    def multiplied(self, factor: float) -> "PreisachPlays":
+        """Return what moves a factor as far as this one."""
+        return replace(self, value_m=factor * self.value_m)
+
+    def with_rises(self, rise_m: Array) -> "PreisachPlays":
+        """Return the same with functions that rise otherwise, each 0 at the middle edge.
+
+        rise_m  (plays, edges - 1)  m
+        """
+        value_m = np.pad(np.cumsum(rise_m, axis=1), ((0, 0), (1, 0)))
+        return replace(self, value_m=value_m - value_m[:, len(self.edge_V) // 2, None])
+
     @cached_property
     def rise_m(self) -> Array:
         """What the functions rise between edges, (plays, edges - 1)."""
@@ -79,10 +91,14 @@ class PreisachPlays:
             greatest = max(greatest, float(slopes.max()))
         return float(self.rise_m[0].min() / width), greatest
 
+    def virgin_memory(self) -> Array:
+        """Return the memory of a de-poled stage, (plays,) of u - u_off."""
+        return np.zeros(len(self.value_m))
+
     def at_rest(self, voltage_V: float) -> Array:
         """Return the memory of a stage that came to a voltage de-poled, (plays,) of u - u_off."""
         u, r = voltage_V - self.voltage_offset_V, self.threshold_V
-        return np.clip(np.zeros(len(r)), u - r, u + r)
+        return np.clip(self.virgin_memory(), u - r, u + r)
 
     def run(self, voltage_V: Array, memory_V: Array) -> tuple[Array, Array]:
         """Return the displacement and the memory after the last sample.
@@ -121,10 +137,6 @@ class PreisachPlays:
             address(found),
         )
         return found + self.voltage_offset_V, state
-
-    def moved_to(self, displacement_m: float) -> "PreisachPlays":
-        """Return the same operator about another displacement."""
-        return replace(self, displacement_offset_m=displacement_m)
 
 
 def straight_between(x: Array, edge: Array, value: Array) -> Array:
