@@ -197,7 +197,7 @@ def _rms(error_m: Array) -> float:
 
 
 def _tried(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) -> _Tried:
-    """Leave out every recording; of the only one, and of one that goes further, the second half."""
+    """Leave out every recording; of one that goes further than others the second half."""
     names = list(dict.fromkeys(part.recording for part in rows))
     products = {name: sum(p.products()[0] for p in rows if p.recording == name) for name in names}
     counts = {name: sum(len(p.target) for p in rows if p.recording == name) for name in names}

@@ -49,18 +49,25 @@ static pz_real edge_width(const pz_parameters *p) {
 }
 
 /* phi_i(z), straight between its values at the edges; the outermost pieces go on for ever. */
-static pz_real play_value(const pz_parameters *p, int32_t i, pz_real z) {
-    const pz_real place = (z - p->edge_V) / edge_width(p);
+static pz_real play_value(const pz_parameters *p, int32_t i, pz_real z, pz_real per_V) {
+    const pz_real place = (z - p->edge_V) * per_V;
     const int32_t k = (int32_t)clamp(place, ZERO, (pz_real)(p->edge_count - 2));
-    const pz_real *value = p->play_value_m[i];
-    return value[k] + (value[k + 1] - value[k]) * (place - (pz_real)k);
+    const pz_real *value = p->play_value_m[i] + k;
+    return value[0] + (value[1] - value[0]) * (place - (pz_real)k);
 }
 
 /* H: sum of w_i z_i, or of phi_i(z_i), over the memory. */
 static pz_real play_sum(const pz_parameters *p, const pz_real *z) {
     pz_real sum = ZERO;
+    if (p->edge_count > 0) {
+        const pz_real per_V = ONE / edge_width(p);
+        for (int32_t i = 0; i < p->play_count; ++i) {
+            sum += play_value(p, i, z[i], per_V);
+        }
+        return sum;
+    }
     for (int32_t i = 0; i < p->play_count; ++i) {
-        sum += p->edge_count > 0 ? play_value(p, i, z[i]) : p->play_weight_m_per_V[i] * z[i];
+        sum += p->play_weight_m_per_V[i] * z[i];
     }
     return sum;
 }
@@ -72,32 +79,43 @@ static void play_follow(const pz_parameters *p, pz_real *z, pz_real u) {
     }
 }
 
+/* What phi_i rises over piece k; pieces are counted against u where it falls. */
+static pz_real play_rise(const pz_parameters *p, int32_t i, int32_t k, int falls) {
+    const pz_real *value = p->play_value_m[i] + (falls ? p->edge_count - 2 - k : k);
+    return value[1] - value[0];
+}
+
+/* In which piece play i is where u lies between two marks, if it moves: it has passed the inner
+ * edges k with k edge_steps + i < mark. */
+static int32_t play_piece(const pz_parameters *p, int32_t i, int32_t mark) {
+    const int32_t k = mark > i ? (mark - 1 - i) / p->edge_steps : 0;
+    return k < p->edge_count - 2 ? k : p->edge_count - 2;
+}
+
 /* H^-1 where plays have functions: outwards from z_0 as in play_inverse, from one place at which
- * the sum can bend to the next. Between two of them it is straight, with the slope that it has in
- * their middle: positive, as phi_0 rises. Every play begins to move once, and moving ones meet an
- * edge where u is at edge + r_i or edge - r_i. As r_i is i r_1 and edges lie whole r_1 apart,
- * those places are marks r_1 apart, from the first edge to r_n beyond the last: no more than
- * `count` places are passed. */
+ * the sum can bend to the next. Between two of them it is straight, and its slope is positive, as
+ * phi_0 rises. Every play begins to move once; one that moves meets the inner edge k where u is at
+ * edge_k + r_i. As r_i is i r_1 and edges lie edge_steps r_1 apart, those places are marks r_1
+ * apart, number k edge_steps + i from the first edge on: with every play's start no more than
+ * `count` places. Seen from where u goes: a way down is one up in a mirror. */
 static pz_real value_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
     const pz_real rest = play_sum(p, z);
-    const pz_real sign = wanted < rest ? -ONE : ONE;
-    const pz_real way = sign * (wanted - rest);
+    const int falls = wanted < rest;
+    const pz_real sign = falls ? -ONE : ONE;
+    const pz_real way = sign * (wanted - rest) * edge_width(p);
     const pz_real step = p->play_threshold_V[1];
-    const pz_real per_V = ONE / edge_width(p);
-    const pz_real top = (pz_real)(p->edge_count - 2);
-    const int32_t span = (p->edge_count - 1) * p->edge_steps;
-    const int32_t marks = span + p->play_count;
+    const int32_t top = p->edge_count - 2;
+    const int32_t marks = top * p->edge_steps + p->play_count;
     const int32_t count = marks + p->play_count;
-    const pz_real first = sign < ZERO ? -(p->edge_V + (pz_real)span * step) : p->edge_V;
+    const pz_real first = sign * p->edge_V - (falls ? (pz_real)(top + 1) * edge_width(p) : ZERO);
     pz_real done = ZERO;
     pz_real u = sign * z[0];
-    pz_real slope = ONE;
     int32_t moving = 1;
     int32_t mark = (int32_t)clamp((u - first) / step + ONE, ZERO, (pz_real)marks);
-    for (int32_t n = 0; n <= count; ++n) {
+    pz_real slope = play_rise(p, 0, play_piece(p, 0, mark), falls);
+    for (int32_t n = 0; n < count; ++n) {
         const int more = mark < marks;
         const int waits = moving < p->play_count;
-        const int last = !more && !waits;
         pz_real next = first + (pz_real)mark * step;
         int starts = 0;
         if (waits) {
@@ -105,24 +123,23 @@ static pz_real value_inverse(const pz_parameters *p, const pz_real *z, pz_real w
             starts = !more || begins < next;
             next = starts ? begins : next;
         }
-        if (next > u || last) {
-            const pz_real middle = last ? u + step : PZ_REAL(0.5) * (u + next);
-            slope = ZERO;
-            for (int32_t i = 0; i < moving; ++i) {
-                const pz_real state = sign * (middle - p->play_threshold_V[i]);
-                const int32_t k = (int32_t)clamp((state - p->edge_V) * per_V, ZERO, top);
-                slope += p->play_value_m[i][k + 1] - p->play_value_m[i][k];
-            }
-            slope *= per_V;
-            if (last || done + slope * (next - u) >= way) {
-                break;
-            }
+        if ((!more && !waits) || done + slope * (next - u) >= way) {
+            break;
+        }
+        if (next > u) {
             done += slope * (next - u);
             u = next;
         }
         if (starts) {
+            slope += play_rise(p, moving, play_piece(p, moving, mark), falls);
             ++moving;
         } else {
+            /* The lowest inner edge that a moving play can meet here, and those above it. */
+            int32_t k = mark < moving ? 1 : (mark - moving) / p->edge_steps + 1;
+            for (; k <= top && k * p->edge_steps <= mark; ++k) {
+                const int32_t i = mark - k * p->edge_steps;
+                slope += play_rise(p, i, k, falls) - play_rise(p, i, k - 1, falls);
+            }
             ++mark;
         }
     }
