@@ -20,6 +20,7 @@ from piezoid.identification.quality import Certificate, FitQuality, Uncertainty,
 from piezoid.identification.restoring_force.fit import RestoringForceModel
 from piezoid.identification.restoring_force.placing import HysteresisPlacement
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
@@ -144,6 +145,13 @@ class MinorLoops:
                 f"fits without blocks of shape {self.without_m.shape}, expected "
                 f"{self.operator.rise_m.shape} each"
             )
+
+    @property
+    def half_m(self) -> Array:
+        """Half the 95 % interval of what every function rises, (plays, edges - 1)."""
+        blocks = len(self.without_m)
+        spread = self.without_m.std(axis=0) * np.sqrt(blocks - 1.0)
+        return np.asarray(student_quantile(0.975, blocks - 1) * spread)
 
     def drawn(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
         """Draw operators that the recordings allow.
