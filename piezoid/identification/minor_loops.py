@@ -8,8 +8,8 @@ extensions, lag and poles, is linear in them:
     min |L sum_i phi_i(z_i) + c - y|^2 + lambda |D phi|^2,   phi_i not falling
 
 is a convex program. Its shape is the smallest that predicts recordings left out as well as the
-largest. It is taken where it tells these better by half than plays with dead zones tell what they
-were fitted to: its inverse takes twice the instructions. Fits without one block of time each say
+largest. It is taken where it predicts these better by half than plays with dead zones do, for its
+inverse takes more instructions. Fits without one block of time each say
 how well the functions are known, and the distance of two of them over all drives is exact, so that
 model and inverse have bounds as those of plays with dead zones.
 """
@@ -161,7 +161,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         return _tried(rows, lattice, bare.quality.range_m)
 
     largest = tried(SHAPES[-1])
-    if not largest.is_worth_it:
+    if not largest.is_better_than(bare.quality.held_out_rms_m):
         return bare
     smaller = (shape for shape in map(tried, SHAPES[:-1]) if shape.rms_m <= CLOSE * largest.rms_m)
     return _restarted(_taken(bare, next(smaller, largest)), recordings)
@@ -186,10 +186,15 @@ class _Tried:
     def rms_m(self) -> float:
         return _rms(self.error_m)
 
-    @property
-    def is_worth_it(self) -> bool:
-        """Whether functions tell rows that they have not seen better than plays tell their own."""
-        return len(self.error_m) > 0 and WORTH * self.rms_m <= _rms(self.left_m)
+    def is_better_than(self, held_out_rms_m: float) -> bool:
+        """Whether functions predict better by half than plays do.
+
+        Never where they predict worse than plays tell the same rows, which they were fitted to:
+        what plays fail to predict is then no shape of loops.
+        """
+        if not len(self.error_m):
+            return False
+        return self.rms_m <= min(held_out_rms_m / WORTH, _rms(self.left_m))
 
 
 def _rms(error_m: Array) -> float:
@@ -271,8 +276,7 @@ def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
     said = (
         f"on rows left out {lattice.plays} plays behind functions of {lattice.pieces} pieces "
         f"leave {told(found.rms_m, 'm')}, where plays with dead zones leave "
-        f"{told(_rms(found.left_m), 'm')} though they were fitted to them: the controller "
-        "inverts the former"
+        f"{told(quality.held_out_rms_m, 'm')}: the controller inverts the former"
     )
     return replace(
         axis,
