@@ -92,6 +92,8 @@ static int32_t play_piece(const pz_parameters *p, int32_t i, int32_t mark) {
     return k < p->edge_count - 2 ? k : p->edge_count - 2;
 }
 
+#define NOWHERE PZ_REAL(1e30) /* in volts: nothing is there */
+
 /* H^-1 where plays have functions: outwards from z_0 as in play_inverse, from one place at which
  * the sum can bend to the next. Between two of them it is straight, and its slope is positive, as
  * phi_0 rises. Every play begins to move once; one that moves meets the inner edge k where u is at
@@ -113,32 +115,29 @@ static pz_real value_inverse(const pz_parameters *p, const pz_real *z, pz_real w
     int32_t moving = 1;
     int32_t mark = (int32_t)clamp((u - first) / step + ONE, ZERO, (pz_real)marks);
     pz_real slope = play_rise(p, 0, play_piece(p, 0, mark), falls);
+    /*@ loop unroll 0; */ /* for the proof: its cases, one by one, are too many */
     for (int32_t n = 0; n < count; ++n) {
-        const int more = mark < marks;
-        const int waits = moving < p->play_count;
-        pz_real next = first + (pz_real)mark * step;
-        int starts = 0;
-        if (waits) {
-            const pz_real begins = sign * z[moving] + p->play_threshold_V[moving];
-            starts = !more || begins < next;
-            next = starts ? begins : next;
-        }
-        if ((!more && !waits) || done + slope * (next - u) >= way) {
+        const pz_real bends = mark < marks ? first + (pz_real)mark * step : NOWHERE;
+        const pz_real begins =
+            moving < p->play_count ? sign * z[moving] + p->play_threshold_V[moving] : NOWHERE;
+        const pz_real next = begins < bends ? begins : bends;
+        if (!(next < NOWHERE) || done + slope * (next - u) >= way) {
             break;
         }
         if (next > u) {
             done += slope * (next - u);
             u = next;
         }
-        if (starts) {
+        if (begins < bends && moving < p->play_count) {
             slope += play_rise(p, moving, play_piece(p, moving, mark), falls);
             ++moving;
-        } else {
-            /* The lowest inner edge that a moving play can meet here, and those above it. */
-            int32_t k = mark < moving ? 1 : (mark - moving) / p->edge_steps + 1;
-            for (; k <= top && k * p->edge_steps <= mark; ++k) {
-                const int32_t i = mark - k * p->edge_steps;
-                slope += play_rise(p, i, k, falls) - play_rise(p, i, k - 1, falls);
+        } else if (mark < marks) {
+            /*@ loop unroll 0; */
+            for (int32_t i = mark % p->edge_steps; i < moving; i += p->edge_steps) {
+                const int32_t k = (mark - i) / p->edge_steps;
+                if (k >= 1 && k <= top) {
+                    slope += play_rise(p, i, k, falls) - play_rise(p, i, k - 1, falls);
+                }
             }
             ++mark;
         }

@@ -114,7 +114,7 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
         "dead_zones.ZERO": kinks,  # while (knot[i] < ZERO)
         "dead_zones.count": kinks,
         "value_inverse.count": inner * steps + 2 * counts["play_count"],  # marks and plays
-        "value_inverse.top": min(inner, -(-counts["play_count"] // max(steps, 1))),
+        "value_inverse.moving": -(-counts["play_count"] // max(steps, 1)),
         "shift_in.0": taps,  # from count - 1 down
         "pz_log.7": 7,
         "pz_log.3": 10,  # from 21 down, the odd ones
