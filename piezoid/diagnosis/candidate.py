@@ -163,7 +163,8 @@ def _of_columns(one: SelectedEffect, seen: ScoreTest, without: View, view: View)
             view=view,
         )
     trial = replace(seen.trial, columns=columns, parameters=one.parameters)
-    found = screened(one.effect, null_of(one.effect, without), [trial])
+    null = null_of(one.effect, without)
+    found = screened(one.effect, null, [trial], one_speed=view.one_speed)
     return Candidate(
         selected=one,
         cv=found.cv,

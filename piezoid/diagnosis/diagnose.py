@@ -19,6 +19,7 @@ from piezoid.diagnosis.healthy import chance_of, strengths_of_healthy
 from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
+from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
@@ -29,6 +30,7 @@ from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
+from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
 from piezoid.records.comparison import counted_in
@@ -175,7 +177,9 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
     stroke_m = abs(scales.displacement_m)
     rest = -scales.voltage_offset_V / scales.voltage_V
-    return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
+    view = view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
+    scope = scope_of(pieces_of(chosen, axis, scales, rig))
+    return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
 
 
 def _diagnosis(
