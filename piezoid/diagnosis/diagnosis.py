@@ -95,12 +95,12 @@ class Finding:
     held_out_rms_before_m: float
     held_out_rms_after_m: float
     p_value: float
-    rms_percent: float
     size: Size
+    rms_percent: float
+    parameters: Mapping[str, float]
     not_separable_from: tuple[str, ...]
     explanation: str
     next_experiment: str
-    parameters: Mapping[str, float]
     coordinate: str = ""
     law: str = ""
     seen: Seen | None = None
@@ -156,16 +156,16 @@ class Diagnosis:
     axis: str
     stroke_m: float
     baseline: HeldOut
-    final: HeldOut
-    envelope_rms_m: float
     noise_floor_rms_m: float
-    explained_fraction: float
+    envelope_rms_m: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
+    final: HeldOut
+    explained_fraction: float
     unexplained: Unexplained | None = None
+    counted: tuple[str, ...] = ()
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
-    counted: tuple[str, ...] = ()
 
     def told_in_counts(self, counted: tuple[str, ...]) -> "Diagnosis":
         """Return the diagnosis with its sizes and sentences in counts.
