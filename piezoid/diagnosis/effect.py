@@ -218,6 +218,11 @@ class Effect:
     may_be_absorbed: bool = False
     detectable_share: float = 2e-3
 
+    @property
+    def summary(self) -> str:
+        """Return the first paragraph of the explanation, on one line."""
+        return " ".join(self.explanation.partition("\n\n")[0].split())
+
     def resembles(self, other: "Effect") -> bool:
         """Tell whether one of the two may stand in the place of the other."""
         return other.name in self.confounded or self.name in other.confounded
