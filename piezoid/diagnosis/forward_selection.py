@@ -219,8 +219,6 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
     if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
         clean = with_bouc_wen(state.clean, bent.nuisance.bouc_wen)
         return replace(state, clean=clean, initial=None)
-    # an effect that is evidence but too small to name speaks against other initial states
-    least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
     if leaves_clearly_less(own, view, least):
         # beside selected effects they are not the same again: these follow the static response
         return replace(

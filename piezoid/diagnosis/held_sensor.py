@@ -12,13 +12,13 @@ Source: Jung & Gweon (2000) on the logarithm; Fleming & Leang (2014) on holding 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import erfc, log, sqrt
 
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import classes_of
@@ -85,16 +85,7 @@ def with_creep_of_holds(
     found = [one for one in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds) if one]
     if not found:
         return diagnosis
-    findings = sorted(
-        (*diagnosis.findings, max(found, key=lambda one: one.share)),
-        key=lambda one: one.held_out_gain,
-        reverse=True,
-    )
-    return replace(
-        diagnosis,
-        findings=tuple(findings),
-        not_detected=tuple(one for one in diagnosis.not_detected if one.effect != NAME),
-    )
+    return diagnosis.with_finding(max(found, key=lambda one: one.share))
 
 
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
@@ -151,7 +142,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
     goes_on = hold.step_V * fit.per_decade_V < 0.0
     if gain < WORTH or z < SURE or not goes_on or after > SLOWS * fit.cubic_V:
         return None
-    effect = next(one for one in EFFECTS if one.name == NAME)
+    effect = effect_named(NAME)
     percent = 100.0 * abs(fit.per_decade_V / hold.step_V)
     curve_m = abs(gain_m_per_V) * float(np.std(fit.curve_V))
     return Finding(
@@ -163,7 +154,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         rms_percent=100.0 * curve_m / diagnosis.stroke_m,
         size=Size(value=percent, unit=effect.unit, ci95=((1.0 - SLOPE) * percent, 1.05 * percent)),
         not_separable_from=(RIVAL,) if after > fit.cubic_V / SLOWS else (),
-        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} In "
+        explanation=f"{effect.summary} In "
         f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
         f"{told(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / {told(fit.scale_s, 's', 2)}): "
         f"{significant(percent, 2)} % of the {told(abs(hold.step_V), 'V')} before it in every "
