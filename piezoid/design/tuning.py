@@ -95,20 +95,20 @@ def kalman_gain(
 
 
 def _doubled(A: Array, G: Array, Q: Array) -> Array:
-    """Return X = A' X (I + G X)^-1 A + Q, each round doubling the horizon.
+    """Return P = A' P (I + G P)^-1 A + Q, each round doubling the horizon.
 
     A search asks thousands of times; ``scipy.linalg.solve_discrete_are`` takes four times as long.
 
     Source: Chu, Fan, Lin & Wang, International Journal of Control 77 (2004).
     """
-    X = Q
+    P: Array = Q
     for _ in range(_DOUBLINGS):
-        inner = np.linalg.solve(np.eye(len(A)) + G @ X, np.hstack([A, G]))
+        inner = np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G]))
         ahead, across = np.hsplit(inner, 2)
-        more = A.T @ X @ ahead
-        G, A, X = G + A @ across @ A.T, A @ ahead, X + more
-        if np.abs(more).max() <= _LAST_DIGIT * np.abs(X).max():
-            return X
+        more = A.T @ P @ ahead
+        G, A, P = G + A @ across @ A.T, A @ ahead, P + more
+        if np.abs(more).max() <= _LAST_DIGIT * np.abs(P).max():
+            return np.asarray(P)
     raise np.linalg.LinAlgError(f"after {_DOUBLINGS} doublings it is still changing")
 
 
