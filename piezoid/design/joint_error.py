@@ -130,9 +130,8 @@ def _branches(operator: ModifiedPrandtlIshlinskii, voltage_V: Array) -> tuple[Ar
     """
     v = operator.envelope.run(voltage_V)
     added = np.zeros((len(v), len(v)))
-    for width in range(1, len(v)):
-        half = 0.5 * (v[width:] - v[:-width])
-        added[width, : len(half)] = 2.0 * operator.plays.loading_curve(half)
+    high, low = np.tril_indices(len(v), -1)
+    added[high - low, low] = 2.0 * operator.plays.loading_curve(0.5 * (v[high] - v[low]))
     return added, -_first_rise(operator.plays, -v[0]), _first_rise(operator.plays, v[-1])
 
 

@@ -376,5 +376,9 @@ def _impulse(A: Array, B: Array, C: Array, direct: float, samples: int) -> Array
 
 
 def _characteristic(matrix: Array) -> Array:
-    """Return det(I - q^-1 M), monic in q^-1."""
-    return np.ascontiguousarray(np.poly(matrix).real, dtype=np.float64)
+    """Return det(I - q^-1 M), monic in q^-1: np.poly, whose loop a search would wait for."""
+    polynomial = [1.0 + 0.0j]
+    for root in np.linalg.eigvals(matrix).tolist():
+        shifted = [0.0, *polynomial]
+        polynomial = [a - root * b for a, b in zip([*polynomial, 0.0], shifted, strict=True)]
+    return np.array(polynomial).real.copy()

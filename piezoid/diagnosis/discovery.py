@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from math import exp, log, sqrt
 
 import numpy as np
+from scipy.special import chdtrc
 
 from piezoid.diagnosis.coordinates import (
     TIME_KNOTS,
@@ -381,8 +382,6 @@ def _refined(remainder: Remainder, along: Sequence[Array], near: float, width: f
 
 def _of_index(remainder: Remainder) -> CoordinateScore | None:
     """Return what cells that repeat with the index of the sample make of the remainder."""
-    from scipy.stats import chi2
-
     view = remainder.view
     score = np.zeros(LONGEST_PERIOD + 1)
     for period in range(2, LONGEST_PERIOD + 1):
@@ -401,7 +400,7 @@ def _of_index(remainder: Remainder) -> CoordinateScore | None:
         return None
     freedom = best * len(view.tracks)
     value = score[best] * sqrt(2.0 * best) + freedom
-    p_value = min(1.0, LONGEST_PERIOD * float(chi2.sf(value, freedom)))
+    p_value = min(1.0, LONGEST_PERIOD * float(chdtrc(freedom, value)))
     return remainder.lives(every(view, best), p_value)
 
 

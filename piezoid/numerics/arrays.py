@@ -1,6 +1,7 @@
 """What a record does to an array before it trusts it: copy, check, freeze."""
 
 from collections.abc import Mapping, Sequence
+from math import isfinite
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +22,8 @@ def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
     array = np.array(values, dtype=np.float64, order="C", copy=True)
     if array.ndim != ndim:
         raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
-    if not np.isfinite(array).all():
+    # the sum of squares is finite for nearly all, and a third of the time
+    if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):
         place = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
         raise ValueError(f"{name}[{place}] is {array.ravel()[place]}, expected finite numbers")
     array.setflags(write=False)

@@ -31,8 +31,12 @@ def unit_circle(frequency_Hz: ArrayLike, sampling_rate_Hz: float) -> Response:
 
 def polynomial_response(polynomial: ArrayLike, delay_operator: Response) -> Response:
     """Return p(q^-1) on given values of q^-1."""
-    coefficients = np.asarray(polynomial, dtype=np.float64)[::-1]
-    return np.asarray(np.polyval(coefficients, delay_operator))
+    coefficients = np.asarray(polynomial, dtype=np.float64).tolist()
+    found = np.full(delay_operator.shape, coefficients[-1], dtype=np.complex128)
+    for coefficient in coefficients[-2::-1]:
+        found *= delay_operator
+        found += coefficient
+    return found
 
 
 def response(B: ArrayLike, A: ArrayLike, frequency_Hz: ArrayLike, rate_Hz: float) -> Response:

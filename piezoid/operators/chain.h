@@ -52,7 +52,7 @@ typedef struct {
  *   wanted    (rows,)     samples of this chunk, in order; one may come more than once
  *   carry     (4 plays + 5 columns,)  in/out: z, dz/dr, dz/dz(0) and the drive when last moved of
  *             every play; the row before; last inputs and outputs of the two filters
- *   tile      ((PK_CHAIN_TILE + 2) columns,)  for the kernel's own use
+ *   tile      ((PK_CHAIN_TILE + 1) columns,)  for the kernel's own use
  *   memory    (plays, stride)            out: by the memory slopes
  *   column    (columns - plays, stride)  out: the others
  */

@@ -131,7 +131,7 @@ class Following:
         self._carry[3 * plays : 4 * plays] = first_drive
         inner = float(chain.envelope.run(np.array([first_drive]))[0])
         self._carry[:plays] = inner + np.cumsum(chain.gap * chain.memory_slope)
-        self._tile = np.empty((TILE + 2) * every)
+        self._tile = np.empty((TILE + 1) * every)
         self._begun = False
         self._kept = _kept(chain)
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.signal import resample_poly
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
@@ -151,6 +150,8 @@ def fine_drive(drive: Array, sampling_rate_Hz: float, steps: int, hold: Hold) ->
     if hold == "zero_order":
         values = np.concatenate([np.repeat(given[:-1], finer), given[-1:]])
     else:
+        from scipy.signal import resample_poly
+
         pad = min(TAPS, len(given) - 1)
         before = 2.0 * given[0] - given[pad:0:-1]
         after = 2.0 * given[-1] - given[-2 : -pad - 2 : -1]

@@ -13,7 +13,7 @@ from piezoid.operators.linear import (
     fraction,
     resonance,
     sample,
-    sampled_response,
+    sampled_fractions,
 )
 
 RATE_HZ = 20_000.0
@@ -101,21 +101,45 @@ def test_a_record_cut_in_two_runs_like_one(rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("delay_samples", [0.0, 0.3, 1.0, 53.75])
-@pytest.mark.parametrize("before", [[], [first_order(4000)]], ids=["two states", "three"])
+@pytest.mark.parametrize("damping", [0.02, 1.0, 3.0])
+@pytest.mark.parametrize("before", [[], [4000], [4000, 4000]], ids=["none", "one", "two alike"])
 def test_the_response_behind_a_hold_is_that_of_the_states_it_does_without(
-    delay_samples: float, before: list[ContinuousSystem]
+    delay_samples: float, damping: float, before: list[float]
 ) -> None:
-    late = ContinuousSystem(
-        **{name: getattr(resonance(630, 0.02), name) for name in "ABC"},
-        D=np.array([[0.25]]),
-        delay_s=delay_samples / RATE_HZ,
+    mode, delay_s = resonance(630, damping, 2e-5), delay_samples / RATE_HZ
+    late = ContinuousSystem(A=mode.A, B=mode.B, C=mode.C, D=mode.D, delay_s=delay_s)
+    chain, frequency_Hz = cascade(*map(first_order, before), late), np.linspace(10, 9900, 50)
+    w, filters = 2 * np.pi * 630, 2 * np.pi * np.array(before)
+    pole = [*(w * (-damping + np.array([1, -1]) * np.sqrt(damping**2 - 1 + 0j))), *-filters]
+    found = sampled_fractions(
+        np.prod(filters) * np.array([[[w**2, 2e-5 * w**2]]]),
+        np.array([pole]),
+        np.array([delay_s]),
+        RATE_HZ,
+        frequency_Hz,
     )
-    chain, frequency_Hz = cascade(*before, late), np.linspace(10, 9900, 50)
+    alike = damping == 1.0 or len(before) == 2
     np.testing.assert_allclose(
-        sampled_response(chain, RATE_HZ, frequency_Hz),
-        sample(chain, RATE_HZ).response(frequency_Hz),
-        atol=ROUNDING,
+        found[0, :, 0],
+        sample(chain, RATE_HZ).response(frequency_Hz)[:, 0, 0],
+        atol=1e-9 if alike else ROUNDING,
     )
+
+
+@pytest.mark.parametrize("delay_samples", [0.0, 0.3, 2.0])
+def test_what_has_no_pole_passes_what_has_arrived(delay_samples: float) -> None:
+    none = np.zeros((0, 0))
+    direct = ContinuousSystem(
+        A=none, B=none.T.reshape(0, 1), C=none.reshape(1, 0), D=np.ones((1, 1)),
+        delay_s=delay_samples / RATE_HZ,
+    )  # fmt: skip
+    frequency_Hz = np.linspace(10, 9900, 50)
+    found = sampled_fractions(
+        np.ones((1, 1, 1)), np.zeros((1, 0), complex), np.array([direct.delay_s]), RATE_HZ,
+        frequency_Hz,
+    )  # fmt: skip
+    expected = sample(direct, RATE_HZ).response(frequency_Hz)
+    np.testing.assert_allclose(found[0], expected[:, :, 0], atol=ROUNDING)
 
 
 def test_the_fraction_has_the_response_of_the_sampled_system() -> None:

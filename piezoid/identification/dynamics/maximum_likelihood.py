@@ -11,7 +11,6 @@ from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import (
     Lines,
     Structure,
-    Term,
     basis,
     term_columns,
     terms_of,
@@ -273,7 +272,7 @@ def _fitted(
     return _Fitted(lines=lines, structure=structure, shape=shape, weight=weight, paths=solved)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Slope:
     """What one shape parameter does to the columns it touches."""
 
@@ -284,24 +283,24 @@ class _Slope:
 def _slopes(lines: Lines, structure: Structure, shape: Array) -> list[_Slope]:
     """Central differences of the columns by each shape parameter, the delay last."""
     terms = terms_of(structure)
-    found = {
-        p: _difference(lines, (term,), shape, p, STEP) for term in terms for p in term.parameters
-    }
-    late = _difference(lines, terms, shape, len(shape) - 1, STEP / lines.sampling_rate_Hz)
-    return [*(found[p] for p in range(len(found))), late]
-
-
-def _difference(
-    lines: Lines, terms: tuple[Term, ...], shape: Array, parameter: int, step: float
-) -> _Slope:
-    up, down = shape.copy(), shape.copy()
-    up[parameter] += step
-    down[parameter] -= step
-    down[-1] = max(down[-1], 0.0)  # at delay zero the difference is one-sided
-    width = up[parameter] - down[parameter]
-    change = [term_columns(lines, t, up) - term_columns(lines, t, down) for t in terms]
-    columns = [column for term in terms for column in term.columns]
-    return _Slope(columns=columns, change=np.concatenate(change, axis=1) / width)
+    found: dict[int, _Slope] = {}
+    late = []
+    for term in terms:
+        numbers = [*term.parameters, len(shape) - 1]
+        step = np.zeros((len(numbers), len(shape)))
+        step[range(len(numbers)), numbers] = STEP
+        step[-1, -1] /= lines.sampling_rate_Hz
+        both = np.concatenate([shape + step, shape - step])
+        both[:, -1] = np.maximum(both[:, -1], 0.0)  # at delay zero the difference is one-sided
+        width = (both[: len(step)] - both[len(step) :]).sum(axis=1)
+        up, down = np.split(term_columns(lines, term, both), 2)
+        change = (up - down) / width[:, None, None]
+        columns = list(term.columns)
+        found |= {p: _Slope(columns, c) for p, c in zip(term.parameters, change, strict=False)}
+        late.append(_Slope(columns, change[-1]))
+    together = [column for slope in late for column in slope.columns]
+    delay = _Slope(together, np.concatenate([slope.change for slope in late], axis=1))
+    return [*(found[p] for p in range(len(found))), delay]
 
 
 def _tangent(slopes: list[_Slope], gains: Array) -> ComplexArray:

@@ -8,14 +8,7 @@ import numpy as np
 
 from piezoid.identification.dynamics.frequency_response import ComplexArray
 from piezoid.numerics.arrays import Array
-from piezoid.operators.linear import (
-    ContinuousSystem,
-    butterworth,
-    cascade,
-    first_order,
-    resonance,
-    sampled_response,
-)
+from piezoid.operators.linear import ContinuousSystem, butterworth, sampled_fractions
 
 Hold = Literal["band_limited", "zero_order"]
 
@@ -92,17 +85,27 @@ class Lines:
     hold: Hold
     declared: tuple[Filter, ...] = ()
 
-    def look_at(self, system: ContinuousSystem) -> ComplexArray:
-        """Return the response of a system of one input behind the declared chain."""
+    def look_at(self, numerator: Array, pole: ComplexArray, delay_s: Array) -> ComplexArray:
+        """Return responses behind the declared chain, (systems, lines, outputs).
+
+        numerator, pole, delay_s  as for ``sampled_fractions``
+        """
+        f = self.frequency_Hz
         if self.hold == "zero_order":
-            whole = system if self._before is None else cascade(self._before, system)
-            return sampled_response(whole, self.sampling_rate_Hz, self.frequency_Hz)[:, :, 0]
-        return system.response(self.frequency_Hz)[:, :, 0] * self._chain[:, None]
+            before = np.broadcast_to(self._before, (len(pole), len(self._before)))
+            numerator, pole = numerator * np.prod(-self._before).real, np.hstack([pole, before])
+            return sampled_fractions(numerator, pole, delay_s, self.sampling_rate_Hz, f)
+        s = 2j * np.pi * f
+        powers = s[:, None] ** np.arange(numerator.shape[2])
+        factor = self._chain * np.exp(-s * delay_s[:, None])
+        factor /= np.prod(s[:, None] - pole[:, None], axis=2)
+        return np.asarray(powers @ np.swapaxes(numerator, 1, 2) * factor[:, :, None])
 
     @cached_property
-    def _before(self) -> ContinuousSystem | None:
-        """The declared filters one after the other, the same for every shape."""
-        return cascade(*[f.system() for f in self.declared]) if self.declared else None
+    def _before(self) -> ComplexArray:
+        """The poles of the declared filters, the same for every shape."""
+        poles = [np.linalg.eigvals(f.system().A).astype(complex) for f in self.declared]
+        return np.concatenate([np.zeros(0, dtype=complex), *poles])
 
     @cached_property
     def _chain(self) -> ComplexArray:
@@ -142,39 +145,41 @@ def terms_of(structure: Structure) -> tuple[Term, ...]:
     return tuple(found)
 
 
-def term_columns(lines: Lines, term: Term, shape: Array) -> ComplexArray:
-    """Return the values of one term's columns, (lines, columns of the term).
+def term_columns(lines: Lines, term: Term, shapes: Array) -> ComplexArray:
+    """Return the values of one term's columns, (shapes, lines, columns of the term).
 
-    shape  (shapes,)  log frequency of modes, log damping, log frequency of lags, delay
+    shapes  (shapes, numbers)  log frequency of modes, log damping, log frequency of lags, delay
 
     A mode's columns are those of its gain g and of h w.
     """
-    inner = _SYSTEMS[term.kind](np.exp(shape[list(term.parameters)]))
-    late = ContinuousSystem(A=inner.A, B=inner.B, C=inner.C, D=inner.D, delay_s=float(shape[-1]))
-    return lines.look_at(late)[:, : len(term.columns)]
+    numerator, pole = _FRACTIONS[term.kind](np.exp(shapes[:, list(term.parameters)]))
+    return lines.look_at(numerator[:, : len(term.columns)], pole, shapes[:, -1])
 
 
 def basis(lines: Lines, structure: Structure, shape: Array) -> ComplexArray:
     """Return all columns in the order of ``Structure.columns``, (lines, columns)."""
     found = np.empty((len(lines.frequency_Hz), structure.columns), dtype=np.complex128)
     for term in terms_of(structure):
-        found[:, list(term.columns)] = term_columns(lines, term, shape)
+        found[:, list(term.columns)] = term_columns(lines, term, shape[None])[0]
     return found
 
 
-def _mode(parameters: Array) -> ContinuousSystem:
-    frequency_Hz, damping = parameters
-    both = resonance(float(frequency_Hz), float(damping))
-    return ContinuousSystem(A=both.A, B=both.B, C=np.eye(2), D=np.zeros((2, 1)))
+def _mode(parameters: Array) -> tuple[Array, ComplexArray]:
+    """Return w^2 and s w over s^2 + 2 zeta w s + w^2."""
+    w, damping = 2.0 * np.pi * parameters[:, 0], parameters[:, 1]
+    half = np.sqrt(damping**2 - 1.0 + 0j)
+    pole = (w * np.array([-damping + half, -damping - half])).T
+    none = np.zeros(len(w))
+    return np.moveaxis(np.array([[w**2, none], [none, w]]), 2, 0), pole
 
 
-def _lag(parameters: Array) -> ContinuousSystem:
-    return first_order(float(parameters[0]))
+def _lag(parameters: Array) -> tuple[Array, ComplexArray]:
+    w = 2.0 * np.pi * parameters
+    return w[:, :, None], -w.astype(complex)
 
 
-def _direct(_: Array) -> ContinuousSystem:
-    none = np.zeros((0, 0))
-    return ContinuousSystem(A=none, B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=np.ones((1, 1)))
+def _direct(parameters: Array) -> tuple[Array, ComplexArray]:
+    return np.ones((len(parameters), 1, 1)), np.zeros((len(parameters), 0), dtype=complex)
 
 
-_SYSTEMS = {"mode": _mode, "lag": _lag, "direct": _direct}
+_FRACTIONS = {"mode": _mode, "lag": _lag, "direct": _direct}

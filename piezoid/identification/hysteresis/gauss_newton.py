@@ -151,6 +151,7 @@ def _piece_triangle(
     memory = int(np.count_nonzero(wanted[: task.coordinates.shape.plays]))
     columns = int(np.count_nonzero(wanted))
     early, later = empty_triangle(columns), empty_triangle(columns - memory)
+    end = memory  # what is forgotten stays so
     for rows in rows_of(
         theta,
         task.coordinates,
@@ -159,10 +160,11 @@ def _piece_triangle(
         sensor_pole=task.sensor_pole_Hz,
         stride=task.stride,
     ):
-        block = rows.block.T[wanted].T
-        aware = np.flatnonzero(block[:, :memory].any(axis=1))
-        end = int(aware[-1]) + 1 if len(aware) else 0
-        early = gather(early, block[:end], spend=True)
+        block = rows.block if wanted.all() else rows.block.T[wanted].T
+        if end:
+            aware = np.flatnonzero(block[:, :memory].any(axis=1))
+            end = int(aware[-1]) + 1 if len(aware) else 0
+            early = gather(early, block[:end], spend=True)
         later = gather(later, block[end:, memory:], spend=True)
     early[memory:, memory:] = gather(later, early[memory:, memory:])
     return early, places[wanted[:-1]]

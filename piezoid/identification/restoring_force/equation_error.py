@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.levenberg_marquardt import (
@@ -34,6 +33,7 @@ from piezoid.operators.hysteretic_mode import (
     bouc_wen_states,
     fine_drive,
 )
+from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns
 
 FINER = 4  # of the filters, per sample: what is tried at half the sampling rate is held wrong
@@ -109,7 +109,7 @@ class _Signals:
 
     def _filtered(self, top: list[float], natural: tuple[float, float], signal: Array) -> Array:
         b, a = second_order(top, natural, self.rate_Hz)
-        return np.asarray(lfilter(b, a, signal))
+        return recursive_filter(b, a, signal)
 
 
 def second_order(

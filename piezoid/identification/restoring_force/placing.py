@@ -14,7 +14,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.restoring_force.equation_error import second_order, weighed
@@ -25,6 +24,7 @@ from piezoid.numerics.executor import on_one_thread
 from piezoid.numerics.levenberg_marquardt import Rows, Rule, minimise
 from piezoid.numerics.robust import student_quantile
 from piezoid.operators.hysteretic_mode import Hold, bouc_wen_states, fine_drive
+from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns
 from piezoid.record_json import Unbounded
 from piezoid.records.recording import Recording
@@ -203,16 +203,18 @@ class _Cascades:
         top, bottom = second_order([frequency**2], natural, self.rate_Hz)
         if place == "before":
             states = _states(self.drive, law, x[2:])
-            made = lfilter(top, bottom, states - states[0], axis=0)
+            made = np.column_stack(
+                [recursive_filter(top, bottom, one) for one in (states - states[0]).T]
+            )
         else:
-            moved = _normalised(lfilter(top, bottom, self.drive - self.drive[0]))
+            moved = _normalised(recursive_filter(top, bottom, self.drive - self.drive[0]))
             made = _states(moved, law, x[2:])
         if law == "bent":
             late = np.concatenate([np.repeat(made[:1], FINER, axis=0), made[:-FINER]])
             made = np.column_stack([made, late])
         impulse = np.zeros(len(self.drive))
         impulse[0] = 1.0
-        free = lfilter(top, bottom, impulse)
+        free = recursive_filter(top, bottom, impulse)
         free /= np.abs(free).max()
         late = np.concatenate([[0.0], free[:-1]])
         return np.column_stack([made, free, late, np.ones(len(free))])[::FINER]

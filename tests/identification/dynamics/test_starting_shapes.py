@@ -10,7 +10,6 @@ from piezoid.identification.dynamics.fit_dynamics import (
     _shape_of_poles,
     _trial_delays,
 )
-from piezoid.identification.dynamics.modal_basis import _direct
 from piezoid.identification.dynamics.vector_fitting import weighted_misfit
 
 
@@ -55,9 +54,3 @@ def test_a_response_made_of_its_poles_is_missed_by_nothing_and_any_other_by_its_
     ]
     assert misfit[0] == pytest.approx(0.0, abs=1e-20)
     assert misfit[2] == pytest.approx(4.0 * misfit[1])
-
-
-def test_what_passes_directly_is_one_input_on_one_output_without_a_state() -> None:
-    system = _direct(np.zeros(0))
-    assert (system.A.shape, system.B.shape, system.C.shape) == ((0, 0), (0, 1), (1, 0))
-    assert system.D.tolist() == [[1.0]]
