@@ -195,7 +195,7 @@ def _limits(design: AxisDesign) -> Given:
 
 def _range(model: AxisModel, design: AxisDesign) -> Given:
     """Return what the model reaches between the voltage limits, and what to believe."""
-    asked, operator = design.specification, model.hysteresis
+    asked, operator = design.specification, model.operator
     ends = np.array([asked.voltage_min_V, asked.voltage_max_V, asked.voltage_min_V])
     moved, _ = operator.run(ends, operator.virgin_memory())
     offset = operator.displacement_offset_m

@@ -27,7 +27,13 @@ from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.hysteresis.certificate import DRAWS, SEED
 from piezoid.identification.hysteresis.jackknife import BLOCKS
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import AxisModel, Believed, MinorLoops, PieceStart
+from piezoid.identification.model import (
+    AxisModel,
+    Believed,
+    FunctionOrder,
+    MinorLoops,
+    PieceStart,
+)
 from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
 from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
@@ -160,11 +166,28 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         rows = [part for r in recordings for part in _rows(bare, r, lattice)]
         return _tried(rows, lattice, bare.quality.range_m)
 
-    largest = tried(SHAPES[-1])
-    if not largest.is_better_than(bare.quality.held_out_rms_m):
+    found = [tried(SHAPES[-1])]
+    if not len(found[0].error_m):
         return bare
-    smaller = (shape for shape in map(tried, SHAPES[:-1]) if shape.rms_m <= CLOSE * largest.rms_m)
-    return _restarted(_taken(bare, next(smaller, largest)), recordings)
+    if found[0].is_better_than(bare.quality.held_out_rms_m):
+        for pieces in SHAPES[:-1]:
+            found.append(tried(pieces))
+            if found[-1].rms_m <= CLOSE * found[0].rms_m:
+                break
+    orders = tuple(
+        FunctionOrder(
+            plays=one.lattice.plays,
+            pieces=one.lattice.pieces,
+            held_out_rms_m=one.rms_m,
+            plain_rms_m=_rms(one.left_m),
+        )
+        for one in found
+    )
+    known = replace(bare, function_orders=orders)
+    if len(found) == 1:
+        return known
+    close = found[-1].rms_m <= CLOSE * found[0].rms_m
+    return _restarted(_taken(known, found[-1 if close else 0]), recordings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,8 +215,6 @@ class _Tried:
         Never where they predict worse than plays tell the same rows, which they were fitted to:
         what plays fail to predict is then no shape of loops.
         """
-        if not len(self.error_m):
-            return False
         return self.rms_m <= min(held_out_rms_m / WORTH, _rms(self.left_m))
 
 

@@ -169,6 +169,21 @@ class MinorLoops:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FunctionOrder:
+    """Plays behind functions as they were tried.
+
+    plays, pieces   how many, and of how many straight pieces every function is
+    held_out_rms_m  what they leave of rows they were not fitted to, once pasts are forgotten
+    plain_rms_m     what plays with dead zones leave of these, though they were fitted to them
+    """
+
+    plays: int
+    pieces: int
+    held_out_rms_m: float
+    plain_rms_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Believed:
     """How far a fit may be believed, where another one took its place."""
 
@@ -199,6 +214,7 @@ class AxisModel:
     extensions   what a diagnosis added, in the order in which they act
     minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
                  diagnosis still goes; None where it predicts no better
+    function_orders  plays behind functions that were tried, the largest first
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -225,6 +241,7 @@ class AxisModel:
     response: ResponseFit | None = None
     extensions: tuple[Extension, ...] = ()
     minor_loops: MinorLoops | None = None
+    function_orders: tuple[FunctionOrder, ...] = ()
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()

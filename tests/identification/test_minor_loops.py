@@ -79,6 +79,8 @@ def test_what_plays_and_dead_zones_follow_keeps_its_bounded_inverse():
     plain, found = fitted("plays")
     assert found.minor_loops is None
     assert found.verdict == plain.verdict
+    (tried,) = found.function_orders
+    assert tried.held_out_rms_m > tried.plain_rms_m  # and it is told that functions were tried
 
 
 def led_m(axis: AxisModel, wanted_m: Array) -> Array:
