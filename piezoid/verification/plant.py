@@ -216,7 +216,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
             activation_s=time_s,
             activation_m=strain_m,
         ),
-        rest_voltage_V=float(np.clip(model.hysteresis.voltage_offset_V, low_V, high_V)),
+        rest_voltage_V=float(np.clip(model.operator.voltage_offset_V, low_V, high_V)),
         delay_s=loop.delay_s,
         amplifier=tuple(Section(frequency_Hz=f) for f in front_Hz),
         sensor=tuple(Section(frequency_Hz=f) for f in _poles_Hz(loop.sensor)),
