@@ -40,16 +40,16 @@ from piezoid.diagnosis.rest_columns import (
     LINE,
     OTHERS,
     Columns,
-    GRIDS_Hz,
     Rest,
     held,
     line_in,
     rest_columns,
     spectrum_of,
 )
+from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
-from piezoid.diagnosis.unnamed import NEXT, classes_of
+from piezoid.diagnosis.unnamed import NEXT, seen_in_classes
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
@@ -208,17 +208,9 @@ def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
     curve = every[:, -width:] @ coefficients[-width:]
     left = y - y.mean() - every @ coefficients + curve
     reversals = (found.time_s * found.line_Hz) % 1.0
-    place, *kinds = classes_of(found.time_s if name == JUMP else reversals, left, curve)
-    low, median, high, fitted = (tuple(kind.tolist()) for kind in kinds)
-    return Seen(
-        unit="s" if name == JUMP else "",
-        place=tuple(place.tolist()),
-        low_m=low,
-        median_m=median,
-        high_m=high,
-        fitted_m=fitted,
-        recording=found.recording if name == JUMP else "",
-    )
+    if name == JUMP:
+        return seen_in_classes(found.time_s, left, curve, unit="s", recording=found.recording)
+    return seen_in_classes(reversals, left, curve, unit="")
 
 
 @dataclass(frozen=True, kw_only=True)

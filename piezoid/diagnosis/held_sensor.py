@@ -12,7 +12,7 @@ Source: Jung & Gweon (2000) on the logarithm; Fleming & Leang (2014) on holding 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erfc, log, sqrt
 
 import numpy as np
@@ -21,7 +21,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
 from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
-from piezoid.diagnosis.unnamed import classes_of
+from piezoid.diagnosis.unnamed import seen_in_classes
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
 from piezoid.records.plausibility import held_stretch, is_held_throughout
@@ -196,15 +196,11 @@ def _seen(hold: _Hold, fit: _Fit, gain_m_per_V: float) -> Seen:
     """Return the picture: what the stage would have crept, against the time since the move."""
     drive_V = hold.drive_V - hold.drive_V.mean()
     decades = np.log10(np.maximum(hold.time_s, fit.scale_s))
-    place, low, median, high, fitted = classes_of(
-        decades, gain_m_per_V * drive_V, gain_m_per_V * fit.curve_V
-    )
-    return Seen(
+    found = seen_in_classes(
+        decades,
+        gain_m_per_V * drive_V,
+        gain_m_per_V * fit.curve_V,
         unit="s",
-        place=tuple((10.0**place).tolist()),
-        low_m=tuple(low.tolist()),
-        median_m=tuple(median.tolist()),
-        high_m=tuple(high.tolist()),
-        fitted_m=tuple(fitted.tolist()),
         recording=hold.recording,
     )
+    return replace(found, place=tuple(10.0**decade for decade in found.place))

@@ -5,7 +5,6 @@ It tells where to look. What counts is said in ``judgement``, with the real thin
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05
 APART = 0.03  # of a column, by length: what the null must leave of a lag to tell it from a loop
-AS_MUCH = 0.8  # of the best gain
 TINY = 1e-12  # of a column: nothing is left of it
 Row = tuple[Trial, CrossValidated, Array]
 
@@ -85,7 +83,7 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: 
     real = [(t, held, c) for t, held, c in judged if t.physical]
     separable = [row for row in real if not (one_speed and row[0].needs_time) and _is_apart(row)]
     allowed = [row for row in separable if _sound(effect, row[0], row[1])]
-    trial, held, columns = _best(effect, allowed or real)
+    trial, held, columns = max(allowed or real, key=lambda row: row[1].gain)
     share, bound = _shares(held, columns)
     return ScoreTest(
         effect=effect,
@@ -100,18 +98,6 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: 
         separable=bool(separable),
         total_gain=held.gain,
     )
-
-
-def _best(effect: Effect, rows: Sequence[Row]) -> Row:
-    """Return the trial that gains most; of limits, of those that gain as much, the likeliest.
-
-    A clip a tenth as deep has the same tangent with ten times the share, and clips nothing.
-    """
-    best = max(rows, key=lambda row: row[1].gain)
-    if effect.drive_filter is None or best[1].gain <= 0.0:
-        return best
-    near = [row for row in rows if row[1].gain >= AS_MUCH * best[1].gain]
-    return min(near, key=lambda row: abs(log(abs(float(row[1].coefficient[0])) + 1e-12)))
 
 
 def _sound(effect: Effect, trial: Trial, held: CrossValidated) -> bool:
