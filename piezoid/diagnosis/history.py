@@ -12,10 +12,10 @@ import numpy as np
 
 from piezoid.diagnosis.initial_states import Reversals, memory_after
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape
-from piezoid.diagnosis.tracks import Places, Track, way_to
+from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
-from piezoid.operators.play import play_columns
+from piezoid.operators.play import play_columns, way_to
 
 CHUNK = 65536
 ONCE_BEYOND = (0.0, 0.5)  # of half the range: where walls are moved for good

@@ -34,9 +34,10 @@ from piezoid.diagnosis.shape import (
     states_under,
     write_shape,
 )
-from piezoid.diagnosis.tracks import Places, Track, way_to
+from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
+from piezoid.operators.play import way_to
 
 FORGETTING = 4  # groups of plays whose first states each track may correct
 MEMORY = FORGETTING + 2 * len(ONCE_BEYOND)  # columns of it, what was poled for good among them

@@ -16,6 +16,7 @@ from piezoid.identification.hysteresis.pieces import (
 from piezoid.numerics.arrays import Array, frozen
 from piezoid.numerics.executor import Once
 from piezoid.operators.linear import recursive_filter
+from piezoid.operators.play import way_to
 from piezoid.records.recording import Quantity, Recording
 
 ROWS = 12_000  # of all tracks together
@@ -102,21 +103,6 @@ class Track:
     def duration_s(self) -> float:
         """Time from the first sample to the last."""
         return (len(self.drive) - 1) / self.rate_Hz
-
-
-def way_to(drive: Array, place: Places) -> tuple[Array, Places]:
-    """Return a drive where it says all of its way to some rows, and the rows in that.
-
-    place     (rows,)     samples in rising order
-    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
-    """
-    moves = np.flatnonzero(np.diff(drive))
-    up = drive[moves + 1] > drive[moves]
-    reversals = moves[np.flatnonzero(up[1:] != up[:-1]) + 1]
-    told = np.zeros(len(drive), dtype=bool)
-    told[0] = told[reversals] = told[place] = True
-    way = np.flatnonzero(told)
-    return drive[way], np.searchsorted(way, place)
 
 
 def tracks_of(

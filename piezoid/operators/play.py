@@ -5,11 +5,42 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.library import KERNELS, address, contiguous
 
+Places = NDArray[np.intp]
+
 BLOCK = 1 << 15  # rows: some megabytes for a bank of plays
+
+
+def turns_of(drive: Array) -> NDArray[np.bool_]:
+    """Return which samples of a drive are its first or a turn, (samples,)."""
+    moves = np.flatnonzero(np.diff(drive))
+    up = drive[moves + 1] > drive[moves]
+    told = np.zeros(len(drive), dtype=bool)
+    told[:1] = told[moves[np.flatnonzero(up[1:] != up[:-1]) + 1]] = True
+    return told
+
+
+def way_to(
+    drive: Array, place: Places, *, before: bool = False, turns: NDArray[np.bool_] | None = None
+) -> tuple[Array, Places]:
+    """Return a drive where it says all of its way to some samples, and their places in that.
+
+    place     (rows,)     samples in rising order
+    before    whether the samples before them are told as well
+    turns     (samples,)  ``turns_of`` the drive, where they are known
+    returned  (samples,)  first sample, turns and rows; (rows,) their places among these
+
+    Plays end there in the same states to the last bit.
+    """
+    told = turns_of(drive) if turns is None else turns.copy()
+    told[place] = True
+    if before:
+        told[np.maximum(place - 1, 0)] = True
+    return drive[told], (np.cumsum(told) - 1)[place]
 
 
 def play_columns(voltage_V: Array, threshold_V: Array, memory_V: Array) -> tuple[Array, Array]:

@@ -9,9 +9,9 @@ from piezoid.diagnosis.history import History, states_at
 from piezoid.diagnosis.initial_states import memory_after
 from piezoid.diagnosis.nuisance import MEMORY, NuisanceClass
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape_columns, states_under
-from piezoid.diagnosis.tracks import Track, way_to
+from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import with_commands, with_free_memory, with_reversals, with_tracks
-from piezoid.operators.play import first_carry, play_columns, play_tangents
+from piezoid.operators.play import first_carry, play_columns, play_tangents, way_to
 
 from .bench import healthy_view
 

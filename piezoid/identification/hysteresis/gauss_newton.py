@@ -95,8 +95,8 @@ def rms_of(theta: Array, task: Task) -> float:
     total, count = 0.0, 0
     for index, piece in enumerate(task.pieces):
         rows = piece.counting(task.stride)
-        output = simulate(theta, task.coordinates, index, piece, task.sensor_pole_Hz)
-        error = output[rows] - piece.response[rows]
+        output = simulate(theta, task.coordinates, index, piece, task.sensor_pole_Hz, rows)
+        error = output - piece.response[rows]
         total += float(error @ error)
         count += len(error)
     return float(np.sqrt(total / count))

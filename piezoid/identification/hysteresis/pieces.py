@@ -4,11 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
 from piezoid.identification.hysteresis.filters import filter_columns, first_order
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Samples
+from piezoid.operators.play import turns_of
 from piezoid.records.recording import Recording
 from piezoid.records.rest import is_at_rest
 
@@ -67,6 +70,11 @@ class Piece:
 
     def __post_init__(self) -> None:
         freeze(self, "drive", "response")
+
+    @Once
+    def turns(self) -> NDArray[np.bool_]:
+        """Which samples of the drive are its first or a turn, (samples,)."""
+        return turns_of(self.drive)
 
     @property
     def rows(self) -> int:

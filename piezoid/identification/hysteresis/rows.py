@@ -17,10 +17,12 @@ from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
 from piezoid.operators.chain import Chain, FirstOrder, Following, Samples
 from piezoid.operators.dead_zone import LINEAR, from_slopes
+from piezoid.operators.play import way_to
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 CHUNK = 1024  # rows written together: about what the second cache holds
 
+SPARSE = 3  # samples a row, from which on the way from row to row is shorter
 QUICK = 0.5  # samples: a declared pole quicker than this acts as a delay
 
 
@@ -64,24 +66,50 @@ def starting_memory(theta: Array, coordinates: Coordinates, index: int, piece: P
 
 
 def simulate(
-    theta: Array, coordinates: Coordinates, index: int, piece: Piece, rig_pole: float | None
+    theta: Array,
+    coordinates: Coordinates,
+    index: int,
+    piece: Piece,
+    rig_pole: float | None,
+    at: Samples | None = None,
 ) -> Array:
-    """Return the model's output over a whole piece, (samples,), without tangents."""
+    """Return the model's output over a whole piece, (samples,), without tangents.
+
+    at  (rows,)  samples in rising order that alone are asked for
+    """
     operator = operator_of(theta, coordinates)
+    lag_s, pole_Hz = _declared(coordinates, operator, piece, rig_pole)
+    kind, rate_Hz = coordinates.shape.lag, piece.sampling_rate_Hz
     slopes = theta[coordinates.memory_slice(index)]
-    drive = _bent(operator, piece.drive)
-    memory = np.concatenate([drive[:1], drive[0] + np.cumsum(operator.gap * slopes)])
+    sample = np.arange(len(piece.drive)) if at is None else at
+    if kind == "delay" and pole_Hz is None and SPARSE * len(sample) < len(piece.drive):
+        whole = int(np.floor(lag_s * rate_Hz))
+        part = lag_s * rate_Hz - whole
+        drive, place = _way(piece, np.maximum(sample - whole, 0))
+        moved = _moved(operator, slopes, drive)
+        moved = (1.0 - part) * moved[place] + part * moved[np.maximum(place - 1, 0)]
+    else:
+        moved = lagged(_moved(operator, slopes, piece.drive), kind, lag_s, rate_Hz)
+        if pole_Hz is not None:
+            moved = relaxed(moved, 1.0 / (2 * np.pi * pole_Hz), rate_Hz)
+        moved = moved[sample]
+    return np.asarray(moved + zero_at(sample, piece, theta[coordinates.offset_slice(index)]))
+
+
+def _moved(operator: Scaled, slopes: Array, drive: Array) -> Array:
+    """Return what the hysteresis makes of a drive, (samples,)."""
+    bent = _bent(operator, drive)
+    memory = np.concatenate([bent[:1], bent[0] + np.cumsum(operator.gap * slopes)])
     plays = PrandtlIshlinskii(
         threshold=np.concatenate([[0.0], operator.threshold]), weight=operator.weight
     )
-    h, _ = plays.run(drive, memory)
-    moved = from_slopes(operator.knot, operator.slope).run(h)
-    lag_s, pole_Hz = _declared(coordinates, operator, piece, rig_pole)
-    moved = lagged(moved, coordinates.shape.lag, lag_s, piece.sampling_rate_Hz)
-    if pole_Hz is not None:
-        moved = relaxed(moved, 1.0 / (2 * np.pi * pole_Hz), piece.sampling_rate_Hz)
-    knots = theta[coordinates.offset_slice(index)]
-    return np.asarray(moved + zero_at(np.arange(len(piece.drive)), piece, knots))
+    h, _ = plays.run(bent, memory)
+    return from_slopes(operator.knot, operator.slope).run(h)
+
+
+def _way(piece: Piece, place: Samples) -> tuple[Array, Samples]:
+    """Return the drive where it says all of its way to some samples and to those before them."""
+    return way_to(piece.drive, place, before=True, turns=piece.turns)
 
 
 def _bent(operator: Scaled, drive: Array) -> Array:
@@ -138,14 +166,16 @@ def rows_of(
     chain, late = chain_of(theta, coordinates, index, piece, sensor_pole)
     following = Following(chain, float(piece.drive[0]))
     sample = piece.counting(stride)
-    source = np.maximum(sample - late, 0)
+    drive, source = piece.drive, np.maximum(sample - late, 0)
+    if chain.lag is None and chain.sensor is None and SPARSE * len(sample) < len(drive):
+        drive, source = _way(piece, source)
     knots = theta[coordinates.offset_slice(index)]
     before = done = 0
     while done < len(sample):
         last = source[min(done + CHUNK, len(sample)) - 1]
         end = int(np.searchsorted(source, last, side="right"))
         block = empty_block(chain, end - done, len(knots))
-        following.rows(piece.drive[before : last + 1], source[done:end] - before, block)
+        following.rows(drive[before : last + 1], source[done:end] - before, block)
         measured = piece.response[sample[done:end]]
         yield finished(block, sample[done:end], measured, coordinates, knots, piece)
         before, done = int(last) + 1, end

@@ -100,3 +100,19 @@ def test_simulation_equals_plays_by_definition_behind_a_lag(rng: np.random.Gener
     zero = theta[coordinates.offset_slice(0)][0]
     output = simulate(theta, coordinates, 0, piece, None)
     np.testing.assert_allclose(output, lagged + zero, atol=2e-4)
+
+
+@pytest.mark.parametrize("lag", ["none", "delay", "first_order"])
+@pytest.mark.parametrize("sensor_Hz", [None, 60.0])
+@pytest.mark.parametrize("bends", [0, 2])
+def test_rows_asked_for_alone_are_those_of_the_whole_simulation(
+    rng: np.random.Generator, lag: str, sensor_Hz: float | None, bends: int
+) -> None:
+    coordinates = Coordinates(
+        shape=Shape(plays=4, below=2, above=1, lag=lag, bends=bends), offsets=(3,)
+    )
+    piece, theta = drawn_piece(rng), drawn_vector(rng, coordinates)
+    whole = simulate(theta, coordinates, 0, piece, sensor_Hz)
+    for sample in (np.arange(0, len(whole), 9), np.array([0, 1, 4, 700, 701])):
+        few = simulate(theta, coordinates, 0, piece, sensor_Hz, sample)
+        np.testing.assert_array_equal(few, whole[sample])
