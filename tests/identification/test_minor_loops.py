@@ -1,9 +1,11 @@
 """Minor loops of ceramics that remember turning points are told, stored and inverted."""
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from piezoid.design.from_model import lateral_task
 from piezoid.export.from_design import hysteresis_values
@@ -13,6 +15,8 @@ from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import LAYOUTS
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.robust import student_quantile
+from piezoid.operators.preisach_bounds import farthest_apart_m
 from piezoid.record_json import from_json, to_json
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
@@ -81,6 +85,27 @@ def test_what_plays_and_dead_zones_follow_keeps_its_bounded_inverse():
     assert found.verdict == plain.verdict
     (tried,) = found.function_orders
     assert tried.held_out_rms_m > tried.plain_rms_m  # and it is told that functions were tried
+
+
+def test_functions_that_plays_beat_on_the_same_rows_are_no_shape_of_loops():
+    """However badly plays predicted: here their prediction is said to be ten times worse."""
+    plain, _ = fitted("plays")
+    told = replace(plain, quality=replace(plain.quality, held_out_rms_m=1e-6))
+    held = [recorded("plays", SWEEP, "sweep"), recorded("plays", WALK, "walk")]
+    assert with_minor_loops(told, held).minor_loops is None
+
+
+def test_what_is_drawn_spreads_as_the_intervals_say_and_makes_the_certificate():
+    _, found = fitted("preisach_lorentzian")
+    loops = found.minor_loops
+    drawn = loops.drawn(np.random.default_rng(0), 1000)
+    spread_m = np.std([one.rise_m for one in drawn], axis=0)
+    inside = loops.operator.rise_m > 2.0 * loops.half_m  # elsewhere none may fall
+    told_m = loops.half_m / student_quantile(0.975, len(loops.without_m) - 1)
+    assert inside.sum() > 10
+    assert spread_m[inside] == pytest.approx(told_m[inside], rel=0.15)
+    apart_m = farthest_apart_m(loops.operator, drawn, found.certificate.reach_V)
+    assert found.certificate.plays_m == pytest.approx(np.quantile(apart_m, 0.95), rel=0.15)
 
 
 def led_m(axis: AxisModel, wanted_m: Array) -> Array:
