@@ -78,7 +78,7 @@ def _surely_close(alternative: Any, cause: Any) -> bool:
 
 
 def _evidence(*, worth: bool = True, placebos: bool = True) -> Decision:
-    def is_evidence(one: candidate.Candidate) -> bool:
+    def is_significant(one: candidate.Candidate) -> bool:
         return (
             one.physical
             and one.cv.z > candidate.MINIMUM_Z
@@ -86,7 +86,7 @@ def _evidence(*, worth: bool = True, placebos: bool = True) -> Decision:
             and (one._beats_placebo or not placebos)
         )
 
-    return is_evidence
+    return is_significant
 
 
 def _structure_speaks(with_rule: Any, without: Any) -> bool:
@@ -130,20 +130,15 @@ RULES = (
     Rule(
         name="alike is close", places=((model_comparison, "is_confounded"),), without=_surely_close
     ),
-    Rule(name="placebos", places=((JUDGED, "is_evidence"),), without=_evidence(placebos=False)),
+    Rule(name="placebos", places=((JUDGED, "is_significant"),), without=_evidence(placebos=False)),
     Rule(
         name="not small beside structure",
         places=((candidate, "exceeds_structure"),),
         without=lambda *_: True,
     ),
     Rule(
-        name="a least size",
-        places=((JUDGED, "is_significant"),),
-        without=lambda one: one.is_evidence,
-    ),
-    Rule(
         name="a least gain",
-        places=((JUDGED, "is_evidence"),),
+        places=((JUDGED, "is_significant"),),
         without=_evidence(worth=False),
     ),
     Rule(

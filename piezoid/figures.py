@@ -351,7 +351,7 @@ def _loop(model: AxisModel, share: float) -> tuple[Array, Array]:
     middle_V, half_V = 0.5 * (low_V + high_V), 0.5 * share * (high_V - low_V)
     way = np.concatenate([np.linspace(1.0, -1.0, _SAMPLES), np.linspace(-1.0, 1.0, _SAMPLES)])
     drive_V = middle_V + half_V * way
-    operator = model.hysteresis
+    operator = model.operator
     _, memory_V = operator.run(drive_V, operator.virgin_memory())
     output_m, _ = operator.run(drive_V, memory_V)
     moved_m = model.polarity * (output_m - operator.displacement_offset_m)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.driven import Driven, null_columns, rows_of
 from piezoid.diagnosis.planning.playing import driven_recording
 from piezoid.diagnosis.planning.question import suspect_of
@@ -192,7 +192,7 @@ def _whole(drive: Driven, tangent: Tangent, scale: float, share: Array, k: int) 
 
 def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     """Return the residual that a healthy stage would leave with this effect, of this size."""
-    effect = next(one for one in EFFECTS if one.name == name)
+    effect = effect_named(name)
     measured_m = trace.recording.displacement_m(axis.axis)
     healthy_m = np.where(np.isfinite(trace.modelled_m), trace.modelled_m, measured_m)
     channels = tuple(

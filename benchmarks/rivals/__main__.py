@@ -13,7 +13,7 @@ the inverse on an emulated Cortex-M4F in float, of plays in the runtime that shi
 import argparse
 import ctypes
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,14 +27,17 @@ from benchmarks.rivals.classes import (
     HERE,
     NODES,
     BoucWen,
+    Functions,
     Model,
     Plays,
     Preisach,
     fitted,
 )
+from piezoid.export.from_design import function_values
 from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.verification.rebuild import (
     _EMULATED,
     _EMULATOR,
@@ -121,7 +124,9 @@ def outsider(name: str, seed: int) -> tuple[str, Respond]:
     return str(truth.get("law", "?")), respond
 
 
-def measured(respond: Respond, seed: int) -> Iterator[tuple[str, Model, float, float, float]]:
+def measured(
+    respond: Respond, seed: int, classes: Sequence[str]
+) -> Iterator[tuple[str, Model, float, float, float]]:
     """Yield class, model, and its errors: of the fit, on other drives, of the inverse, in %."""
     rng = np.random.default_rng(seed)
     sweep = through(np.concatenate([[-1.0], np.linspace(1.0, 0.05, 31) * (-1.0) ** np.arange(31)]))
@@ -130,7 +135,7 @@ def measured(respond: Respond, seed: int) -> Iterator[tuple[str, Model, float, f
     moved, _ = respond(walk)
     stroke = float(np.ptp(seen))
     turn = np.linspace(0.0, 1.0, SPIRAL)
-    for name in CLASSES:
+    for name in classes:
         model = fitted(name, sweep, seen)
         up = model.forward(np.linspace(-1.0, 1.0, 400))
         middle, half = 0.5 * (up[0] + up[-1]), 0.5 * (up[-1] - up[0])
@@ -145,12 +150,12 @@ def instructions(models: dict[str, Model]) -> dict[str, float]:
     """Return instructions a sample of every inverse, as far as the tools are here."""
     found = {}
     for name, model in models.items():
-        if isinstance(model, Plays):
+        if isinstance(model, Plays | Functions):
             proof = emulate(ParameterFile(name="rival", axes=(_axis(model),)))
             found[name] = float((proof.instructions_per_sample or {"x": np.nan})["x"])
-    table, state = models["Preisach"], models["Bouc-Wen"]
-    assert isinstance(table, Preisach)
-    assert isinstance(state, BoucWen)
+    table, state = models.get("Preisach"), models.get("Bouc-Wen")
+    if not isinstance(table, Preisach) or not isinstance(state, BoucWen):
+        return found
     try:
         counts = _on_the_board(table, state)
     except (OSError, subprocess.CalledProcessError):
@@ -158,7 +163,7 @@ def instructions(models: dict[str, Model]) -> dict[str, float]:
     return found | {"Preisach": counts[0], "Bouc-Wen": counts[1]}
 
 
-def _axis(model: Plays) -> AxisParameters:
+def _axis(model: Plays | Functions) -> AxisParameters:
     operator = model.operator
     values = {
         "method": "mpi",
@@ -169,6 +174,11 @@ def _axis(model: Plays) -> AxisParameters:
         "reference_maximum_m": 1.0,
         "displacement_minimum_m": -2.0,
         "displacement_maximum_m": 2.0,
+    }
+    if isinstance(operator, PreisachPlays):
+        values |= function_values(operator)
+        return AxisParameters(axis="x", values=values)  # type: ignore[arg-type]
+    values |= {
         "play_count": len(operator.plays.threshold),
         "play_threshold_V": operator.plays.threshold,
         "play_weight_m_per_V": operator.plays.weight,
@@ -217,12 +227,15 @@ def main() -> None:
     """Print every ceramic and stage, then the table."""
     asked = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     asked.add_argument("--draws", type=int, default=2, help="ceramics of each law of the zoo")
+    asked.add_argument("--first", type=int, default=0, help="seed of the first of them")
+    asked.add_argument("--classes", default="; ".join(CLASSES), help="names of classes")
     asked.add_argument("--stages", default="700-708", help="seeds of each outsider; empty: none")
     given = asked.parse_args()
+    classes = given.classes.split("; ")
     truths = [
         ("zoo", f"{law.name} {seed}", ceramic(place, seed), seed)
         for place, law in enumerate(ZOO)
-        for seed in range(given.draws)
+        for seed in range(given.first, given.first + given.draws)
     ]
     if given.stages:
         first, _, last = given.stages.partition("-")
@@ -235,7 +248,7 @@ def main() -> None:
     models: dict[str, Model] = {}
     for kind, told, respond, seed in truths:
         shown = []
-        for name, model, *left in measured(respond, seed):
+        for name, model, *left in measured(respond, seed, classes):
             models[name] = model
             errors.setdefault((kind, name), []).append((left[0], left[1], left[2]))
             law = told.rpartition(" ")[0] if kind == "zoo" else told.partition(", ")[2]
@@ -245,20 +258,20 @@ def main() -> None:
     counts = instructions(models)
     print("fit, other drives and inverse, median (worst), % of the stroke")
     for kind in dict.fromkeys(kind for kind, _ in errors):
-        print(f"\n{kind}, {len(errors[kind, CLASSES[0]])}")
+        print(f"\n{kind}, {len(errors[kind, classes[0]])}")
         print("| class | parameters | fit | other drives | inverse | instructions |")
         print("| --- | --- | --- | --- | --- | --- |")
-        for name in CLASSES:
+        for name in classes:
             each = np.array(errors[kind, name])
             cells = (f"{np.median(c):.3f} ({c.max():.2f})" for c in each.T)
             print(
                 f"| {name} | {models[name].parameters} | {' | '.join(cells)} | "
                 f"{counts[name]:.0f} |"
             )
-    print("\n| inverse, by law | " + " | ".join(CLASSES) + " |")
-    print("| --- |" + " --- |" * len(CLASSES))
+    print("\n| inverse, by law | " + " | ".join(classes) + " |")
+    print("| --- |" + " --- |" * len(classes))
     for law, each in by_law.items():
-        print(f"| {law} | " + " | ".join(f"{np.median(each[n]):.3f}" for n in CLASSES) + " |")
+        print(f"| {law} | " + " | ".join(f"{np.median(each[n]):.3f}" for n in classes) + " |")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
     Prandtl-Ishlinskii   closed form                            [Krejci & Kuhnen 2001]
     modified PI          closed form, dead zones behind plays   [Kuhnen 2003]
     generalised PI       closed form, envelope in front         [Al Janaideh, Rakheja & Su 2011]
+    plays, functions     from bend to bend, as it ships         [Krejci 1996]
     Preisach             by table, along the branch             [Mayergoyz 1991]
     Bouc-Wen             multiplicative, nothing is inverted    [Rakotondrabe 2011]
 
@@ -24,12 +25,15 @@ from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.physical import physical
 from piezoid.identification.hysteresis.pieces import Rig, pieces_of, scales_of
 from piezoid.identification.hysteresis.search import Settings, search
+from piezoid.identification.minor_loops import SHAPES, Lattice, functions_of, rises_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.modified_prandtl_ishlinskii import (
     Converter,
     ModifiedPrandtlIshlinskii,
     compensate,
 )
+from piezoid.operators.play import play_columns
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.recording import Recording
 
 HERE = Path(__file__).parent
@@ -90,6 +94,41 @@ def play_model(name: str, field: Array, moved: Array) -> Plays:
     settings = Settings(longest_lag_s=0.02, follow_zero=False, iterations=40)
     found = search(pieces, PLAY_SHAPES[name], settings)
     return Plays(operator=physical(found.operator, scales), parameters=found.shape.numbers)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Functions:
+    """Plays behind rising functions."""
+
+    operator: PreisachPlays
+    parameters: int
+
+    @property
+    def memory(self) -> Array:
+        """Memory at -1 after a full cycle."""
+        return self.operator.run(np.tile(CYCLE, 2), self.operator.at_rest(-1.0))[1]
+
+    def forward(self, field: Array) -> Array:
+        """Return the displacement along a drive from -1."""
+        return self.operator.run(field, self.memory)[0]
+
+    def inverse(self, wanted: Array) -> Array:
+        """Return the fields from -1 that make these displacements."""
+        return np.clip(self.operator.inverse_run(wanted, self.memory)[0], -1.0, 1.0)
+
+
+def function_model(field: Array, moved: Array) -> Functions:
+    """Fit the largest shape of plays behind functions as it is fitted to a stage."""
+    lattice = Lattice(centre_V=0.0, reach_V=1.0, pieces=SHAPES[-1])
+    zero = np.zeros(lattice.plays)
+    _, memory = play_columns(np.tile(CYCLE, 2), lattice.threshold_V, zero)
+    states, _ = play_columns(field, lattice.threshold_V, memory)
+    columns = np.stack(list(lattice.risen(states)), axis=1)
+    rows = np.column_stack([columns, moved])
+    rows -= rows.mean(axis=0)
+    rises = rises_of(rows.T @ rows, len(rows), lattice, float(np.ptp(moved)))
+    offset = float(np.mean(moved - columns @ rises))
+    return Functions(operator=functions_of(rises, lattice, offset), parameters=len(rises) + 1)
 
 
 @cache
@@ -251,7 +290,12 @@ def fitted(name: str, field: Array, moved: Array) -> Model:
     """Fit a class by its name."""
     if name in PLAY_SHAPES:
         return play_model(name, field, moved)
-    return preisach_model(field, moved) if name == "Preisach" else bouc_wen_model(field, moved)
+    others = {
+        "plays, functions": function_model,
+        "Preisach": preisach_model,
+        "Bouc-Wen": bouc_wen_model,
+    }
+    return others[name](field, moved)
 
 
-CLASSES = (*PLAY_SHAPES, "Preisach", "Bouc-Wen")
+CLASSES = (*PLAY_SHAPES, "plays, functions", "Preisach", "Bouc-Wen")

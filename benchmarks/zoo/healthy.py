@@ -1,6 +1,6 @@
 """How much healthy stages show: the table by which the diagnosis tells what is more than that.
 
-    python -m benchmarks.zoo.healthy [--cases 6] [--seeds 940000] [--json build/healthy.jsonl]
+    python -m benchmarks.zoo.healthy [--cases 4] [--seeds 2500000] [--json build/healthy.jsonl]
                                      [--minutes 60] [--workers 2] [--write]
 
 Healthy stages of every law are diagnosed, each is one line of the file of results, and a run that
@@ -36,8 +36,8 @@ def main() -> None:
     """Score what is not yet in the file, then write and judge the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--cases", type=int, default=6, help="of each law")
-    parser.add_argument("--seeds", type=int, default=940_000, help="the first of them")
+    parser.add_argument("--cases", type=int, default=4, help="of each law")
+    parser.add_argument("--seeds", type=int, default=2_500_000, help="the first of them")
     parser.add_argument("--json", type=Path, default=Path("build/healthy.jsonl"))
     parser.add_argument("--minutes", type=float, default=1e9, help="begin no stage after them")
     parser.add_argument("--workers", type=int, default=1, help="stages diagnosed at once")

@@ -264,7 +264,7 @@ def _refuse_without_poles(axis: AxisModel, loop: LoopModel, rate_Hz: float) -> N
 
 
 def _middle_gain(axis: AxisModel) -> float:
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    least, greatest = axis.operator.slope_sector_m_per_V
     return axis.polarity * 0.5 * (least + greatest)
 
 
@@ -277,7 +277,7 @@ def _gain_interval(axis: AxisModel, loop: LoopModel) -> tuple[float, float]:
     reversible slope alone.
     """
     half = relative_gain_half(axis)
-    least, greatest = axis.hysteresis.slope_sector_m_per_V
+    least, greatest = axis.operator.slope_sector_m_per_V
     middle = 0.5 * (least + greatest)
     reversible = least / middle if loop.activation[0] > 0.0 else 1.0
     low = max(1.0 - half, least / middle) * min(reversible, loop.quick_gain, 1.0)
@@ -296,7 +296,7 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
     second = axis.discrepancy
     steepest_m_per_V = 0.0 if second is None else second.steepest_m_per_V
     affine = affine_bounds(
-        axis.hysteresis,
+        axis.operator,
         reach_V,
         remainder_m=axis.certificate.bound_m,
         remainder_m_per_V=steepest_m_per_V,
@@ -305,7 +305,7 @@ def _bounds(axis: AxisModel, seed: int) -> dict[str, HysteresisBounds]:
     bounds = {"affine": affine}
     if len(drawn) >= FEWEST_REPLICATES:
         bounds["inverse"] = inverse_bounds(
-            axis.hysteresis,
+            axis.operator,
             drawn,
             reach_V,
             gain_m_per_V=affine.gain_m_per_V,

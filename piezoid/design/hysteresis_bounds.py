@@ -20,12 +20,19 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.preisach_bounds import (
+    farthest_apart_m,
+    farthest_from_line_m,
+    slope_ratios,
+)
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.operators.worst_case import worst_case
 from piezoid.readable import told
 
 _DRAWS = 200
 
 Interval = tuple[float, float]
+Operator = ModifiedPrandtlIshlinskii | PreisachPlays
 
 
 _Pieces = tuple[Array, Array]
@@ -62,7 +69,7 @@ class HysteresisBounds:
 
 
 def affine_bounds(
-    model: ModifiedPrandtlIshlinskii,
+    model: Operator,
     reach_V: float,
     *,
     remainder_m: float,
@@ -76,7 +83,8 @@ def affine_bounds(
 
     s and a/c are the mid slopes of Psi and gamma. The play states' increments lie between 0 and 1
     and do not grow with the threshold, so Abel summation bounds the slope of H, and those of Psi
-    and gamma multiply it; the integral is exact for plays [Brokate & Sprekels 1996].
+    and gamma multiply it; the integral is exact for plays [Brokate & Sprekels 1996], and so is
+    what stands in its place for plays behind functions, see ``preisach_bounds``.
 
     remainder_m  what the model itself leaves, for example the 99.9 % quantile of the held-out
                  residual
@@ -84,13 +92,10 @@ def affine_bounds(
     """
     least, greatest = model.slope_sector_m_per_V
     gain = 0.5 * (greatest + least)
-    middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
-    scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
-    line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
-    static = static_difference(model.dead_zones, middle, output_reach_m(model, reach_V))
-    bent = gain / bend * static_difference(model.envelope, bend, reach_V)
-    plays = worst_case(scaled, line, envelope_reach_V(model, reach_V)).bound
-    error = plays + bent + static + remainder_m
+    if isinstance(model, PreisachPlays):
+        error = farthest_from_line_m(model, gain, reach_V) + remainder_m
+    else:
+        error = _farthest_from_line_m(model, gain, reach_V) + remainder_m
     return HysteresisBounds(
         form="affine",
         gain_m_per_V=gain,
@@ -107,9 +112,19 @@ def affine_bounds(
     )
 
 
+def _farthest_from_line_m(model: ModifiedPrandtlIshlinskii, gain: float, reach_V: float) -> float:
+    middle, bend = _mid_slope(model.dead_zones), _mid_slope(model.envelope)
+    scaled = PrandtlIshlinskii(threshold=model.plays.threshold, weight=middle * model.plays.weight)
+    line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain / bend]))
+    static = static_difference(model.dead_zones, middle, output_reach_m(model, reach_V))
+    bent = gain / bend * static_difference(model.envelope, bend, reach_V)
+    plays = worst_case(scaled, line, envelope_reach_V(model, reach_V)).bound
+    return plays + bent + static
+
+
 def inverse_bounds(
-    model: ModifiedPrandtlIshlinskii,
-    replicates: Sequence[ModifiedPrandtlIshlinskii],
+    model: Operator,
+    replicates: Sequence[Operator],
     reach_V: float,
     *,
     gain_m_per_V: float,
@@ -124,22 +139,14 @@ def inverse_bounds(
 
     The compensation error is the model error at the inverse's output. Each replicate stands for
     the truth once; the quantile ``confidence`` over replicates is reported. All models are in the
-    gauge of unit central dead zone.
+    gauge of unit central dead zone. Of plays behind functions, which have no gauge, both suprema
+    are exact, see ``preisach_bounds``.
 
     gain_m_per_V  a of the linear design, the unit of the command
     remainder_m   rho_max: bounded part that no model of this kind explains
     remainder_m_per_V  by how much that part changes the slope, at most
     """
-    reference = model.regauged()
-    truths = [replicate.regauged() for replicate in replicates]
-    apart = joint_error(reference, truths, reach_V)
-    errors = apart.error_m
-    sectors = np.array(
-        [
-            ratio_sector(reference, truth, reach_V, apart, error_m)
-            for truth, error_m in zip(truths, errors.tolist(), strict=True)
-        ]
-    )
+    errors, sectors = _errors_and_sectors(model, replicates, reach_V)
     low = float(np.quantile(sectors[:, 0], 1.0 - confidence))
     high = float(np.quantile(sectors[:, 1], confidence))
     centre = 0.5 * (low + high)
@@ -153,10 +160,29 @@ def inverse_bounds(
         reach_V=reach_V,
         conditions=(
             f"the drive stays within {told(reach_V, 'V')} of the model's centre",
-            f"the true hysteresis lies within {100.0 * confidence:g} % of {len(truths)} refits",
+            f"the true hysteresis lies within {100.0 * confidence:g} % of {len(replicates)} "
+            "refits",
             f"what no such model explains stays below {told(remainder_m, 'm')}",
         ),
     )
+
+
+def _errors_and_sectors(
+    model: Operator, replicates: Sequence[Operator], reach_V: float
+) -> tuple[Array, Array]:
+    """Return how far every replicate is from the model, (n,) m, and its slopes, (n, 2)."""
+    if isinstance(model, PreisachPlays):
+        functions = [replicate for replicate in replicates if isinstance(replicate, PreisachPlays)]
+        apart_m = farthest_apart_m(model, functions, reach_V)
+        return apart_m, slope_ratios(model, functions, reach_V)
+    reference = model.regauged()
+    truths = [r.regauged() for r in replicates if isinstance(r, ModifiedPrandtlIshlinskii)]
+    apart = joint_error(reference, truths, reach_V)
+    sectors = [
+        ratio_sector(reference, truth, reach_V, apart, error_m)
+        for truth, error_m in zip(truths, apart.error_m.tolist(), strict=True)
+    ]
+    return apart.error_m, np.array(sectors)
 
 
 def _mid_slope(zones: DeadZones) -> float:
@@ -257,13 +283,15 @@ def _ratios(model: _Pieces, truth: _Pieces, *, stretch: Interval) -> Interval:
 
 def draw_replicates(
     axis: AxisModel, rng: np.random.Generator, *, draws: int = _DRAWS
-) -> tuple[ModifiedPrandtlIshlinskii, ...]:
-    """Draw parameters from the fit's normal law; keep the draws that have an inverse.
+) -> tuple[Operator, ...]:
+    """Draw operators from the fit's normal law; keep the draws that have an inverse.
 
     draws  tried; the truth is taken to have an inverse, so that the others are not possible
 
     Numbers on a bound have no variance and stay there.
     """
+    if axis.minor_loops is not None:
+        return axis.minor_loops.drawn(rng, draws)
     found = axis.uncertainty
     values, vectors = np.linalg.eigh(found.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

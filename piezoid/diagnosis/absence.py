@@ -9,21 +9,25 @@ from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.search import Outcome
 from piezoid.readable import told
 
-WIDTH = "the drive has one speed at every place, so this is a width of the loop and no more"
+SPEEDS = (
+    "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "
+    "hysteresis stays."
+)
 POWER = 2.8 / 1.645  # bound for one-sided 95 % to limit for four cases of five
 
 
 def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     """Return what is known of an effect that is not among the causes."""
     found = _sought(effect, outcome)
-    why = effect.untestable(outcome.final) or ("" if found is None or found.separable else WIDTH)
-    if why or (found is None and effect.fault is None):
+    untestable = effect.untestable(outcome.final)
+    width = "" if found is None or found.separable or untestable else _width(effect, outcome)
+    if untestable or width or (found is None and effect.fault is None):
         return NotDetected(
             effect=effect.name,
             upper_bound_m=None,
             detection_limit_m=None,
-            reason=why or "nothing in these recordings excites it",
-            next_experiment=effect.experiment,
+            reason=untestable or width or "nothing in these recordings excites it",
+            next_experiment=SPEEDS if width else effect.experiment,
         )
     if found is None:
         least = MINIMUM_SHARE if effect.bound is None else effect.bound(outcome.clean)
@@ -54,6 +58,19 @@ def _sought(effect: Effect, outcome: Outcome) -> ScoreTest | None:
     ways = (effect.name, f"{effect.name} {BETWEEN}")
     sought = [outcome.screened[way] for way in ways if way in outcome.screened]
     return max(sought, key=lambda one: one.absorption * one.bound, default=None)
+
+
+def _width(effect: Effect, outcome: Outcome) -> str:
+    """Say what an effect is not separable from where the drive has one speed."""
+    alike = [
+        name.replace("_", " ")
+        for name, found in outcome.screened.items()
+        if name in effect.confounded and not found.separable
+    ]
+    return (
+        f"not separable from hysteresis{''.join(f', {name}' for name in alike)}: like branches "
+        "were all driven at one speed, and there each is a width of the loop"
+    )
 
 
 def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:

@@ -25,10 +25,11 @@ from piezoid.diagnosis.diagnosis import (
     Seen,
     Size,
     Unexplained,
+    fraction_explained,
 )
 from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import (
     BLOCKS,
@@ -39,16 +40,16 @@ from piezoid.diagnosis.rest_columns import (
     LINE,
     OTHERS,
     Columns,
-    GRIDS_Hz,
     Rest,
     held,
     line_in,
     rest_columns,
     spectrum_of,
 )
+from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
-from piezoid.diagnosis.unnamed import NEXT, classes_of
+from piezoid.diagnosis.unnamed import NEXT, seen_in_classes
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
@@ -85,19 +86,19 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         if _is_worth(LINE, _gain(wider.columns, chosen, LINE, y, block)):
             rest, chosen = wider, [*chosen, LINE]
             final = held(y, [rest.columns[name] for name in chosen], block)
-    baseline = held(y, [], block)
     noise_m = noise_rms((y, final))
     span_m = max(float(np.ptp(reading_m)), 1e-30)
+    before, after = _error(held(y, [], block), span_m), _error(final, span_m)
     findings = [_finding(name, rest, chosen, y, block) for name in chosen]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
     return Diagnosis(
         axis=axis,
         stroke_m=span_m,
-        baseline=_error(baseline, span_m),
-        final=_error(final, span_m),
-        envelope_rms_m=float(np.sqrt(np.mean(final**2))),
+        baseline=before,
+        final=after,
+        envelope_rms_m=after.rms_m,
         noise_floor_rms_m=noise_m,
-        explained_fraction=_explained(baseline, final, noise_m),
+        explained_fraction=fraction_explained(before.rms_m, after.rms_m, noise_m),
         unexplained=_unexplained(final, noise_m),
         findings=tuple(findings),
         not_detected=tuple(
@@ -207,17 +208,9 @@ def _seen(name: str, found: Rest, design: Array, y: Array) -> Seen:
     curve = every[:, -width:] @ coefficients[-width:]
     left = y - y.mean() - every @ coefficients + curve
     reversals = (found.time_s * found.line_Hz) % 1.0
-    place, *kinds = classes_of(found.time_s if name == JUMP else reversals, left, curve)
-    low, median, high, fitted = (tuple(kind.tolist()) for kind in kinds)
-    return Seen(
-        unit="s" if name == JUMP else "",
-        place=tuple(place.tolist()),
-        low_m=low,
-        median_m=median,
-        high_m=high,
-        fitted_m=fitted,
-        recording=found.recording if name == JUMP else "",
-    )
+    if name == JUMP:
+        return seen_in_classes(found.time_s, left, curve, unit="s", recording=found.recording)
+    return seen_in_classes(reversals, left, curve, unit="")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,7 +252,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
             parameters={"instant_s": rest.jump_s, "jump_m": high_m},
             coordinate="time",
         )
-    effect = next(one for one in EFFECTS if one.name == name)
+    effect = effect_named(name)
     creeps = name == DRIFT and rest.is_creep
     if creeps:
         size += (
@@ -268,7 +261,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
         )
     return _Said(
         effect=name,
-        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} {size}",
+        explanation=f"{effect.summary} {size}",
         experiment="Step to mid-range and hold the drive for ten times as long: creep goes "
         "on slowing down, thermal drift does not."
         if creeps
@@ -318,10 +311,3 @@ def _absent(effect: Effect, columns: Columns, final: Array, recording: Recording
 def _error(left: Array, span_m: float) -> HeldOut:
     rms_m = float(np.sqrt(np.mean(left**2)))
     return HeldOut(rms_m=rms_m, rms_percent=100.0 * rms_m / span_m)
-
-
-def _explained(baseline: Array, final: Array, noise_m: float) -> float:
-    explainable = float(np.mean(baseline**2)) - noise_m**2
-    if explainable <= 0.0:
-        return 0.0
-    return float(np.clip((np.mean(baseline**2) - np.mean(final**2)) / explainable, 0.0, 1.0))

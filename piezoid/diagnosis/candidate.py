@@ -14,7 +14,7 @@ from piezoid.diagnosis.score_test import ScoreTest, null_of, score_test, screene
 from piezoid.diagnosis.view import View
 
 MINIMUM_Z = 3.3  # standard errors, 0.0005 on one side: a wrong cause is worse than one not named
-MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not looked for
+MINIMUM_SHARE = 5e-5  # of the stroke: what is smaller is not promised to show
 NUDGE = 0.1  # of a parameter's width
 TELLING = 0.15  # of the longest column: what a track's column must keep beside the null
 APART = 0.35  # of the fitted time
@@ -57,11 +57,6 @@ class Candidate:
         return self.selected.effect
 
     @property
-    def is_significant(self) -> bool:
-        """Tell whether this is evidence, of more than the least size that is looked for."""
-        return self.is_evidence and self.share > MINIMUM_SHARE
-
-    @property
     def has_a_name(self) -> bool:
         """Tell whether it is significant and not small beside the structure that is left."""
         return self.is_significant and exceeds_structure(
@@ -81,7 +76,7 @@ class Candidate:
         return 2.0 * self.share / max(structure, 1e-300)
 
     @property
-    def is_evidence(self) -> bool:
+    def is_significant(self) -> bool:
         """Tell whether this is sure, worth it, physical, and better than its placebos."""
         return (
             self.physical
@@ -163,7 +158,8 @@ def _of_columns(one: SelectedEffect, seen: ScoreTest, without: View, view: View)
             view=view,
         )
     trial = replace(seen.trial, columns=columns, parameters=one.parameters)
-    found = screened(one.effect, null_of(one.effect, without), [trial])
+    null = null_of(one.effect, without)
+    found = screened(one.effect, null, [trial], one_speed=view.one_speed)
     return Candidate(
         selected=one,
         cv=found.cv,

@@ -11,14 +11,22 @@ from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
 from piezoid.diagnosis.attribution import Simulated, attributed, simulated
 from piezoid.diagnosis.candidate import Candidate
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, Size, Unexplained
+from piezoid.diagnosis.diagnosis import (
+    Diagnosis,
+    Finding,
+    HeldOut,
+    Size,
+    Unexplained,
+    fraction_explained,
+)
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.healthy import chance_of, strengths_of_healthy
 from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
+from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
@@ -29,6 +37,7 @@ from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
+from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
 from piezoid.records.comparison import counted_in
@@ -67,6 +76,8 @@ def diagnose(
     ``unexplained`` tells how much is left.
     """
     counted = counted_in(recordings)
+    if model is not None:
+        model = model.without_minor_loops()
     with refusing_in_counts(counted):
         found = _diagnosed(recordings, axis, lab or Lab(), model, progress, threads)
         return found.told_in_counts(counted)
@@ -175,7 +186,9 @@ def view_on(recordings: Sequence[Recording], *, axis: str, lab: Lab) -> View:
     tracks = tracks_of(chosen, axis, scales, rig, clock_Hz=clock_Hz)
     stroke_m = abs(scales.displacement_m)
     rest = -scales.voltage_offset_V / scales.voltage_V
-    return view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
+    view = view_of(tracks, stroke_m=stroke_m, voltage_V=scales.voltage_V, rest=rest)
+    scope = scope_of(pieces_of(chosen, axis, scales, rig))
+    return replace(view, one_speed=scope.has_one_speed and behind_jumps(view) is None)
 
 
 def _diagnosis(
@@ -218,7 +231,7 @@ def _diagnosis(
         final=_held_out(numbers.final, stroke_m),
         envelope_rms_m=outcome.final.rms * stroke_m,
         noise_floor_rms_m=noise * stroke_m,
-        explained_fraction=_explained(numbers.baseline, numbers.final, noise),
+        explained_fraction=fraction_explained(numbers.baseline, numbers.final, noise),
         findings=tuple(findings),
         not_detected=tuple(unseen),
         unexplained=Unexplained(
@@ -246,15 +259,8 @@ def _held_out(rms: float, stroke_m: float) -> HeldOut:
     return HeldOut(rms_m=rms * stroke_m, rms_percent=50.0 * rms)
 
 
-def _explained(before: float, after: float, noise: float) -> float:
-    explainable = before**2 - noise**2
-    if explainable <= 0.0:
-        return 0.0
-    return float(np.clip((before**2 - after**2) / explainable, 0.0, 1.0))
-
-
 def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> Finding:
-    effect = _named(name)
+    effect = effect_named(name)
     # what ingest repaired, and what cannot be repaired, changes nothing here
     before, after = numbers.without.get(name, numbers.final), numbers.final
     reach = 1.96 * fault.spread
@@ -269,7 +275,7 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
         ),
         not_separable_from=fault.alike,
-        explanation=_first_words(effect) + (f" {_seen_in(fault)}" if fault.where else ""),
+        explanation=effect.summary + (f" {_seen_in(fault)}" if fault.where else ""),
         next_experiment=effect.experiment,
         parameters={},
     )
@@ -290,7 +296,7 @@ def _of_cause(cause: Candidate, outcome: Outcome, numbers: Simulated) -> Finding
         rms_percent=100.0 * cause.share,
         size=_or_none_at_all(size_of(cause)) if structure else size_of(cause),
         not_separable_from=(*confounded, *(s.name for s in structure if s.name not in confounded)),
-        explanation=_first_words(effect)
+        explanation=effect.summary
         + f" {'Behind jumps of the drive' if cause.selected.from_jumps else 'Here'} "
         f"{100 * cause.share:.3g} % of the stroke (rms) of it is what no hysteresis could be; "
         f"beside everything else found it takes {100 * cause.cv.gain:.3g} % off the error that "
@@ -305,7 +311,7 @@ def _structure(confounded: Sequence[str]) -> list[Effect]:
     """Return the confounded effects that are hysteresis, which needs its own experiment."""
     return [
         alternative
-        for alternative in map(_named, confounded)
+        for alternative in map(effect_named, confounded)
         if alternative.null_without is not None
     ]
 
@@ -335,16 +341,7 @@ def _gain(before: float, after: float) -> float:
     return float(np.clip(1.0 - after / before, 0.0, 1.0)) if before > 0.0 else 0.0
 
 
-def _first_words(effect: Effect) -> str:
-    """Return the sentence the effect's explanation begins with."""
-    return " ".join(effect.explanation.partition("\n\n")[0].split())
-
-
 def _seen_in(fault: Fault) -> str:
     more = len(fault.where) - MOST_PLACES
     rest = f" and {more} places more" if more > 0 else ""
     return f"Seen in {', '.join(fault.where[:MOST_PLACES])}{rest}."
-
-
-def _named(name: str) -> Effect:
-    return next(effect for effect in EFFECTS if effect.name == name)

@@ -95,12 +95,12 @@ class Finding:
     held_out_rms_before_m: float
     held_out_rms_after_m: float
     p_value: float
-    rms_percent: float
     size: Size
+    rms_percent: float
+    parameters: Mapping[str, float]
     not_separable_from: tuple[str, ...]
     explanation: str
     next_experiment: str
-    parameters: Mapping[str, float]
     coordinate: str = ""
     law: str = ""
     seen: Seen | None = None
@@ -135,6 +135,14 @@ class HeldOut:
     rms_percent: float
 
 
+def fraction_explained(before: float, after: float, noise: float) -> float:
+    """Return the part of the power above the noise that was taken off, from rms values."""
+    explainable = before**2 - noise**2
+    if explainable <= 0.0:
+        return 0.0
+    return min(max((before**2 - after**2) / explainable, 0.0), 1.0)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Diagnosis:
     """Everything that was found and not found about one axis.
@@ -156,16 +164,25 @@ class Diagnosis:
     axis: str
     stroke_m: float
     baseline: HeldOut
-    final: HeldOut
-    envelope_rms_m: float
     noise_floor_rms_m: float
-    explained_fraction: float
+    envelope_rms_m: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
+    final: HeldOut
+    explained_fraction: float
     unexplained: Unexplained | None = None
+    counted: tuple[str, ...] = ()
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
-    counted: tuple[str, ...] = ()
+
+    def with_finding(self, found: Finding) -> "Diagnosis":
+        """Return the same with one more finding, in the place of what was said of its effect."""
+        findings = [*(one for one in self.findings if one.effect != found.effect), found]
+        return replace(
+            self,
+            findings=tuple(sorted(findings, key=lambda one: one.held_out_gain, reverse=True)),
+            not_detected=tuple(n for n in self.not_detected if n.effect != found.effect),
+        )
 
     def told_in_counts(self, counted: tuple[str, ...]) -> "Diagnosis":
         """Return the diagnosis with its sizes and sentences in counts.

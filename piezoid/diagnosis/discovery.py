@@ -39,6 +39,7 @@ from piezoid.diagnosis.coordinates import (
     waves,
 )
 from piezoid.diagnosis.folds import FOLDS, Null
+from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
@@ -55,7 +56,7 @@ ROWS_A_CELL = 6
 ROUNDS = 12  # of a course in time and everything else
 CHUNKS = 5  # of the time between two knots: every chunk is in another fold
 HARMONICS, LINE_HARMONICS = 6, 12
-GRIDS_Hz, GRID_OFF_Hz = (50.0, 60.0), 0.15  # how far a grid is off its nominal frequency
+GRID_OFF_Hz = 0.15  # how far a grid is off its nominal frequency
 BY_HARMONICS = 1.15  # times the gain of one wave: what repeats, and is no sine
 
 

@@ -100,8 +100,7 @@ class Trial:
     physical             False: a placebo of the same freedom, to calibrate by
     coefficient_range    of the first coefficient, as physics allows it
     minimum_coefficient  size below which the first coefficient counts as zero
-    minimum_separation   part of the first column, by length, that the null must leave: at one
-                         frequency a lag is a loop width
+    needs_time           whether at one speed this is a width of the loop, as a lag is
     unique               whether no other shape of its kind is missing; where many are, one of
                          them is only the nearest
     free                 parameters to refine: by which factor (above 1) or step (below)
@@ -113,7 +112,7 @@ class Trial:
     physical: bool = True
     coefficient_range: tuple[float, float] = (-float("inf"), float("inf"))
     minimum_coefficient: float = 0.0
-    minimum_separation: float = 0.0
+    needs_time: bool = False
     unique: bool = True
     free: Parameters = field(default_factory=dict)
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -218,6 +217,11 @@ class Effect:
     may_be_bouc_wen: bool = False
     may_be_absorbed: bool = False
     detectable_share: float = 2e-3
+
+    @property
+    def summary(self) -> str:
+        """Return the first paragraph of the explanation, on one line."""
+        return " ".join(self.explanation.partition("\n\n")[0].split())
 
     def resembles(self, other: "Effect") -> bool:
         """Tell whether one of the two may stand in the place of the other."""

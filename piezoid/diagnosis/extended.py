@@ -1,6 +1,6 @@
 """Extended: tracks with the effects that were selected, refitted with all of them in place."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -26,32 +26,6 @@ def without_memory(view: View) -> View:
     drive, static = view.of(lambda _, t: t.drive), view.rows(view.static)
     curve = np.polyfit(drive, static, CURVE)
     return replace(view, guess=tuple(np.asarray(np.polyval(curve, t.drive)) for t in view.tracks))
-
-
-def undisturbed(view: View, rung: Callable[[View], Array]) -> View:
-    """Return the view with static responses that know nothing of ringing, where none were given.
-
-    A drive that repeats puts its harmonics on a mode, and plays follow ringing that repeats as if
-    it were hysteresis. A mode as sharp as Q makes Q times as much of what they followed, so
-    columns made of that fit lead away from the mode. Slow recordings know the hysteresis without
-    it; where there are none, a curve of the drive, which cannot ring, is nearer to what drives it.
-
-    rung  (view) -> what rings there, (rows, columns)
-    """
-    if view.guess is not None:
-        return view
-    plain = without_memory(view)
-    power = np.sum(rung(plain) ** 2, axis=1)
-    edges = view.nuisance.edges
-    mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
-    calm = np.repeat(mean < CALM * mean.max(), np.diff(edges))
-    columns = view.nuisance.columns
-    if np.count_nonzero(calm) < FEWEST * columns.shape[1]:
-        return plain
-    null = Null(columns=columns[calm], response=view.response[calm], block=view.block[calm])
-    weight = null.fit(null.response)[: view.nuisance.shared]
-    static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
-    return replace(view, guess=tuple(static))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -163,9 +137,29 @@ def offset_of(view: View, selected: Sequence[SelectedEffect]) -> Array:
 
 
 def undisturbed_for(view: View, selected: Sequence[SelectedEffect]) -> View:
-    """Return the view of which the columns of those are made that ring; itself where none does."""
+    """Return the view of which the columns of those are made that ring; itself where none does.
+
+    Its static responses know nothing of ringing, where none were given. A drive that repeats puts
+    its harmonics on a mode, and plays follow ringing that repeats as if it were hysteresis. A mode
+    as sharp as Q makes Q times as much of what they followed, so columns made of that fit lead
+    away from the mode. Slow recordings know the hysteresis without it; where there are none, a
+    curve of the drive, which cannot ring, is nearer to what drives it.
+    """
     rings = [one for one in selected if one.effect.may_be_absorbed]
-    return undisturbed(view, lambda plain: columns_of(plain, rings, plain)) if rings else view
+    if not rings or view.guess is not None:
+        return view
+    plain = without_memory(view)
+    power = np.sum(columns_of(plain, rings, plain) ** 2, axis=1)
+    edges = view.nuisance.edges
+    mean = np.array([power[a:b].mean() for a, b in pairwise(edges)])
+    calm = np.repeat(mean < CALM * mean.max(), np.diff(edges))
+    columns = view.nuisance.columns
+    if np.count_nonzero(calm) < FEWEST * columns.shape[1]:
+        return plain
+    null = Null(columns=columns[calm], response=view.response[calm], block=view.block[calm])
+    weight = null.fit(null.response)[: view.nuisance.shared]
+    static = [view.nuisance.static(k, weight) for k in range(len(view.tracks))]
+    return replace(view, guess=tuple(static))
 
 
 def columns_of(view: View, selected: Sequence[SelectedEffect], calm: View) -> Array:

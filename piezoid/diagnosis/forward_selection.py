@@ -219,8 +219,6 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
     if bent.rms < min(BOUC_WEN * view.rms, least, own.rms):
         clean = with_bouc_wen(state.clean, bent.nuisance.bouc_wen)
         return replace(state, clean=clean, initial=None)
-    # an effect that is evidence but too small to name speaks against other initial states
-    least = min([least, *(one.view.rms for one in tried if one.is_evidence)])
     if leaves_clearly_less(own, view, least):
         # beside selected effects they are not the same again: these follow the static response
         return replace(
@@ -230,8 +228,7 @@ def _next_state(state: SelectionState, view: View, executor: Executor) -> Select
         )
     if best is None:
         return _with_slips_in_place(state, view)
-    selected = _settled(state.clean, [*state.selected, best.selected])
-    return replace(state, selected=selected, initial=None)
+    return replace(state, selected=(*state.selected, best.selected), initial=None)
 
 
 def leaves_clearly_less(own: View, view: View, least: float) -> bool:
@@ -270,13 +267,3 @@ def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, Sco
     asked = {**{effect.name: effect for effect in others}, **between}
     found = zip(asked, executor.map(screened, asked.values()), strict=True)
     return {name: one for name, one in found if one is not None}
-
-
-def _settled(clean: View, selected: Sequence[SelectedEffect]) -> tuple[SelectedEffect, ...]:
-    """Refine the older effects beside the newest."""
-    settled = list(selected)
-    for k, one in enumerate(selected[:-1]):
-        if one.free:
-            rest = [other for other in settled if other is not one]
-            settled[k], _ = refined(one, clean, rest, finer=1)
-    return tuple(settled)

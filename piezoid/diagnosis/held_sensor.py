@@ -18,10 +18,10 @@ from math import erfc, log, sqrt
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
-from piezoid.diagnosis.unnamed import classes_of
+from piezoid.diagnosis.unnamed import seen_in_classes
 from piezoid.numerics.arrays import Array
 from piezoid.readable import significant, told
 from piezoid.records.plausibility import held_stretch, is_held_throughout
@@ -85,16 +85,7 @@ def with_creep_of_holds(
     found = [one for one in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds) if one]
     if not found:
         return diagnosis
-    findings = sorted(
-        (*diagnosis.findings, max(found, key=lambda one: one.share)),
-        key=lambda one: one.held_out_gain,
-        reverse=True,
-    )
-    return replace(
-        diagnosis,
-        findings=tuple(findings),
-        not_detected=tuple(one for one in diagnosis.not_detected if one.effect != NAME),
-    )
+    return diagnosis.with_finding(max(found, key=lambda one: one.share))
 
 
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:
@@ -151,7 +142,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
     goes_on = hold.step_V * fit.per_decade_V < 0.0
     if gain < WORTH or z < SURE or not goes_on or after > SLOWS * fit.cubic_V:
         return None
-    effect = next(one for one in EFFECTS if one.name == NAME)
+    effect = effect_named(NAME)
     percent = 100.0 * abs(fit.per_decade_V / hold.step_V)
     curve_m = abs(gain_m_per_V) * float(np.std(fit.curve_V))
     return Finding(
@@ -163,7 +154,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         rms_percent=100.0 * curve_m / diagnosis.stroke_m,
         size=Size(value=percent, unit=effect.unit, ci95=((1.0 - SLOPE) * percent, 1.05 * percent)),
         not_separable_from=(RIVAL,) if after > fit.cubic_V / SLOWS else (),
-        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} In "
+        explanation=f"{effect.summary} In "
         f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
         f"{told(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / {told(fit.scale_s, 's', 2)}): "
         f"{significant(percent, 2)} % of the {told(abs(hold.step_V), 'V')} before it in every "
@@ -205,15 +196,11 @@ def _seen(hold: _Hold, fit: _Fit, gain_m_per_V: float) -> Seen:
     """Return the picture: what the stage would have crept, against the time since the move."""
     drive_V = hold.drive_V - hold.drive_V.mean()
     decades = np.log10(np.maximum(hold.time_s, fit.scale_s))
-    place, low, median, high, fitted = classes_of(
-        decades, gain_m_per_V * drive_V, gain_m_per_V * fit.curve_V
-    )
-    return Seen(
+    found = seen_in_classes(
+        decades,
+        gain_m_per_V * drive_V,
+        gain_m_per_V * fit.curve_V,
         unit="s",
-        place=tuple((10.0**place).tolist()),
-        low_m=tuple(low.tolist()),
-        median_m=tuple(median.tolist()),
-        high_m=tuple(high.tolist()),
-        fitted_m=tuple(fitted.tolist()),
         recording=hold.recording,
     )
+    return replace(found, place=tuple(10.0**decade for decade in found.place))

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import effect_named
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
@@ -60,7 +60,7 @@ def with_modes(
     low_Hz, high_Hz = dynamics.mode_frequency_interval_Hz()[largest].tolist()
     before_m = _rms([_left_m(model, dynamics, r, modes=False) for r in shaped])
     after_m = _rms([_left_m(model, dynamics, r, modes=True) for r in shaped])
-    effect = next(effect for effect in EFFECTS if effect.name == NAME)
+    effect = effect_named(NAME)
     gain = float(np.clip(1.0 - after_m / before_m, 0.0, 1.0)) if before_m > 0.0 else 0.0
     names = ", ".join(recording.name for recording in shaped)
     finding = Finding(
@@ -72,20 +72,13 @@ def with_modes(
         rms_percent=100.0 * (before_m * gain / diagnosis.stroke_m),
         size=Size(value=frequency_Hz, unit=effect.unit, ci95=(low_Hz, high_Hz)),
         not_separable_from=(),
-        explanation=f"{' '.join(effect.explanation.partition(chr(10) * 2)[0].split())} It is "
+        explanation=f"{effect.summary} It is "
         f"identified behind the hysteresis from {names}; the errors are of these recordings, "
         "behind the hysteresis that the others tell, without the mode and with it.",
         next_experiment=effect.experiment,
         parameters={"frequency_Hz": frequency_Hz, "quality": _quality(dynamics, largest)},
     )
-    findings = [f for f in diagnosis.findings if f.effect != NAME]
-    findings.append(finding)
-    findings.sort(key=lambda one: one.held_out_gain, reverse=True)
-    return replace(
-        diagnosis,
-        findings=tuple(findings),
-        not_detected=tuple(n for n in diagnosis.not_detected if n.effect != NAME),
-    )
+    return diagnosis.with_finding(finding)
 
 
 def _beside(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) -> Diagnosis:

@@ -42,10 +42,9 @@ COVERED = 0.97  # of the whole range: the initial state is then forgotten
 FEWEST = 4  # rows for a column, or all rows are taken
 CLEARLY = 0.9  # largest misfit, relative to a cycled track, at which another hypothesis is taken
 # A shared hypothesis does as well as individual ones if it leaves at most NEARLY of the power that
-# these remove and AS_GOOD of what they leave; from POOR times the noise on the second is waived.
+# these remove and AS_GOOD of what they leave.
 NEARLY = 0.025
 AS_GOOD = 1.06
-POOR = 2.0
 OTHER_INITIAL_STATES = 0.92  # largest relative error at which other initial states are taken
 POINTS = 500  # samples of a track that are compared
 PARTS = (0.15, 0.05, 0.015)  # of half the range, by which reversals are moved
@@ -110,8 +109,7 @@ def shared_does_as_well(shared: View, own: View, first: View) -> bool:
     first  the view with drives that were cycled
     """
     least, excess = own.rms**2, shared.rms**2 - own.rms**2
-    as_good = excess < (AS_GOOD - 1.0) * least or own.rms > POOR * own.noise
-    return as_good and excess < NEARLY * (first.rms**2 - least)
+    return excess < min((AS_GOOD - 1.0) * least, NEARLY * (first.rms**2 - least))
 
 
 def _drives(view: View) -> list[Array]:

@@ -118,7 +118,9 @@ def _in_place(
     ):
         return None
     seen = score_test(effect, cause.without)
-    if seen is None or not seen.physical or seen.total_gain < NEAR * cause.cv.gain:
+    if seen is None or seen.total_gain < NEAR * cause.cv.gain:
+        return None
+    if not seen.physical and seen.separable:
         return None
     one = initial_guess(effect, seen.trial, float(seen.cv.coefficient[0]))
     better, view = refined(one, clean, others, finer=1)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.diagnosis.discovery import highest
+from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.tracks import Places
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -20,7 +21,7 @@ from piezoid.records.recording import Quantity, Recording
 
 DRIFT, HUM, OTHERS = "thermal_drift", "mains_interference", "cross_coupling"
 JUMP, LINE = "jump", "line"  # of no effect that needs no drive: told as something else
-GRIDS_Hz, OFF_Hz, HARMONICS = (50.0, 60.0), 0.5, 3
+OFF_Hz, HARMONICS = 0.5, 3  # how far a grid is off its nominal frequency
 BLOCKS, FOLDS = 40, 5  # blocks of time, each fold every fifth of them
 SLOW = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
 SLOWS = 1.02  # times what a cubic leaves: a logarithm of time that leaves no more does as well

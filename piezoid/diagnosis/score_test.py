@@ -5,7 +5,6 @@ It tells where to look. What counts is said in ``judgement``, with the real thin
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import log
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
 LEAST_SHARE = 0.05
-AS_MUCH = 0.8  # of the best gain
+APART = 0.03  # of a column, by length: what the null must leave of a lag to tell it from a loop
 TINY = 1e-12  # of a column: nothing is left of it
 Row = tuple[Trial, CrossValidated, Array]
 
@@ -55,7 +54,7 @@ def score_test(effect: Effect, view: View) -> ScoreTest | None:
     null = null_of(effect, view)
     if not any(trial.physical for trial in trials):
         return None
-    found = screened(effect, null, trials)
+    found = screened(effect, null, trials, one_speed=view.one_speed)
     beside = null.rms / view.null.rms if effect.covariates is not None else 1.0
     return replace(found, total_gain=1.0 - (1.0 - found.cv.gain) * beside)
 
@@ -69,8 +68,11 @@ def null_of(effect: Effect, view: View) -> Null:
     return replace(view, selected=np.hstack([view.selected, effect.covariates(view)])).null
 
 
-def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
-    """Judge trials against a null."""
+def screened(effect: Effect, null: Null, trials: Sequence[Trial], *, one_speed: bool) -> ScoreTest:
+    """Judge trials against a null.
+
+    one_speed  of the view: what needs time is then a width of the loop, whatever the null leaves
+    """
     widths = np.cumsum([0, *(t.columns.shape[1] for t in trials)])
     across = null.without(np.hstack([t.columns for t in trials]))
     judged = [
@@ -79,10 +81,9 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
     ]
     placebos = [held for t, held, _ in judged if not t.physical]
     real = [(t, held, c) for t, held, c in judged if t.physical]
-    allowed = [
-        row for row in real if _sound(effect, row[0], row[1]) and _is_separable(row[0], row[2])
-    ]
-    trial, held, columns = _best(effect, allowed or real)
+    separable = [row for row in real if not (one_speed and row[0].needs_time) and _is_apart(row)]
+    allowed = [row for row in separable if _sound(effect, row[0], row[1])]
+    trial, held, columns = max(allowed or real, key=lambda row: row[1].gain)
     share, bound = _shares(held, columns)
     return ScoreTest(
         effect=effect,
@@ -94,21 +95,9 @@ def screened(effect: Effect, null: Null, trials: Sequence[Trial]) -> ScoreTest:
         floor=trial.minimum_coefficient * float(np.sqrt(np.mean(columns[:, 0] ** 2))) / 2.0,
         absorption=_absorption(trial, columns),
         physical=bool(allowed),
-        separable=any(_is_separable(trial, across) for trial, _, across in real),
+        separable=bool(separable),
         total_gain=held.gain,
     )
-
-
-def _best(effect: Effect, rows: Sequence[Row]) -> Row:
-    """Return the trial that gains most; of limits, of those that gain as much, the likeliest.
-
-    A clip a tenth as deep has the same tangent with ten times the share, and clips nothing.
-    """
-    best = max(rows, key=lambda row: row[1].gain)
-    if effect.drive_filter is None or best[1].gain <= 0.0:
-        return best
-    near = [row for row in rows if row[1].gain >= AS_MUCH * best[1].gain]
-    return min(near, key=lambda row: abs(log(abs(float(row[1].coefficient[0])) + 1e-12)))
 
 
 def _sound(effect: Effect, trial: Trial, held: CrossValidated) -> bool:
@@ -124,9 +113,12 @@ def _sound(effect: Effect, trial: Trial, held: CrossValidated) -> bool:
     )
 
 
-def _is_separable(trial: Trial, across: Array) -> bool:
+def _is_apart(row: Row) -> bool:
+    trial, _, across = row
+    if not trial.needs_time:
+        return True
     whole = trial.columns[:, 0] - trial.columns[:, 0].mean()
-    return bool(np.linalg.norm(across[:, 0]) >= trial.minimum_separation * np.linalg.norm(whole))
+    return bool(np.linalg.norm(across[:, 0]) >= APART * np.linalg.norm(whole))
 
 
 def _absorption(trial: Trial, across: Array) -> float:

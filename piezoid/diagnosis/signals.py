@@ -14,6 +14,7 @@ from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 
+GRIDS_Hz = (50.0, 60.0)
 GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
 
 

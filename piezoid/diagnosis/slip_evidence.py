@@ -17,11 +17,8 @@ from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
 WHOLE = 0.4  # how far beta may be from one
-# gain above, standard errors of the step among stretches of equal speed above, beta that near one
-EVIDENCE = ((0.33, 6.0, WHOLE),)
-EVIDENCE_AGAIN = ((0.1, 8.0, WHOLE),)
-# where no speed was met on both sides, or the stage moved one way only
-EVIDENCE_UNEQUAL = ((0.6, 6.0, 0.25),)
+GAIN = 0.33  # of the track's squared residual: what a slip must take
+SURE = 6.0  # standard errors of the step among stretches of equal speed
 LEAST_SHARE = 3e-4  # of half the stroke: what the slip must be worth in rms
 WINDOWS = 36
 EQUAL = 1.6  # speeds within this ratio are equal
@@ -38,7 +35,6 @@ class SlipEvidence:
     step       of the delay among stretches of equal speed, in samples, and its standard error
     p_value    of a step this clear where the stretches come in any other order
     worth      rms of what it changes, of half the stroke
-    equal      whether stretches of equal speed could be compared, both ways; else it is all
     """
 
     slip: Slip
@@ -47,20 +43,17 @@ class SlipEvidence:
     deviation: float
     p_value: float
     worth: float
-    equal: bool
 
-    def is_significant(self, *, again: bool) -> bool:
-        """Tell whether this is evidence of a slip; where there was one, others are likelier."""
-        length = abs(self.slip.samples)
-        clear, off = abs(self.step) / self.deviation, abs(self.beta - 1.0)
-        ways = (*EVIDENCE, *(EVIDENCE_AGAIN if again else ())) if self.equal else EVIDENCE_UNEQUAL
+    @property
+    def is_significant(self) -> bool:
+        """Tell whether this is evidence of a slip."""
+        away = abs(self.step - self.slip.samples)
         return (
             self.worth > LEAST_SHARE
-            and abs(self.step - self.slip.samples) < WHOLE * length + 2.0 * self.deviation
-            and any(
-                self.slip.gain > gain and clear > sure and off < whole
-                for gain, sure, whole in ways
-            )
+            and away < WHOLE * abs(self.slip.samples) + 2.0 * self.deviation
+            and self.slip.gain > GAIN
+            and abs(self.step) > SURE * self.deviation
+            and abs(self.beta - 1.0) < WHOLE
         )
 
 
@@ -75,7 +68,6 @@ def hidden(view: View) -> float:
     f for a slip in the middle of all places at which one is looked for.
     """
     null, worst = beside(view), LEAST_SHARE
-    gain = EVIDENCE[0][0]
     for k in range(len(view.tracks)):
         track = Searched.of(view, null, k)
         if len(track.place) < FEWEST_ROWS:
@@ -83,12 +75,15 @@ def hidden(view: View) -> float:
         first = track.instants()
         if len(first):
             share = max(float(np.median(track.own_share(1, first))), OWN)
-            worst = max(worst, float(np.sqrt(gain / share * np.mean(track.residual**2))))
+            worst = max(worst, float(np.sqrt(GAIN / share * np.mean(track.residual**2))))
     return worst / 2.0
 
 
 def evidence_of(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
-    """Compare the delay of stretches of equal speed before and behind a slip."""
+    """Compare the delay of stretches of equal speed before and behind a slip.
+
+    None where no speed was met on both sides, or the stage moved one way only.
+    """
     track = Searched.of(view, null, slip.track)
     n, samples = len(track.place), int(slip.samples)
     first = int(np.searchsorted(track.place, slip.instant))
@@ -105,11 +100,8 @@ def evidence_of(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
     delay = samples * (np.array([change[p] @ left[p] for p in parts]) / square + beta * behind)
     speed = np.sqrt(np.array([np.sum(change[p] ** 4) for p in parts]) / square) + 1e-150
     equal = _equal(speed, behind)
-    matched = _fewer(behind[equal]) >= FEWEST and _both_ways(change, first)
-    if not matched:
-        equal = np.ones(len(parts), dtype=bool)
-        if _fewer(behind) < FEWEST:
-            return None
+    if _fewer(behind[equal]) < FEWEST or not _both_ways(change, first):
+        return None
     step, deviation = _step(delay[equal], behind[equal], np.sqrt(square[equal]))
     return SlipEvidence(
         slip=replace(slip, gain=gain),
@@ -118,7 +110,6 @@ def evidence_of(view: View, null: Null, slip: Slip) -> SlipEvidence | None:
         deviation=deviation,
         p_value=_chance(delay[equal], np.sqrt(square[equal])),
         worth=float(np.sqrt(np.mean(change[first:] ** 2) * (n - first) / n)),
-        equal=matched,
     )
 
 

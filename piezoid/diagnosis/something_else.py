@@ -7,14 +7,13 @@ coordinate leaves clearly less goes the same way, for a wrong name is worse than
 search is believed where it ends with clearly less than the first one.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.coordinates import Signals, along_displacement
 from piezoid.diagnosis.discovery import (
     SHIFTS,
@@ -27,7 +26,6 @@ from piezoid.diagnosis.discovery import (
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.healthy import chance_of, least_chance, score_of
 from piezoid.diagnosis.range_end import Ended, ended
-from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.search import Outcome, search
 from piezoid.diagnosis.view import View, with_tracks
 from piezoid.numerics.arrays import Array
@@ -41,9 +39,6 @@ SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
 UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
 BETTER = 0.97  # of the error: what the second search must leave
-NO_WORSE = 1.03  # of it: what a search may leave that mends less
-LEFT_OVER = 0.3  # of what the curve takes: what a shape not quite its own leaves to other names,
-IN_TIME_OVER = 1.0  # and a course in time, of which hysteresis has taken a part
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,18 +131,13 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
     plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
-    mended = _without_faults(plain, executor)
-    if mended.discovered is not None:
-        return mended
     best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
         executor.report("searching again without it")
         again = search(without(view, found), executor)
         if again.final.rms < least:
             least = again.final.rms
-            best = replace(
-                plain, outcome=_own(again, first, found), discovered=found, otherwise=plain
-            )
+            best = replace(plain, outcome=again, discovered=found, otherwise=plain)
     return best
 
 
@@ -161,60 +151,6 @@ def _sought(
     curve = _instead(first) or _named(remainder, lives, first)
     if curve is not None:
         yield curve
-
-
-def _without_faults(plain: Explained, executor: Executor) -> Explained:
-    """Ask whether faults that were mended repeat, and are then no faults of single samples."""
-    first = plain.outcome
-    if not first.faults:
-        return plain
-    remainder = Remainder.of(
-        extended(first.first, [one.selected for one in first.causes if one.selected.is_active]), ()
-    )
-    repeating = [one for one in everywhere(remainder) if one.basis.per_unit > 0.0]
-    found = _named(remainder, repeating, first)
-    if found is None:
-        return plain
-    executor.report("searching again without what repeats")
-    again = search(without(plain.raw, found), executor)
-    if set(again.faults) < set(first.faults) and again.final.rms < NO_WORSE * first.final.rms:
-        return replace(plain, outcome=again, discovered=found, otherwise=plain)
-    return plain
-
-
-def _own(again: Outcome, first: Outcome, found: Discovered) -> Outcome:
-    """Return a search without names for what the curve leaves over, its shape being not quite so.
-
-    A wave leaves nothing over.
-    """
-    if found.lives.basis.harmonics == 1 or found.end is not None:
-        return again
-    known = {cause.effect.name for cause in first.causes}
-    least = (IN_TIME_OVER if found.lives.coordinate == "time" else LEFT_OVER) * found.rms
-    left_over = {
-        cause.effect.name
-        for cause in again.causes
-        if cause.effect.name not in known and _taken(cause) < least
-    }
-    causes = tuple(one for one in again.causes if one.effect.name not in left_over)
-    return replace(
-        again,
-        causes=causes,
-        faults={name: f for name, f in again.faults.items() if name in first.faults},
-        final=extended(again.clean, [cause.selected for cause in causes]),
-        screened={**_seen(again, left_over), **again.screened},
-    )
-
-
-def _taken(cause: Candidate) -> float:
-    return sqrt(max(cause.without.rms**2 - cause.cv.rms**2, 0.0))
-
-
-def _seen(outcome: Outcome, names: Collection[str]) -> dict[str, ScoreTest]:
-    """Return the last word on causes that are taken back."""
-    taken = [cause for cause in outcome.causes if cause.effect.name in names]
-    found = ((cause.effect.name, score_test(cause.effect, cause.without)) for cause in taken)
-    return {name: seen for name, seen in found if seen is not None}
 
 
 def without(view: View, found: Discovered) -> View:

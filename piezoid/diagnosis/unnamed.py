@@ -154,15 +154,11 @@ def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
     followed = np.concatenate([lives.followed[_rows(found, k)] for k in shown])
     if lives.coordinate in ("displacement", "reading") and not lives.basis.per_unit:
         place = place * np.sign(scale_m) + middle_m
-    classes = classes_of(place, np.sign(scale_m) * left, np.sign(scale_m) * followed)
-    low, median, high, fitted = (view.stroke_m * one for one in classes[1:])
-    return Seen(
+    return seen_in_classes(
+        place,
+        np.sign(scale_m) * view.stroke_m * left,
+        np.sign(scale_m) * view.stroke_m * followed,
         unit="" if lives.basis.per_unit else lives.basis.unit,
-        place=tuple(classes[0].tolist()),
-        low_m=tuple(low.tolist()),
-        median_m=tuple(median.tolist()),
-        high_m=tuple(high.tolist()),
-        fitted_m=tuple(fitted.tolist()),
         recording=recording,
     )
 
@@ -185,17 +181,30 @@ def _place(found: Discovered, k: int) -> Array:
     return np.asarray((place * basis.per_unit - np.arctan2(own[1], own[0]) / (2.0 * np.pi)) % 1.0)
 
 
-def classes_of(place: Array, left: Array, followed: Array) -> tuple[Array, ...]:
-    """Return middles, quartiles of the remainder and mean of the curve, class by class."""
+def seen_in_classes(
+    place: Array, left_m: Array, followed_m: Array, *, unit: str, recording: str = ""
+) -> Seen:
+    """Return quartiles of a remainder and the mean of its curve, class by class of its place."""
     there = np.isfinite(place)
-    place, left, followed = place[there], left[there], followed[there]
+    place, left_m, followed_m = place[there], left_m[there], followed_m[there]
     edges = np.linspace(place.min(), place.max() + 1e-12, CLASSES + 1)
     kind = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, CLASSES - 1)
     rows = []
     for k in range(CLASSES):
         inside = kind == k
         if np.sum(inside) >= LEAST_ROWS:
-            quartiles = np.quantile(left[inside], [0.25, 0.5, 0.75]).tolist()
-            curve = float(np.mean(followed[inside]))
-            rows.append([float(np.mean(place[inside])), *quartiles, curve])
-    return tuple(np.array(rows).reshape(-1, 5).T)
+            quartiles = np.quantile(left_m[inside], [0.25, 0.5, 0.75]).tolist()
+            curve_m = float(np.mean(followed_m[inside]))
+            rows.append([float(np.mean(place[inside])), *quartiles, curve_m])
+    middle, low, median, high, fitted = (
+        tuple(c) for c in np.array(rows).reshape(-1, 5).T.tolist()
+    )
+    return Seen(
+        unit=unit,
+        place=middle,
+        low_m=low,
+        median_m=median,
+        high_m=high,
+        fitted_m=fitted,
+        recording=recording,
+    )

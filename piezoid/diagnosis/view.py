@@ -34,6 +34,8 @@ class View:
     voltage_V half the range of the drive
     rest      the drive at 0 V, in half ranges from its middle
     guess     static responses to take in place of the fitted ones, (samples,) for each track
+    one_speed whether like branches were all driven at one speed and nothing jumps: there all that
+              needs time is a width of the loop
     """
 
     nuisance: NuisanceClass
@@ -43,6 +45,7 @@ class View:
     voltage_V: float
     rest: float
     guess: tuple[Array, ...] | None = None
+    one_speed: bool = False
 
     @property
     def tracks(self) -> tuple[Track, ...]:

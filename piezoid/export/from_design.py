@@ -23,6 +23,7 @@ from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.polynomial import roots_of
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.runtime.library import complete
 from piezoid.runtime.schema import MAX_RELAXATIONS
 
@@ -194,7 +195,7 @@ def _limits(design: AxisDesign) -> Given:
 
 def _range(model: AxisModel, design: AxisDesign) -> Given:
     """Return what the model reaches between the voltage limits, and what to believe."""
-    asked, operator = design.specification, model.hysteresis
+    asked, operator = design.specification, model.operator
     ends = np.array([asked.voltage_min_V, asked.voltage_max_V, asked.voltage_min_V])
     moved, _ = operator.run(ends, operator.virgin_memory())
     offset = operator.displacement_offset_m
@@ -227,7 +228,9 @@ def _ramp_s(member: Member) -> float:
 
 def hysteresis_values(model: AxisModel) -> Given:
     """Return the model's operator under the runtime's names, in the de-poled state."""
-    operator = model.hysteresis
+    operator = model.operator
+    if isinstance(operator, PreisachPlays):
+        return {"polarity": model.polarity, **function_values(operator)}
     given: Given = {
         "polarity": model.polarity,
         "voltage_offset_V": operator.voltage_offset_V,
@@ -236,6 +239,7 @@ def hysteresis_values(model: AxisModel) -> Given:
         "play_threshold_V": operator.plays.threshold,
         "play_weight_m_per_V": operator.plays.weight,
         "play_memory_V": operator.virgin_memory(),
+        "edge_count": 0,
     }
     for name, unit, zones in (
         ("knot", "m", operator.dead_zones),
@@ -248,6 +252,21 @@ def hysteresis_values(model: AxisModel) -> Given:
             f"{name}_weight": zones.weight,
         }
     return given
+
+
+def function_values(operator: PreisachPlays) -> Given:
+    """Return plays behind functions under the runtime's names, in the de-poled state."""
+    width_V = operator.edge_V[1] - operator.edge_V[0]
+    return {
+        "voltage_offset_V": operator.voltage_offset_V,
+        "displacement_offset_m": operator.displacement_offset_m,
+        "play_count": len(operator.threshold_V),
+        "play_threshold_V": operator.threshold_V,
+        "edge_count": len(operator.edge_V),
+        "edge_steps": round(width_V / operator.step_V),
+        "edge_V": operator.edge_V[0],
+        "play_value_m": operator.value_m,
+    }
 
 
 def creep_values(model: AxisModel, sampling_rate_Hz: float) -> Given:

@@ -24,6 +24,9 @@ from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, librar
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
 from piezoid.upstairs import upstairs
 
+# What only files of plays behind functions hold.
+FUNCTIONS = frozenset({"edge_count", "edge_steps", "edge_V", "play_value_m"})
+
 # What a C enumerator and a file name can both carry.
 _AXIS = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
@@ -243,6 +246,7 @@ def _shipped() -> list[Parameter]:
 
 
 def _entries(values: Values) -> dict[str, Any]:
+    straight = values["edge_count"] == 0  # as in files of before there were functions
     return {
         p.name: {
             "unit": p.unit,
@@ -250,6 +254,7 @@ def _entries(values: Values) -> dict[str, Any]:
             "meaning": p.meaning,
         }
         for p in _shipped()
+        if not (straight and p.name in FUNCTIONS)
     }
 
 
@@ -270,10 +275,12 @@ def _values(entries: Mapping[str, Any], place: str) -> Values:
         given = {name: entry["value"] for name, entry in entries.items()}
     except (KeyError, TypeError, AttributeError) as error:
         raise _incomplete(place, f"an entry without {error}") from error
+    if not found.keys() & FUNCTIONS:
+        expected = {name: unit for name, unit in expected.items() if name not in FUNCTIONS}
     if found != expected:
         differing = sorted(set(found.items()) ^ set(expected.items()))
         raise _incomplete(place, f"{differing[0][0]} in {differing[0][1]!r} is not the schema's")
-    arrays = {p.name: _array(p, given[p.name]) for p in _shipped()}
+    arrays = {p.name: _array(p, given[p.name]) for p in _shipped() if p.name in expected}
     return complete({name: array for name, array in arrays.items() if array.size})
 
 

@@ -209,7 +209,7 @@ def _slopes(axis: AxisModel, wide: _Class, weight_m: Array, told_m: Array) -> tu
     Both over the adversarial drives of the certificate.
     """
     away_V = adversarial_drives(wide.reach_V, seed=0)
-    states, operator = wide.states(away_V), axis.hysteresis
+    states, operator = wide.states(away_V), axis.operator
     followed_m, _ = operator.run(wide.centre_V + away_V, operator.virgin_memory())
     step_V = np.diff(away_V)
     long = np.abs(step_V) > wide.reach_V / (_STEPPED * PLAYS)

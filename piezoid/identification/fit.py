@@ -22,6 +22,7 @@ from piezoid.identification.dynamics.axis_dynamics import quasi_static, with_dyn
 from piezoid.identification.hysteresis.estimate import bent_trials, estimate_axis
 from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
+from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
 from piezoid.identification.restoring_force.axis_placement import with_placement
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
@@ -284,7 +285,8 @@ def refined(
     if axis.dynamics is None:
         stated_Hz = lab.actuator_of(axis.axis).bandwidth_Hz
         found = with_dynamics(axis, recordings, stated_Hz=stated_Hz, response=response)
-    told = with_discrepancy(found, moving(recordings, axis.axis))
+    held = moving(recordings, axis.axis)
+    told = with_discrepancy(with_minor_loops(found, held), held)
     return told.told_in_counts(counted_in(recordings))
 
 

@@ -23,7 +23,7 @@ def linear_part(axis: AxisModel, sampling_rate_Hz: float | None) -> ContinuousSy
     m and M are the ends of the hysteresis' slope sector: what it is to a linear loop.
     """
     loop: LoopModel = loop_model(axis, sampling_rate_Hz or _NO_RATE_Hz)
-    gain = axis.polarity * 0.5 * sum(axis.hysteresis.slope_sector_m_per_V) * loop.gain
+    gain = axis.polarity * 0.5 * sum(axis.operator.slope_sector_m_per_V) * loop.gain
     whole = cascade(loop.front, loop.behind, loop.slow, loop.sensor)
     return ContinuousSystem(
         A=whole.A, B=whole.B, C=gain * whole.C, D=gain * whole.D, delay_s=loop.delay_s

@@ -222,7 +222,7 @@ def _of_dynamics(
 
 def _middle_m_per_V(axis: AxisModel) -> float:
     """Return the middle of the slopes of the hysteresis."""
-    return 0.5 * sum(axis.hysteresis.slope_sector_m_per_V)
+    return 0.5 * sum(axis.operator.slope_sector_m_per_V)
 
 
 def _is_drawn(path: LinearDynamics, middle_m_per_V: float) -> NDArray[np.bool_]:

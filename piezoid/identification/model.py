@@ -20,8 +20,10 @@ from piezoid.identification.quality import Certificate, FitQuality, Uncertainty,
 from piezoid.identification.restoring_force.fit import RestoringForceModel
 from piezoid.identification.restoring_force.placing import HysteresisPlacement
 from piezoid.numerics.arrays import Array, freeze
+from piezoid.numerics.robust import student_quantile
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.recording import Quantity, Recording
 from piezoid.upstairs import upstairs
 
@@ -120,6 +122,78 @@ class Discrepancy:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class MinorLoops:
+    """Plays behind functions that simulate and ship in place of plays with dead zones.
+
+    operator      0 where ``AxisModel.hysteresis`` is
+    without_m     (blocks, plays, edges - 1)  what the functions rise between edges in fits without
+                  one block of time each
+    least_rise_m  that of the play of no width between edges, in all of these
+    plain         what plays with dead zones leave and how far they may be wrong, by which a
+                  diagnosis goes: quality and certificate as the axis has them without this
+    """
+
+    operator: PreisachPlays
+    without_m: Array
+    least_rise_m: float
+    plain: "Believed"
+
+    def __post_init__(self) -> None:
+        freeze(self, "without_m", ndim=3)
+        if self.without_m.shape[1:] != self.operator.rise_m.shape:
+            raise ValueError(
+                f"fits without blocks of shape {self.without_m.shape}, expected "
+                f"{self.operator.rise_m.shape} each"
+            )
+
+    @property
+    def half_m(self) -> Array:
+        """Half the 95 % interval of what every function rises, (plays, edges - 1)."""
+        blocks = len(self.without_m)
+        spread = self.without_m.std(axis=0) * np.sqrt(blocks - 1.0)
+        return np.asarray(student_quantile(0.975, blocks - 1) * spread)
+
+    def drawn(self, rng: np.random.Generator, draws: int) -> tuple[PreisachPlays, ...]:
+        """Draw operators that the recordings allow.
+
+            rise + sum_c xi_c sqrt((G - 1)/G) (rise_(c) - mean),   xi standard normal
+
+        None of their functions falls, as none does in a fit.
+        """
+        blocks = len(self.without_m)
+        kicks = rng.standard_normal((draws, blocks)) * np.sqrt((blocks - 1) / blocks)
+        centred_m = self.without_m - self.without_m.mean(axis=0)
+        rises_m = self.operator.rise_m + np.tensordot(kicks, centred_m, axes=1)
+        rises_m[:, 0] = np.maximum(rises_m[:, 0], self.least_rise_m)
+        return tuple(self.operator.with_rises(rise_m) for rise_m in np.maximum(rises_m, 0.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class FunctionOrder:
+    """Plays behind functions as they were tried.
+
+    plays, pieces   how many, and of how many straight pieces every function is
+    held_out_rms_m  what they leave of rows they were not fitted to, once pasts are forgotten
+    plain_rms_m     what plays with dead zones leave of these, though they were fitted to them
+    """
+
+    plays: int
+    pieces: int
+    held_out_rms_m: float
+    plain_rms_m: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Believed:
+    """How far a fit may be believed, where another one took its place."""
+
+    rms_m: float
+    held_out_rms_m: float
+    held_out_kind: str
+    certificate: Certificate
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class AxisModel:
     """One axis of a stage.
 
@@ -138,6 +212,9 @@ class AxisModel:
     response     how the dynamics were found in a measured frequency response; None where they
                  were not
     extensions   what a diagnosis added, in the order in which they act
+    minor_loops  what simulates, ships and is bounded in place of ``hysteresis``, by which a
+                 diagnosis still goes; None where it predicts no better
+    function_orders  plays behind functions that were tried, the largest first
     discrepancy  what this class leaves of the recordings, for verification; None: not known
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
@@ -163,6 +240,8 @@ class AxisModel:
     bandwidth: BandwidthVerdict | None = None
     response: ResponseFit | None = None
     extensions: tuple[Extension, ...] = ()
+    minor_loops: MinorLoops | None = None
+    function_orders: tuple[FunctionOrder, ...] = ()
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
@@ -200,6 +279,32 @@ class AxisModel:
                 remedy="Write into the [[recording]] of each file in lab.toml, and fit again:\n\n"
                 f"scale = {{ {one} = ... }}\n",
             )
+
+    @property
+    def operator(self) -> ModifiedPrandtlIshlinskii | PreisachPlays:
+        """What simulates and ships.
+
+        >>> model["x"].operator is model["x"].hysteresis
+        True
+        """
+        return self.hysteresis if self.minor_loops is None else self.minor_loops.operator
+
+    def without_minor_loops(self) -> "AxisModel":
+        """Return the axis as plays with dead zones describe it.
+
+        >>> model["x"].without_minor_loops().minor_loops is None
+        True
+        """
+        if self.minor_loops is None:
+            return self
+        plain = self.minor_loops.plain
+        quality = replace(
+            self.quality,
+            rms_m=plain.rms_m,
+            held_out_rms_m=plain.held_out_rms_m,
+            held_out_kind=plain.held_out_kind,
+        )
+        return replace(self, minor_loops=None, quality=quality, certificate=plain.certificate)
 
     @property
     def virgin_memory_V(self) -> Array:
@@ -275,7 +380,27 @@ class AxisModel:
         wanted_m = _drive(displacement_m, f"the displacement of axis {self.axis}", "m")
         zero = self.zero_m if zero_m is None else zero_m
         output_m = self.polarity * (wanted_m - zero) + self.hysteresis.displacement_offset_m
-        return self.hysteresis.inverse_run(output_m, self._memory(memory_V))[0]
+        memory = self._memory(memory_V)
+        return self.operator.inverse_run(output_m, self._states_V(memory))[0]
+
+    def memory_at(self, threshold_V: Array, memory_V: Array) -> Array:
+        """Return the states of plays of other half-widths, without an envelope, (plays,).
+
+        As far from the drive that left them, to which the play of no width stands, as these are.
+
+        >>> model["x"].memory_at(np.array([0.0, 1.0]), model["x"].virgin_memory_V).tolist()
+        [0.0, 0.0]
+        """
+        left_V = self.hysteresis.envelope.inverse().run(memory_V[:1])
+        away_V = memory_V - memory_V[0]
+        threshold = self.hysteresis.plays.threshold
+        return np.asarray(left_V + np.interp(threshold_V, threshold, away_V))
+
+    def _states_V(self, memory_V: Array) -> Array:
+        """Return the states of the plays that simulate, from those of ``hysteresis``."""
+        if self.minor_loops is None:
+            return memory_V
+        return self.memory_at(self.minor_loops.operator.threshold_V, memory_V)
 
     def _memory(self, given: Array | None) -> Array:
         """Return the memory before the first sample, or refuse one of another length."""
@@ -383,19 +508,39 @@ class AxisModel:
         >>> model["x"].moved(np.array([0.0, 5.0, 10.0]), model["x"].virgin_memory_V, where).shape
         (3,)
         """
-        driven = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, where.rate_Hz)
+        driven_V = self.driven(voltage_V, where.rate_Hz)
+        output_m = self.hysteresis_of(driven_V, memory_V, where.rate_Hz)
+        offset_m = self.hysteresis.displacement_offset_m
+        total_m = self.behind(self.polarity * (output_m - offset_m), where)
         for extension in self.extensions:
-            driven = extension.drive(driven, where.rate_Hz)
-        output_m = self._hysteresis_of(driven, memory_V, where.rate_Hz)
-        moved_m = self.polarity * (output_m - self.hysteresis.displacement_offset_m)
+            total_m = total_m + extension.added(where)
+        return total_m
+
+    def driven(self, voltage_V: Array, rate_Hz: float) -> Array:
+        """Return the voltage that reaches the ceramic, (samples,).
+
+        >>> model["x"].driven(np.array([0.0, 5.0]), 1000.0).shape
+        (2,)
+        """
+        driven_V = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, rate_Hz)
+        for extension in self.extensions:
+            driven_V = extension.drive(driven_V, rate_Hz)
+        return driven_V
+
+    def behind(self, moved_m: Array, where: Where) -> Array:
+        """Return what all that is linear makes of a hysteresis' output, (samples,).
+
+        >>> from piezoid.identification.extensions.extension import Where
+        >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
+        >>> model["x"].behind(np.zeros(3), where).tolist()
+        [0.0, 0.0, 0.0]
+        """
         for extension in self.extensions:
             moved_m = extension.response(moved_m, where)
         total_m = lagged(moved_m, self.lag.kind, self.lag.time_s, where.rate_Hz)
         if self.rig.sensor_bandwidth_Hz is not None:
             time_s = 1.0 / (2 * np.pi * self.rig.sensor_bandwidth_Hz)
             total_m = relaxed(total_m, time_s, where.rate_Hz)
-        for extension in self.extensions:
-            total_m = total_m + extension.added(where)
         return total_m
 
     def read(self, position_m: Array) -> Array:
@@ -408,8 +553,15 @@ class AxisModel:
             position_m = extension.reading(position_m)
         return position_m
 
-    def _hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part."""
+    def hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part.
+
+        >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
+        >>> model["x"].hysteresis_of(u, memory, 1000.0).shape
+        (2,)
+        """
+        if self.minor_loops is not None:
+            return self.operator.run(driven_V, self._states_V(memory_V))[0]
         operator = self.hysteresis
         inner_V = operator.envelope.run(driven_V - operator.voltage_offset_V)
         h_m, _ = operator.plays.run(inner_V, memory_V)

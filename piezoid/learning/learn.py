@@ -300,7 +300,7 @@ def _checked(
     allowed_m_per_s = (
         np.inf
         if plant.slew_V_per_s is None
-        else (plant.slew_V_per_s * model.hysteresis.slope_sector_m_per_V[1])
+        else (plant.slew_V_per_s * model.operator.slope_sector_m_per_V[1])
     )
     if parameters is not None and float(parameters.values["reference_step_m"]) > 0.0:
         step_m = float(parameters.values["reference_step_m"])
@@ -330,7 +330,7 @@ def _refuse_untouched(axis: str, found: LearningFilter, wanted_m: Array) -> None
 
 def _reach_m(model: AxisModel) -> tuple[float, float]:
     """Return how far the hysteresis goes between the ends of the recorded drive."""
-    operator = model.hysteresis
+    operator = model.operator
     low_V, high_V = model.voltage_V
     moved_m, _ = operator.run(np.array([high_V, low_V, high_V]), operator.virgin_memory())
     ends_m = model.polarity * (moved_m[1:] - operator.displacement_offset_m)

@@ -262,3 +262,57 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
         }
     }
 }
+
+static double play_at(double u, double r, double z) {
+    return fmax(u - r, fmin(u + r, z));
+}
+
+static double sum_of_values(size_t plays, double step, size_t edges, const double *edge,
+                            const double *value, const double *state, double u) {
+    const double width = edge[1] - edge[0];
+    double sum = 0.0;
+    for (size_t i = 0; i < plays; ++i) {
+        const double z = play_at(u, (double)i * step, state[i]);
+        const double place = fmin(fmax((z - edge[0]) / width, 0.0), (double)(edges - 2));
+        const size_t k = (size_t)place;
+        const double *at = value + i * edges + k;
+        sum += at[0] + (at[1] - at[0]) * ((z - edge[k]) / width);
+    }
+    return sum;
+}
+
+void pk_valued_inverse(size_t samples, const double *wanted, size_t plays, double step,
+                       size_t edges, const double *edge, const double *value, double *state,
+                       double *found) {
+    for (size_t n = 0; n < samples; ++n) {
+        double low = state[0];
+        double high = state[0];
+        double far = step;
+        while (sum_of_values(plays, step, edges, edge, value, state, low) > wanted[n]) {
+            high = low;
+            low -= far;
+            far *= 2.0;
+        }
+        far = step;
+        while (sum_of_values(plays, step, edges, edge, value, state, high) < wanted[n]) {
+            low = high;
+            high += far;
+            far *= 2.0;
+        }
+        for (;;) {
+            const double middle = 0.5 * low + 0.5 * high;
+            if (!(middle > low && middle < high)) {
+                break;
+            }
+            if (sum_of_values(plays, step, edges, edge, value, state, middle) < wanted[n]) {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        found[n] = 0.5 * low + 0.5 * high;
+        for (size_t i = 0; i < plays; ++i) {
+            state[i] = play_at(found[n], (double)i * step, state[i]);
+        }
+    }
+}

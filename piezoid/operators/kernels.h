@@ -83,4 +83,15 @@ void pk_inverse_resynchronised(size_t samples, const double *desired, size_t pla
                                double maximum_V, double lsb_V, int synchronise, double *state_V,
                                double *inverse_state, double *applied_V);
 
+/* Inverse of a sum of rising functions of plays, halved until the input is known to the last bit.
+ *   wanted      (samples,)
+ *   step        half-width of play i is i times this
+ *   edge, value (edges,), (plays, edges): functions straight between edges, the outermost going on
+ *   state       (plays,)    in/out
+ *   found       (samples,)  out
+ */
+void pk_valued_inverse(size_t samples, const double *wanted, size_t plays, double step,
+                       size_t edges, const double *edge, const double *value, double *state,
+                       double *found);
+
 #endif

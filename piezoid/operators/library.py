@@ -29,6 +29,10 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         _INT,
         *[_POINTER] * 3,
     ),
+    "pk_valued_inverse": (
+        *(_SIZE, _POINTER, _SIZE, _DOUBLE),
+        *(_SIZE, *[_POINTER] * 4),
+    ),
     "pk_first_order": (*[_SIZE] * 3, _POINTER, *[_DOUBLE] * 3, *[_POINTER] * 2),
     "pk_chain_rows": (
         *(_INT, _SIZE),

@@ -85,6 +85,11 @@ class ModifiedPrandtlIshlinskii:
         # The plays are the inverse of their inverse, and so is their memory.
         return voltage_V, plays.inverse_memory(after)
 
+    def multiplied(self, factor: float) -> "ModifiedPrandtlIshlinskii":
+        """Return what moves a factor as far as this one."""
+        zones = replace(self.dead_zones, weight=self.dead_zones.weight * factor)
+        return replace(self, dead_zones=zones)
+
     def rescaled(self, c: float) -> "ModifiedPrandtlIshlinskii":
         """Return the same operator in another gauge: (w, r_S, w_S) -> (c w, c r_S, w_S / c)."""
         return replace(

@@ -44,9 +44,28 @@ static pz_real clamp(pz_real x, pz_real low, pz_real high) {
 
 /* ---- operators ----------------------------------------------------------------------------- */
 
-/* H: sum of w_i z_i over the memory. */
+static pz_real edge_width(const pz_parameters *p) {
+    return (pz_real)p->edge_steps * p->play_threshold_V[1];
+}
+
+/* phi_i(z), straight between its values at the edges; the outermost pieces go on for ever. */
+static pz_real play_value(const pz_parameters *p, int32_t i, pz_real z, pz_real per_V) {
+    const pz_real place = (z - p->edge_V) * per_V;
+    const int32_t k = (int32_t)clamp(place, ZERO, (pz_real)(p->edge_count - 2));
+    const pz_real *value = p->play_value_m[i] + k;
+    return value[0] + (value[1] - value[0]) * (place - (pz_real)k);
+}
+
+/* H: sum of w_i z_i, or of phi_i(z_i), over the memory. */
 static pz_real play_sum(const pz_parameters *p, const pz_real *z) {
     pz_real sum = ZERO;
+    if (p->edge_count > 0) {
+        const pz_real per_V = ONE / edge_width(p);
+        for (int32_t i = 0; i < p->play_count; ++i) {
+            sum += play_value(p, i, z[i], per_V);
+        }
+        return sum;
+    }
     for (int32_t i = 0; i < p->play_count; ++i) {
         sum += p->play_weight_m_per_V[i] * z[i];
     }
@@ -60,12 +79,81 @@ static void play_follow(const pz_parameters *p, pz_real *z, pz_real u) {
     }
 }
 
+/* What phi_i rises over piece k; pieces are counted against u where it falls. */
+static pz_real play_rise(const pz_parameters *p, int32_t i, int32_t k, int falls) {
+    const pz_real *value = p->play_value_m[i] + (falls ? p->edge_count - 2 - k : k);
+    return value[1] - value[0];
+}
+
+/* In which piece play i is where u lies between two marks, if it moves: it has passed the inner
+ * edges k with k edge_steps + i < mark. */
+static int32_t play_piece(const pz_parameters *p, int32_t i, int32_t mark) {
+    const int32_t k = mark > i ? (mark - 1 - i) / p->edge_steps : 0;
+    return k < p->edge_count - 2 ? k : p->edge_count - 2;
+}
+
+#define NOWHERE PZ_REAL(1e30) /* in volts: nothing is there */
+
+/* H^-1 where plays have functions: outwards from z_0 as in play_inverse, from one place at which
+ * the sum can bend to the next. Between two of them it is straight, and its slope is positive, as
+ * phi_0 rises. Every play begins to move once; one that moves meets the inner edge k where u is at
+ * edge_k + r_i. As r_i is i r_1 and edges lie edge_steps r_1 apart, those places are marks r_1
+ * apart, number k edge_steps + i from the first edge on: with every play's start no more than
+ * `count` places. Seen from where u goes: a way down is one up in a mirror. */
+static pz_real value_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
+    const pz_real rest = play_sum(p, z);
+    const int falls = wanted < rest;
+    const pz_real sign = falls ? -ONE : ONE;
+    const pz_real way = sign * (wanted - rest) * edge_width(p);
+    const pz_real step = p->play_threshold_V[1];
+    const int32_t top = p->edge_count - 2;
+    const int32_t marks = top * p->edge_steps + p->play_count;
+    const int32_t count = marks + p->play_count;
+    const pz_real first = sign * p->edge_V - (falls ? (pz_real)(top + 1) * edge_width(p) : ZERO);
+    pz_real done = ZERO;
+    pz_real u = sign * z[0];
+    int32_t moving = 1;
+    int32_t mark = (int32_t)clamp((u - first) / step + ONE, ZERO, (pz_real)marks);
+    pz_real slope = play_rise(p, 0, play_piece(p, 0, mark), falls);
+    /*@ loop unroll 0; */ /* for the proof: its cases, one by one, are too many */
+    for (int32_t n = 0; n < count; ++n) {
+        const pz_real bends = mark < marks ? first + (pz_real)mark * step : NOWHERE;
+        const pz_real begins =
+            moving < p->play_count ? sign * z[moving] + p->play_threshold_V[moving] : NOWHERE;
+        const pz_real next = begins < bends ? begins : bends;
+        if (!(next < NOWHERE) || done + slope * (next - u) >= way) {
+            break;
+        }
+        if (next > u) {
+            done += slope * (next - u);
+            u = next;
+        }
+        if (begins < bends && moving < p->play_count) {
+            slope += play_rise(p, moving, play_piece(p, moving, mark), falls);
+            ++moving;
+        } else if (mark < marks) {
+            /*@ loop unroll 0; */
+            for (int32_t i = mark % p->edge_steps; i < moving; i += p->edge_steps) {
+                const int32_t k = (mark - i) / p->edge_steps;
+                if (k >= 1 && k <= top) {
+                    slope += play_rise(p, i, k, falls) - play_rise(p, i, k - 1, falls);
+                }
+            }
+            ++mark;
+        }
+    }
+    return sign * (u + (way - done) / slope);
+}
+
 /* H^-1 from the forward memory z: the u at which the sum of plays is `wanted`.
  *
  * From the present input z_0 outwards, in either direction, play i starts to move where u has gone
  * r_i beyond z_i. Admissible memory is nested (|z_i - z_{i-1}| <= r_i - r_{i-1}), so those places
  * come in the order of i, and between them the sum has the slope w_0 + ... + w_i > 0. */
 static pz_real play_inverse(const pz_parameters *p, const pz_real *z, pz_real wanted) {
+    if (p->edge_count > 0) {
+        return value_inverse(p, z, wanted);
+    }
     const pz_real rest = play_sum(p, z);
     const pz_real sign = wanted < rest ? -ONE : ONE;
     const pz_real way = sign * (wanted - rest);
@@ -264,6 +352,8 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_PLAY_COUNT] = COUNT(play_count, 0, PZ_MAX_PLAYS),
     [PZ_KNOT_COUNT] = COUNT(knot_count, 0, PZ_MAX_KNOTS),
     [PZ_ENVELOPE_COUNT] = COUNT(envelope_count, 0, PZ_MAX_KNOTS),
+    [PZ_EDGE_COUNT] = COUNT(edge_count, 0, PZ_MAX_EDGES),
+    [PZ_EDGE_STEPS] = COUNT(edge_steps, 0, PZ_MAX_PLAYS),
     [PZ_RELAXATION_COUNT] = COUNT(relaxation_count, 0, PZ_MAX_RELAXATIONS),
     [PZ_REFERENCE_SECTION_COUNT] = COUNT(reference_section_count, 0, PZ_MAX_SECTIONS),
     [PZ_COMMAND_SECTION_COUNT] = COUNT(command_section_count, 0, PZ_MAX_SECTIONS),
@@ -302,6 +392,8 @@ static const pz_field fields[PZ_PARAMETER_END] = {
     [PZ_KNOT_WEIGHT] = REAL(knot_weight, -1e6, 1e6),
     [PZ_ENVELOPE_KNOT] = REAL(envelope_knot_V, -1e4, 1e4),
     [PZ_ENVELOPE_WEIGHT] = REAL(envelope_weight, -1e6, 1e6),
+    [PZ_EDGE] = REAL(edge_V, -1e4, 1e4),
+    [PZ_PLAY_VALUE] = REAL(play_value_m, -1e3, 1e3),
     [PZ_RELAXATION_RATE] = REAL(relaxation_rate, 0, 1),
     [PZ_RELAXATION_SHARE] = REAL(relaxation_share, -1, 1),
     [PZ_REFERENCE_SECTION] = REAL(reference_section, -1e9, 1e9),
@@ -384,6 +476,35 @@ static int32_t check_converter(const pz_parameters *p) {
     return PZ_OK;
 }
 
+/* Thresholds and edges lie on one lattice of r_1, which value_inverse walks along; functions do
+ * not fall, and that of the play that always moves rises. */
+static int32_t check_functions(const pz_parameters *p) {
+    const pz_real *r = p->play_threshold_V;
+    if (p->edge_count < 2) {
+        return PZ_EDGE_COUNT;
+    }
+    if (p->play_count < 2) {
+        return PZ_PLAY_COUNT;
+    }
+    for (int32_t i = 1; i < p->play_count; ++i) {
+        if (!near(r[i], (pz_real)i * r[1], r[i])) {
+            return PZ_PLAY_THRESHOLD;
+        }
+    }
+    if (p->edge_steps < 1) {
+        return PZ_EDGE_STEPS;
+    }
+    for (int32_t i = 0; i < p->play_count; ++i) {
+        for (int32_t k = 1; k < p->edge_count; ++k) {
+            const pz_real rise = p->play_value_m[i][k] - p->play_value_m[i][k - 1];
+            if (!(i > 0 ? rise >= ZERO : rise > ZERO)) {
+                return PZ_PLAY_VALUE;
+            }
+        }
+    }
+    return PZ_OK;
+}
+
 static int32_t check_plays(const pz_parameters *p) {
     const pz_real *r = p->play_threshold_V;
     const pz_real *z = p->play_memory_V;
@@ -396,7 +517,7 @@ static int32_t check_plays(const pz_parameters *p) {
     }
     for (int32_t i = 0; i < p->play_count; ++i) {
         slope += p->play_weight_m_per_V[i];
-        if (!(slope > ZERO)) {
+        if (p->edge_count == 0 && !(slope > ZERO)) {
             return PZ_PLAY_WEIGHT;
         }
         if (i > 0 && !(r[i] > r[i - 1])) {
@@ -408,7 +529,7 @@ static int32_t check_plays(const pz_parameters *p) {
             return PZ_PLAY_MEMORY;
         }
     }
-    return PZ_OK;
+    return p->edge_count == 0 ? PZ_OK : check_functions(p);
 }
 
 /* Kinks increase and one is at 0; all slopes are positive. `place` is the index of the kinks in

@@ -61,6 +61,7 @@ typedef double pz_real;
 #define PZ_SCHEMA_VERSION 2
 #define PZ_MAX_PLAYS 32
 #define PZ_MAX_KNOTS 32
+#define PZ_MAX_EDGES 9
 #define PZ_MAX_RELAXATIONS 8
 #define PZ_MAX_SECTIONS 4
 #define PZ_MAX_ORDER 16
@@ -85,6 +86,8 @@ typedef struct {
     int32_t play_count;              /* plays in use */
     int32_t knot_count;              /* dead zones in use; 0: Psi is the identity */
     int32_t envelope_count;          /* kinks of gamma in use; 0: gamma is the identity */
+    int32_t edge_count;              /* of the functions of the plays; 0: phi_i(z) = w_i z */
+    int32_t edge_steps;              /* of r_1 from edge to edge */
     int32_t relaxation_count;        /* creep elements in use; 0: no creep block */
     int32_t reference_section_count; /* biquads on the reference; 0: none */
     int32_t command_section_count;   /* biquads on the linearised command; 0: none */
@@ -118,15 +121,17 @@ typedef struct {
     pz_real displacement_maximum_m; /* measurements above are lowered to this */
     pz_real stuck_voltage_V;        /* a sensor that ignores such a change may be stuck */
 
-    pz_real play_threshold_V[PZ_MAX_PLAYS];       /* r_i, increasing from r_0 = 0 */
-    pz_real play_weight_m_per_V[PZ_MAX_PLAYS];    /* w_i, all partial sums > 0 */
-    pz_real play_memory_V[PZ_MAX_PLAYS];          /* z_i before the start, nested */
-    pz_real knot_m[PZ_MAX_KNOTS];                 /* dead-zone thresholds, increasing, one is 0 */
-    pz_real knot_weight[PZ_MAX_KNOTS];            /* dead-zone weights, all slopes > 0 */
-    pz_real envelope_knot_V[PZ_MAX_KNOTS];        /* kinks of gamma, increasing, one is 0 */
-    pz_real envelope_weight[PZ_MAX_KNOTS];        /* changes of its slope, all slopes > 0 */
-    pz_real relaxation_rate[PZ_MAX_RELAXATIONS];  /* 1 - exp(-T_s / tau_i) */
-    pz_real relaxation_share[PZ_MAX_RELAXATIONS]; /* c_i, creep per displacement */
+    pz_real play_threshold_V[PZ_MAX_PLAYS];    /* r_i, increasing from r_0 = 0 */
+    pz_real play_weight_m_per_V[PZ_MAX_PLAYS]; /* w_i, all partial sums > 0 */
+    pz_real play_memory_V[PZ_MAX_PLAYS];       /* z_i before the start, nested */
+    pz_real knot_m[PZ_MAX_KNOTS];              /* dead-zone thresholds, increasing, one is 0 */
+    pz_real knot_weight[PZ_MAX_KNOTS];         /* dead-zone weights, all slopes > 0 */
+    pz_real envelope_knot_V[PZ_MAX_KNOTS];     /* kinks of gamma, increasing, one is 0 */
+    pz_real envelope_weight[PZ_MAX_KNOTS];     /* changes of its slope, all slopes > 0 */
+    pz_real edge_V;                            /* lowest edge of the functions */
+    pz_real play_value_m[PZ_MAX_PLAYS][PZ_MAX_EDGES]; /* phi_i at the edges, rising */
+    pz_real relaxation_rate[PZ_MAX_RELAXATIONS];      /* 1 - exp(-T_s / tau_i) */
+    pz_real relaxation_share[PZ_MAX_RELAXATIONS];     /* c_i, creep per displacement */
 
     pz_real reference_section[PZ_MAX_SECTIONS][5]; /* b0 b1 b2 a1 a2, unit gain at rest */
     pz_real command_section[PZ_MAX_SECTIONS][5];   /* b0 b1 b2 a1 a2, unit gain at rest */
@@ -168,6 +173,8 @@ enum {
     PZ_PLAY_COUNT,
     PZ_KNOT_COUNT,
     PZ_ENVELOPE_COUNT,
+    PZ_EDGE_COUNT,
+    PZ_EDGE_STEPS,
     PZ_RELAXATION_COUNT,
     PZ_REFERENCE_SECTION_COUNT,
     PZ_COMMAND_SECTION_COUNT,
@@ -206,6 +213,8 @@ enum {
     PZ_KNOT_WEIGHT,
     PZ_ENVELOPE_KNOT,
     PZ_ENVELOPE_WEIGHT,
+    PZ_EDGE,
+    PZ_PLAY_VALUE,
     PZ_RELAXATION_RATE,
     PZ_RELAXATION_SHARE,
     PZ_REFERENCE_SECTION,
@@ -297,10 +306,11 @@ typedef struct {
 } pz_state;
 
 /* The layout has no holes: the checksum covers every byte, and Python can mirror it. */
-#define PZ_INTEGERS 24
+#define PZ_INTEGERS 26
 #define PZ_REALS                                                                                  \
-    (15 + 3 * PZ_MAX_PLAYS + 4 * PZ_MAX_KNOTS + 2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS +   \
-     PZ_MAX_ORDER * PZ_MAX_ORDER + 5 * PZ_MAX_ORDER + 2 + 11 + 4 * PZ_MAX_TAPS)
+    (16 + 3 * PZ_MAX_PLAYS + PZ_MAX_PLAYS * PZ_MAX_EDGES + 4 * PZ_MAX_KNOTS +                     \
+     2 * PZ_MAX_RELAXATIONS + 10 * PZ_MAX_SECTIONS + PZ_MAX_ORDER * PZ_MAX_ORDER +                \
+     5 * PZ_MAX_ORDER + 2 + 11 + 4 * PZ_MAX_TAPS)
 typedef char pz_parameters_have_no_holes
     [sizeof(pz_parameters) == PZ_INTEGERS * sizeof(int32_t) + PZ_REALS * sizeof(pz_real) ? 1 : -1];
 

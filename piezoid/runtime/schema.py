@@ -13,6 +13,7 @@ VERSION = 2
 
 MAX_PLAYS = 32
 MAX_KNOTS = 32
+MAX_EDGES = 9
 MAX_RELAXATIONS = 8
 MAX_SECTIONS = 4
 MAX_ORDER = 16
@@ -110,6 +111,8 @@ _COUNTS = (
     _integer("play_count", MAX_PLAYS, "plays in use"),
     _integer("knot_count", MAX_KNOTS, "dead zones in use; 0: the identity"),
     _integer("envelope_count", MAX_KNOTS, "kinks of the envelope in use; 0: the identity"),
+    _integer("edge_count", MAX_EDGES, "edges of the functions of the plays; 0: they are straight"),
+    _integer("edge_steps", MAX_PLAYS, "first thresholds from edge to edge"),
     _integer("relaxation_count", MAX_RELAXATIONS, "creep elements in use"),
     _integer("reference_section_count", MAX_SECTIONS, "biquads on the reference"),
     _integer("command_section_count", MAX_SECTIONS, "biquads on the linearised command"),
@@ -174,6 +177,15 @@ _MODEL = (
         1e6,
         "changes of the envelope's slope",
         shape=(MAX_KNOTS,),
+    ),
+    _real("edge_V", "V", -NO_BOUND_V, NO_BOUND_V, "lowest edge of the functions of the plays"),
+    _real(
+        "play_value_m",
+        "m",
+        -1e3,
+        1e3,
+        "functions of the plays at the edges",
+        shape=(MAX_PLAYS, MAX_EDGES),
     ),
     _real(
         "relaxation_rate",

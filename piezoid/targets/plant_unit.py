@@ -23,7 +23,7 @@ from piezoid.verification.loop_plant import begun_plant
 from piezoid.verification.plant import AxisPlant, Junction
 
 _SCALARS = (
-    *("substeps", "late", "kind", "plays", "low_V", "high_V"),
+    *("substeps", "late", "kind", "plays", "edges", "low_V", "high_V"),
     *("activation_step", "activation_m", "irreversible_m", "second_plays", "second_powers"),
     *("second_centre_V", "second_reach_V", "cyclic_orders", "cyclic_per_m", "polarity"),
     *("voltage_offset_V", "displacement_offset_m", "current_A", "current_most"),
@@ -90,7 +90,7 @@ def plant_header(plant: AxisPlant) -> str:
         f".zones = {_map('zones', begun.zones)}",
     ]
     shared = (
-        *("threshold_V", "weight", "second_threshold_V", "second_weight_m"),
+        *("threshold_V", "weight", "edge_V", "value_m", "second_threshold_V", "second_weight_m"),
         *("cyclic_cosine_m", "cyclic_sine_m"),
     )
     members += [f".{name} = plant_{name}" for name in shared]
@@ -141,8 +141,11 @@ def _arrays(begun: LoopPlant) -> Iterator[tuple[str, Array]]:
         part: Map = getattr(begun, name)
         yield f"{name}_knot", _at(part.knot, part.knots)
         yield f"{name}_slope", _at(part.slope, part.knots + 1 if part.slope else 0)
-    for name in ("threshold_V", "weight", "play_V"):
+    for name in ("threshold_V", "play_V"):
         yield name, _at(getattr(begun, name), begun.plays)
+    yield "weight", _at(begun.weight, 0 if begun.edges else begun.plays)
+    yield "edge_V", _at(begun.edge_V, begun.edges)
+    yield "value_m", _at(begun.value_m, begun.edges * begun.plays)
     for name in ("second_threshold_V", "second_play_V"):
         yield name, _at(getattr(begun, name), begun.second_plays)
     yield "second_weight_m", _at(begun.second_weight_m, begun.second_plays * begun.second_powers)

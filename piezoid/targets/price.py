@@ -22,7 +22,7 @@ _TOLD_Hz = (1.0, 10.0, 100.0)
 def felt_family(model: AxisModel, rate_Hz: float) -> PlantFamily:
     """Return the plants as a box without an inverse of the hysteresis feels them."""
     bounds = affine_bounds(
-        model.hysteresis, model.certificate.reach_V, remainder_m=model.certificate.bound_m
+        model.operator, model.certificate.reach_V, remainder_m=model.certificate.bound_m
     )
     return with_sector(plant_family(model, rate_Hz), bounds)
 

@@ -179,7 +179,7 @@ class _LateralTask:
         self.fastest_m_per_s = 2.0 * np.pi * scan_Hz * self._room.farthest_m
         if certificate is not None:
             self.fastest_m_per_s = certificate.reference_slew_m_per_s * (1.0 - 1e-9)
-        own = (model.hysteresis,)
+        own = (model.operator,)
         self._operators = draw_replicates(model, np.random.default_rng(0)) or own
 
     def draw(self, rng: np.random.Generator, is_extreme: bool) -> AxisPlant:

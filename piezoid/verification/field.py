@@ -150,7 +150,7 @@ def rivals_of(
         shown = recordings or (_decaying_sweep(model),)
         plays, rig = len(model.hysteresis.plays.threshold), model.rig if recordings else Rig()
         other = generalised_model(shown, model.axis, plays=plays, rig=rig)
-        values = hysteresis_values(replace(model, hysteresis=other))
+        values = hysteresis_values(replace(model.without_minor_loops(), hysteresis=other))
         yield Rival(
             method="gpi_dob",
             compensator=Compensator(axis=axis.for_method("mpi_dob").with_values(values)),
@@ -320,7 +320,12 @@ def _without_hysteresis(plant: AxisPlant, axis: AxisParameters) -> AxisPlant:
         return plant
     gain = float(axis.for_method("none").values["gain_m_per_V"]) / plant.measured_gain
     line = PrandtlIshlinskii(threshold=np.zeros(1), weight=np.array([gain]))
-    operator = replace(response.operator, plays=line, dead_zones=LINEAR, envelope=LINEAR)
+    operator = ModifiedPrandtlIshlinskii(
+        plays=line,
+        dead_zones=LINEAR,
+        voltage_offset_V=response.operator.voltage_offset_V,
+        displacement_offset_m=response.operator.displacement_offset_m,
+    )
     return replace(
         plant,
         response=replace(response, operator=operator, discrepancy=None, activation_s=0.0),

@@ -104,6 +104,7 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
     taps = max(counts[f"rst_{name}_count"] for name in ("T", "R", "S", "A0"))
     sections = max(counts["reference_section_count"], counts["command_section_count"])
     kinks = max(counts["knot_count"], counts["envelope_count"])
+    inner, steps = max(counts["edge_count"] - 2, 0), int(float(str(values["edge_steps"])))
     return counts | {
         "observer_order": order,
         "predict.n": order,
@@ -112,6 +113,8 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
         "filter_rest.count": sections,
         "dead_zones.ZERO": kinks,  # while (knot[i] < ZERO)
         "dead_zones.count": kinks,
+        "value_inverse.count": inner * steps + 2 * counts["play_count"],  # marks and plays
+        "value_inverse.moving": -(-counts["play_count"] // max(steps, 1)),
         "shift_in.0": taps,  # from count - 1 down
         "pz_log.7": 7,
         "pz_log.3": 10,  # from 21 down, the odd ones

@@ -45,6 +45,8 @@ class LoopPlant(ctypes.Structure):
         ("kind", ctypes.c_int64),
         ("plays", ctypes.c_size_t),
         *((name, ctypes.c_void_p) for name in ("threshold_V", "weight", "play_V")),
+        ("edges", ctypes.c_size_t),
+        *((name, ctypes.c_void_p) for name in ("edge_V", "value_m")),
         ("envelope", Map),
         ("zones", Map),
         *(

@@ -12,10 +12,12 @@ from piezoid.errors import ParameterFileError
 from piezoid.identification.loop_model import rest_gain
 from piezoid.identification.model import Discrepancy
 from piezoid.numerics.arrays import Array
-from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.dead_zone import LINEAR, DeadZones
 from piezoid.operators.linear import ContinuousSystem, first_order, sample
 from piezoid.operators.linear import cascade as in_series
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
+from piezoid.operators.preisach_plays import PreisachPlays, straight_between
 from piezoid.verification.loop_library import (
     MAX_STATES,
     RESPOND,
@@ -92,27 +94,23 @@ def begun_plant(plant: AxisPlant, kept: Kept, disturbance: float) -> LoopPlant:
 
 def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept, plant: AxisPlant) -> None:
     operator = response.operator
-    begun.plays = len(operator.plays.threshold)
-    begun.threshold_V = kept.address(operator.plays.threshold)
-    begun.weight = kept.address(operator.plays.weight)
-    begun.envelope, begun.zones = (
-        _map(part, kept) for part in (operator.envelope, operator.dead_zones)
-    )
     begun.polarity = response.polarity
     begun.voltage_offset_V = operator.voltage_offset_V
     begun.displacement_offset_m = operator.displacement_offset_m / plant.measured_gain
     begun.low_V, begun.high_V = response.low_V, response.high_V
     past_V = np.array([*response.history_V, plant.rest_voltage_V])
     past_V = np.clip(past_V, response.low_V, response.high_V)
-    inner_V = operator.envelope.run(past_V - operator.voltage_offset_V)
-    memory_V = np.array(operator.virgin_memory())
-    _, states_V = operator.plays.run(inner_V, memory_V)
+    _, states_V = operator.run(past_V, operator.virgin_memory())
     begun.play_V = kept.address(np.array(states_V))
+    if isinstance(operator, PreisachPlays):
+        irreversible_m = _fill_functions(begun, operator, states_V, kept)
+    else:
+        irreversible_m = _fill_plays(begun, operator, states_V, kept)
     if response.activation_s > 0.0:
+        begun.irreversible_m = irreversible_m
         instants_per_s = plant.sampling_rate_Hz * SUBSTEPS
         begun.activation_step = float(np.exp(-1.0 / (response.activation_s * instants_per_s)))
         begun.activation_m = response.activation_m
-        begun.irreversible_m = float(operator.plays.weight[1:] @ states_V[1:])
     if response.discrepancy is not None:
         _fill_discrepancy(begun, response.discrepancy, past_V, kept)
     if plant.cyclic is not None:
@@ -120,6 +118,34 @@ def _fill_hysteresis(begun: LoopPlant, response: Hysteresis, kept: Kept, plant: 
         begun.cyclic_per_m = 2.0 * np.pi / plant.cyclic.wavelength_m
         begun.cyclic_cosine_m = kept.address(np.array(plant.cyclic.cosine_m))
         begun.cyclic_sine_m = kept.address(np.array(plant.cyclic.sine_m))
+
+
+def _fill_plays(
+    begun: LoopPlant, operator: ModifiedPrandtlIshlinskii, states_V: Array, kept: Kept
+) -> float:
+    """Return where the irreversible part is, m."""
+    begun.plays = len(operator.plays.threshold)
+    begun.threshold_V = kept.address(operator.plays.threshold)
+    begun.weight = kept.address(operator.plays.weight)
+    begun.envelope, begun.zones = (
+        _map(part, kept) for part in (operator.envelope, operator.dead_zones)
+    )
+    return float(operator.plays.weight[1:] @ states_V[1:])
+
+
+def _fill_functions(
+    begun: LoopPlant, operator: PreisachPlays, states_V: Array, kept: Kept
+) -> float:
+    """Return where the irreversible part is, m."""
+    begun.plays, begun.edges = operator.value_m.shape
+    begun.threshold_V = kept.address(operator.threshold_V)
+    begun.edge_V = kept.address(operator.edge_V)
+    begun.value_m = kept.address(np.ascontiguousarray(operator.value_m))
+    begun.envelope, begun.zones = _map(LINEAR, kept), _map(LINEAR, kept)
+    return sum(
+        float(straight_between(state_V, operator.edge_V, value_m)[0])
+        for state_V, value_m in zip(states_V[1:, None], operator.value_m[1:], strict=True)
+    )
 
 
 def _fill_discrepancy(begun: LoopPlant, second: Discrepancy, past_V: Array, kept: Kept) -> None:

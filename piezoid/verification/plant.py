@@ -13,6 +13,7 @@ from piezoid.identification.tunnelling.junction_plant import DriveMode, Junction
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import ContinuousSystem, cascade, recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.preisach_plays import PreisachPlays
 
 Respond = Callable[[float], float]
 
@@ -32,7 +33,7 @@ class Hysteresis:
                    beyond which it follows faster; 0: at once
     """
 
-    operator: ModifiedPrandtlIshlinskii
+    operator: ModifiedPrandtlIshlinskii | PreisachPlays
     polarity: int = 1
     history_V: tuple[float, ...] = ()
     pasts_V: tuple[tuple[float, ...], ...] = ()
@@ -205,7 +206,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
         label="identified",
         sampling_rate_Hz=sampling_rate_Hz,
         response=Hysteresis(
-            operator=model.hysteresis,
+            operator=model.operator,
             polarity=model.polarity,
             history_V=pasts_V[0],
             pasts_V=pasts_V,
@@ -215,7 +216,7 @@ def lateral_plant(model: AxisModel, *, sampling_rate_Hz: float) -> AxisPlant:
             activation_s=time_s,
             activation_m=strain_m,
         ),
-        rest_voltage_V=float(np.clip(model.hysteresis.voltage_offset_V, low_V, high_V)),
+        rest_voltage_V=float(np.clip(model.operator.voltage_offset_V, low_V, high_V)),
         delay_s=loop.delay_s,
         amplifier=tuple(Section(frequency_Hz=f) for f in front_Hz),
         sensor=tuple(Section(frequency_Hz=f) for f in _poles_Hz(loop.sensor)),
@@ -276,9 +277,7 @@ def with_gain(plant: AxisPlant, factor: float, label: str) -> AxisPlant:
             response, gain_nepers_per_V=response.gain_nepers_per_V * factor
         )
     elif isinstance(response, Hysteresis):
-        zones = response.operator.dead_zones
-        scaled = replace(zones, weight=zones.weight * factor)
-        changed = replace(response, operator=replace(response.operator, dead_zones=scaled))
+        changed = replace(response, operator=response.operator.multiplied(factor))
     else:
         raise TypeError("a plugged response has no gain to change")
     return replace(plant, response=changed, label=label)

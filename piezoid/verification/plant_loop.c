@@ -53,6 +53,9 @@ typedef struct {
     const double *threshold_V;
     const double *weight;
     double *play_V;
+    size_t edges; /* of functions of the plays, straight between evenly spaced ones; 0: weights */
+    const double *edge_V;
+    const double *value_m; /* play by play */
     pl_map envelope;
     pl_map zones;
     double low_V; /* the drive is clipped to these */
@@ -204,22 +207,34 @@ static double second(pl_plant *plant, double voltage_V) {
     return sum;
 }
 
+/* What play i adds: its outermost pieces go on for ever. */
+static double moved_by(const pl_plant *plant, size_t i) {
+    const double z = plant->play_V[i];
+    if (plant->edges == 0) {
+        return plant->weight[i] * z;
+    }
+    const double width = plant->edge_V[1] - plant->edge_V[0];
+    const double place = (z - plant->edge_V[0]) / width;
+    const size_t k = (size_t)larger(0.0, smaller(place, (double)(plant->edges - 2)));
+    const double *const value = plant->value_m + i * plant->edges + k;
+    return value[0] + (value[1] - value[0]) * (place - (double)k);
+}
+
 /* The first play has no threshold: its part is reversible, and there at once. */
 static double plays(pl_plant *plant, double voltage_V) {
     const double clipped = larger(smaller(voltage_V, plant->high_V), plant->low_V);
     const double drive = mapped(clipped - plant->voltage_offset_V, &plant->envelope);
     const size_t count = plant->plays;
     const double *const r = plant->threshold_V;
-    const double *const weight = plant->weight;
     double *const play = plant->play_V;
     double irreversible = 0.0;
     for (size_t i = 0; i < count; ++i) {
         play[i] = larger(drive - r[i], smaller(drive + r[i], play[i]));
     }
     for (size_t i = 1; i < count; ++i) {
-        irreversible += weight[i] * play[i];
+        irreversible += moved_by(plant, i);
     }
-    const double sum = weight[0] * play[0] + activated(plant, irreversible);
+    const double sum = moved_by(plant, 0) + activated(plant, irreversible);
     const double moved = mapped(sum, &plant->zones) + second(plant, clipped);
     return plant->polarity * moved + plant->displacement_offset_m;
 }

@@ -12,7 +12,35 @@ def render(page: Page) -> Section:
         title="Orders tried",
         lead="More plays and dead zones always fit better; the held-out error decides. Good: it "
         "falls and levels off. Bad: it still falls at the last order, or rises at the second.",
-        parts=tuple(_table(axis) for axis in page.axes),
+        parts=tuple(part for axis in page.axes for part in (_table(axis), *_functions(axis))),
+    )
+
+
+def _functions(axis: AxisModel) -> tuple[Table, ...]:
+    """Return what another class leaves: plays behind functions."""
+    if not axis.function_orders:
+        return ()
+    return (
+        Table(
+            caption=f"Axis {axis.axis}: plays behind rising functions, which follow minor loops "
+            "of any shape, on rows left out once what was before a recording is forgotten. "
+            + (
+                "They simulate and ship."
+                if axis.minor_loops is not None
+                else "They would ship if they predicted better by half."
+            ),
+            columns=("plays", "pieces", "numbers", "left out", "plays with dead zones, fitted"),
+            rows=tuple(
+                (
+                    str(order.plays),
+                    str(order.pieces),
+                    str(order.plays * order.pieces + 1),
+                    told(order.held_out_rms_m, "m"),
+                    told(order.plain_rms_m, "m"),
+                )
+                for order in axis.function_orders
+            ),
+        ),
     )
 
 

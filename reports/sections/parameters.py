@@ -1,13 +1,14 @@
 """The parameters with their intervals, limits and bounds."""
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Uncertainty
 from piezoid.numerics.robust import student_quantile
-from piezoid_reports.page import Page, Part, Section, Table, axis_heading
+from piezoid_reports.page import Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import MINUS, told, told_between
 
 EDGE = 0.97  # of half the drive's range: a play this wide moves for a moment only
@@ -21,6 +22,7 @@ def render(page: Page) -> Section:
         known = known_of(axis.uncertainty)
         parts += [
             axis_heading(axis),
+            *_functions(axis),
             _plays(axis, known),
             _dead_zones(axis, known),
             *_envelope(axis, known),
@@ -44,6 +46,44 @@ def known_of(found: Uncertainty) -> Known:
         name: (float(value), float(spread))
         for name, value, spread in zip(found.names, found.values, half, strict=True)
     }
+
+
+def _functions(axis: AxisModel) -> tuple[Part, ...]:
+    if axis.minor_loops is None:
+        return ()
+    operator = axis.minor_loops.operator
+    blocks = len(axis.minor_loops.without_m)
+    text = (
+        f"Axis {axis.axis} is simulated and inverted by plays behind functions; the plays with "
+        "dead zones further below are what the diagnosis compares with."
+    )
+    return (
+        Prose(text=text),
+        Table(
+            caption=f"Axis {axis.axis}: what the functions rise from edge to edge, with edges of "
+            f"the drive about {told(operator.voltage_offset_V, 'V', 4)}, and the spread over "
+            f"{blocks} fits without one block of time each.",
+            columns=(
+                "play",
+                "half-width",
+                *(
+                    f"{told(low, 'V', 3)} to {told(high, 'V', 3)}"
+                    for low, high in pairwise(operator.edge_V.tolist())
+                ),
+            ),
+            rows=tuple(
+                (
+                    str(i),
+                    told(float(operator.threshold_V[i]), "V", 4),
+                    *(
+                        told_between(float(rise_m), float(half_m), "m")
+                        for rise_m, half_m in zip(operator.rise_m[i], halves_m, strict=True)
+                    ),
+                )
+                for i, halves_m in enumerate(axis.minor_loops.half_m)
+            ),
+        ),
+    )
 
 
 def _plays(axis: AxisModel, known: Known) -> Table:

@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.candidate import Candidate, exceeds_structure
-from piezoid.diagnosis.effect import Trial
 from piezoid.diagnosis.effects import (
-    amplifier_saturation,
     creep,
     initial_state,
     resonance,
     thermal_drift,
 )
 from piezoid.diagnosis.folds import CrossValidated
-from piezoid.diagnosis.score_test import _best
 
 BLOCKS = 40
 
@@ -61,16 +58,6 @@ def test_an_initial_state_has_a_name_where_it_takes_a_quarter_of_the_error_howev
 def test_an_effect_beats_its_placebo_by_far(of_placebo, speaks):
     one = judged(creep.EFFECT, held(gain=0.5), held(gain=of_placebo), left=2.0, noise=0.0)
     assert one.is_significant is speaks
-
-
-def test_of_clips_that_explain_as_much_the_one_that_is_as_deep_as_its_share_is_begun_from():
-    def row(coefficient: float, gain: float):
-        found = replace(held(gain=gain), coefficient=np.array([coefficient]))
-        return Trial(columns=np.zeros((2, 1))), found, np.zeros((2, 1))
-
-    shallow, likely, poor = row(4.2, 0.30), row(1.2, 0.27), row(1.0, 0.1)
-    assert _best(amplifier_saturation.EFFECT, [shallow, likely, poor]) is likely
-    assert _best(creep.EFFECT, [shallow, likely, poor]) is shallow
 
 
 def test_only_causes_that_look_like_a_structure_hold_it_back():

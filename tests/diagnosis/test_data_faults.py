@@ -14,7 +14,7 @@ from piezoid.diagnosis.effects import (
     sensor_periodic_error,
     timestamp_fault,
 )
-from piezoid.diagnosis.lattice import lattice_step
+from piezoid.diagnosis.effects.quantisation import lattice_step
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab

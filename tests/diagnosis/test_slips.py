@@ -76,7 +76,7 @@ def test_a_delay_that_only_fast_stretches_have_is_no_slip():
     null = beside(view)
     for slip in strongest(view, null):
         judged = evidence_of(view, null, replace(slip, samples=round(slip.samples) or 1))
-        assert judged is None or not judged.equal or not judged.is_significant(again=False)
+        assert judged is None or not judged.is_significant
 
 
 def test_a_slip_well_above_one_that_could_hide_is_found():

@@ -87,7 +87,9 @@ def test_what_is_in_no_catalogue_is_said_to_be_something_else_with_its_coordinat
 
 def test_the_size_of_a_tone_is_in_its_interval():
     def promise(second: int) -> None:
-        tone = diagnosed(second, "tone", HIDDEN["tone"][0]).findings[0]
+        found = diagnosed(second, "tone", HIDDEN["tone"][0]).findings
+        assert found
+        tone = found[0]
         stage = draw_campaign(SEED + 1000 * second, plans=PLANS)
         assert tone.size.value == pytest.approx(1e9 * 0.01 * stage.rig.stroke_m, rel=0.05)
         assert "frequency_Hz" in tone.parameters

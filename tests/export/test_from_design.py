@@ -162,7 +162,7 @@ def model(polarity=1):
     )
     return SimpleNamespace(
         polarity=polarity,
-        hysteresis=ModifiedPrandtlIshlinskii(
+        operator=ModifiedPrandtlIshlinskii(
             plays=plays, dead_zones=zones, voltage_offset_V=5.0, displacement_offset_m=1e-5
         ),
         extensions=(),
@@ -196,7 +196,7 @@ def test_the_exported_inverse_is_the_models_own(polarity):
     controller = Controller(
         axis.for_method("mpi").with_values({"lsb_V": 0.0, "reference_step_m": 0.0}).values
     )
-    operator = model().hysteresis
+    operator = model().operator
     u = np.r_[np.linspace(5, 9, 20), np.linspace(9, 1, 40), np.linspace(1, 6, 25)]
     moved, _ = operator.run(u, operator.virgin_memory())
     y = 1e-5 + polarity * (moved - 1e-5)

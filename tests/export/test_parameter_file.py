@@ -10,6 +10,7 @@ import pytest
 
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import (
+    FUNCTIONS,
     AxisParameters,
     ParameterFile,
     digest_of,
@@ -164,3 +165,27 @@ def test_an_axis_can_be_taken_with_another_of_its_methods():
 def test_two_controllers_of_one_method_are_refused():
     with pytest.raises(ParameterFileError, match="one method"):
         AxisParameters(axis="x", values=lateral("dob"), alternatives=(lateral("dob"),))
+
+
+def test_files_of_before_there_were_functions_of_plays_are_written_and_read_as_they_were():
+    entries = unseal(to_json(stage()), SCHEMA, "params.json")["axes"][0]["parameters"]
+    assert not FUNCTIONS & entries.keys()
+    assert from_json(to_json(stage()), "params.json").axes[0].values["edge_count"] == 0
+
+
+def test_functions_of_plays_come_back_and_none_of_their_entries_may_be_missing():
+    values = {
+        **{"method": "mpi", "play_count": 2, "play_threshold_V": [0.0, 1.0]},
+        **{"edge_count": 3, "edge_steps": 2, "edge_V": -2.0},
+        "play_value_m": [[-1e-6, 0.0, 2e-6], [0.0, 0.0, 1e-6]],
+    }
+    axis = stage().axes[0].for_method("mpi").with_values({**values, "play_memory_V": [0.0]})
+    file = ParameterFile(name="bent", axes=(axis,))
+    back = from_json(to_json(file), "params.json")
+    for name in FUNCTIONS:
+        assert (back.axes[0].values[name] == file.axes[0].values[name]).all()
+    record = unseal(to_json(file), SCHEMA, "params.json")
+    content = {key: value for key, value in record.items() if key not in ("schema", "digest")}
+    del content["axes"][0]["parameters"]["edge_V"]
+    with pytest.raises(ParameterFileError, match="edge_V"):
+        from_json(seal(SCHEMA, content), "params.json")

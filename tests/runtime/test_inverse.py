@@ -1,5 +1,7 @@
 """The runtime's inverse hysteresis, against the worked example and an independent closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,10 @@ from piezoid.operators.modified_prandtl_ishlinskii import (
 )
 from piezoid.operators.modified_prandtl_ishlinskii import compensate as reference_compensate
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.runtime.controller import Controller
-from piezoid.runtime.schema import MAX_KNOTS, MAX_PLAYS, MAX_RELAXATIONS
-from tests.runtime.runtime_parameters import WORKED, hysteresis
+from piezoid.runtime.schema import MAX_EDGES, MAX_KNOTS, MAX_PLAYS, MAX_RELAXATIONS
+from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis
 from tests.runtime.runtime_reference import compensate, follow, forward, random_model
 
 
@@ -188,3 +191,95 @@ def test_in_single_precision_the_inverse_errs_by_single_roundings(rng):
             runs.append(controller.run(y, y).voltage_V)
         ratio = np.finfo(np.float32).eps / np.finfo(np.float64).eps
         assert np.abs(runs[0] - runs[1]).max() < 2 * ratio * rounding_V(model, y)
+
+
+def random_functions(rng, plays, edges, steps, step_V=0.5):
+    """Plays behind rising functions, some of them flat between edges."""
+    rise_m = rng.uniform(0.0, 1.0, (plays, edges - 1)) * (rng.random((plays, edges - 1)) < 0.7)
+    rise_m[0] = rng.uniform(0.3, 1.0, edges - 1)
+    value_m = np.concatenate([np.zeros((plays, 1)), np.cumsum(rise_m, axis=1)], axis=1)
+    lowest_V = float(rng.uniform(-0.5, 0.0)) - 0.5 * step_V * steps * (edges - 1)
+    return PreisachPlays(
+        step_V=step_V,
+        edge_V=lowest_V + step_V * steps * np.arange(edges),
+        value_m=value_m - value_m[:, edges // 2, None],
+        voltage_offset_V=0.25,
+        displacement_offset_m=0.5,
+    )
+
+
+def functions(operator, **others):
+    return {
+        **WIDE,
+        "method": "mpi",
+        "voltage_offset_V": operator.voltage_offset_V,
+        "displacement_offset_m": operator.displacement_offset_m,
+        "play_count": len(operator.value_m),
+        "play_threshold_V": operator.threshold_V,
+        "edge_count": len(operator.edge_V),
+        "edge_V": operator.edge_V[0],
+        "edge_steps": round((operator.edge_V[1] - operator.edge_V[0]) / operator.step_V),
+        "play_value_m": operator.value_m,
+        **others,
+    }
+
+
+def led(operator, y, precision="double", **others):
+    controller = Controller(functions(operator, **others), precision=precision)
+    controller.start(operator.voltage_offset_V, np.nan)
+    return controller.run(y, np.full(len(y), np.nan)).voltage_V
+
+
+SIZES = [(2, 2, 1), (5, 4, 3), (16, 9, 4), (MAX_PLAYS, MAX_EDGES, 1), (MAX_PLAYS, MAX_EDGES, 32)]
+
+
+@pytest.mark.parametrize(("plays", "edges", "steps"), SIZES)
+def test_plays_behind_functions_are_inverted_wherever_they_are(plays, edges, steps, rng):
+    """Small steps, whole ranges in one sample, and far beyond the outermost edges."""
+    for _ in range(10):
+        operator = random_functions(rng, plays, edges, steps)
+        reach_V = 2.0 * (np.ptp(operator.edge_V) + operator.threshold_V[-1])
+        u = np.concatenate(
+            [np.cumsum(rng.uniform(-0.4, 0.4, 200)), rng.uniform(-reach_V, reach_V, 200)]
+        )
+        y, _ = operator.run(u, operator.at_rest(operator.voltage_offset_V))
+        flattest, steepest = operator.slope_sector_m_per_V
+        rounding_V = 100 * plays * np.finfo(float).eps * np.abs(y).max() / flattest
+        assert np.abs(led(operator, y) - u).max() < rounding_V
+        slope = np.diff(y) / np.diff(u)
+        assert (slope > flattest * (1.0 - 1e-6)).all()
+        assert (slope < steepest * (1.0 + 1e-6)).all()
+
+
+def test_functions_are_inverted_through_a_converter_as_by_halving(rng):
+    """An implementation that shares nothing, fed with what the converter put out."""
+    lsb_V = 2.0**-8
+    for _ in range(5):
+        operator = random_functions(rng, 12, 7, 3)
+        memory = operator.at_rest(operator.voltage_offset_V)
+        y = operator.displacement_offset_m + np.cumsum(rng.uniform(-0.3, 0.3, 300))
+        limits = {"voltage_minimum_V": -4.0, "voltage_maximum_V": 4.0, "lsb_V": lsb_V}
+        found_V = led(operator, y, **limits)
+        for wanted, applied_V in zip(y, found_V, strict=True):
+            free_V, _ = operator.inverse_run(np.array([wanted]), memory)
+            assert applied_V == lsb_V * np.round(np.clip(free_V[0], -4.0, 4.0) / lsb_V)
+            _, memory = operator.run(np.array([applied_V]), memory)
+
+
+def test_straight_functions_are_the_plays_that_ship_today(rng):
+    operator = random_functions(rng, 8, 3, 4)
+    weight = rng.uniform(0.1, 1.0, 8)
+    straight = replace(operator, value_m=weight[:, None] * operator.edge_V)
+    y = 0.5 + np.cumsum(rng.uniform(-0.3, 0.3, 500))
+    plays = {**functions(straight), "edge_count": 0, "play_weight_m_per_V": weight}
+    controller = Controller(plays)
+    controller.start(straight.voltage_offset_V, np.nan)
+    assert np.abs(controller.run(y, y).voltage_V - led(straight, y)).max() < 1e-11
+
+
+def test_functions_in_single_precision_err_by_single_roundings(rng):
+    operator = random_functions(rng, 16, 9, 4)
+    y = 0.5 + np.cumsum(rng.uniform(-0.3, 0.3, 1000)).astype(np.float32).astype(np.float64)
+    flattest, _ = operator.slope_sector_m_per_V
+    rounding_V = 100 * 16 * np.finfo(np.float32).eps * np.abs(y).max() / flattest
+    assert np.abs(led(operator, y) - led(operator, y, precision="float")).max() < rounding_V

@@ -76,6 +76,12 @@ BAD = {
     "play_threshold_V": {"play_threshold_V": [0, 1, 1, 2]},
     "play_weight_m_per_V": {"play_weight_m_per_V": [0.5, -0.6, 1, 1]},
     "play_memory_V": {"play_memory_V": [0, 2, 0, 0]},
+    "edge_count": {"edge_count": 1},
+    "edge_steps": {"edge_count": 3, "play_value_m": np.tile([-1.0, 0.0, 1.0], (4, 1))},
+    "play_value_m": {
+        **{"edge_count": 3, "edge_steps": 2},
+        "play_value_m": [[-1, 0, 1], [0, 0, 0], [0, 1, 0.5], [0, 0, 0]],
+    },
     "envelope_knot_V": {"envelope_count": 2, "envelope_knot_V": [1, 2]},
     "envelope_weight": {"envelope_count": 1, "envelope_weight": [0.0]},
     "polarity": {"polarity": 0},

@@ -10,6 +10,7 @@ from piezoid.design.chain import Section
 from piezoid.export.fmu_unit import packed
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.targets.exported import Exported
 from piezoid.targets.plant_unit import plant_units
 from piezoid.targets.targets import written_for
@@ -57,12 +58,23 @@ def everything():
     )
 
 
+def behind_functions():
+    """The same with plays behind functions."""
+    edge_V = np.linspace(-6.0, 6.0, 4)
+    straight = PreisachPlays(step_V=2.0, edge_V=edge_V, value_m=np.tile(edge_V, (3, 1)))
+    rise_m = np.array([[9e-6, 7e-6, 8e-6], [2e-6, 1e-6, 5e-6], [4e-6, 3e-6, 0.0]])
+    plant = everything()
+    return replace(
+        plant, axis="y", response=replace(plant.response, operator=straight.with_rises(rise_m))
+    )
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     found("cc", "gcc", "clang")
     folder = tmp_path_factory.mktemp("plants")
     exported = Exported(file=stage("x"), plants=(PLANTS[0], PLANTS[2]))
-    others, _ = packed(plant_units("other", (everything(), tip_elsewhere())))
+    others, _ = packed(plant_units("other", (everything(), behind_functions(), tip_elsewhere())))
     written = {
         f"rig/{place}": made for place, made in written_for(exported, ["fmu"]).files.items()
     }
@@ -197,8 +209,11 @@ def test_a_loop_of_two_units_is_verifications_loop_to_the_last_bit(unit, version
     np.testing.assert_array_equal(position, wanted.position)
 
 
-def test_every_part_of_a_plant_answers_as_in_verification_to_the_last_bit(unit):
-    quiet = replace(everything(), noise_rms=0.0, hums=())
+@pytest.mark.parametrize(
+    "plant", [everything(), behind_functions()], ids=("dead zones", "functions")
+)
+def test_every_part_of_a_plant_answers_as_in_verification_to_the_last_bit(unit, plant):
+    quiet = replace(plant, noise_rms=0.0, hums=())
     disturbance_m = swing(3000, 2e-7, 90.0)
     wanted = run_axis(
         quiet,
@@ -208,7 +223,7 @@ def test_every_part_of_a_plant_answers_as_in_verification_to_the_last_bit(unit):
         disturbance=disturbance_m,
     )
     assert np.ptp(wanted.voltage_V) > 10
-    slave = unit("other/fmu/x_plant_fmi3.fmu", noise_factor=0.0)
+    slave = unit(f"other/fmu/{plant.axis}_plant_fmi3.fmu", noise_factor=0.0)
     position, measured = driven(slave, wanted.voltage_V, disturbance_m)
     np.testing.assert_array_equal(position, wanted.position)
     np.testing.assert_array_equal(measured, wanted.measured)

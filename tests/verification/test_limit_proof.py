@@ -3,11 +3,14 @@
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from benchmarks.proof_mutants import LATERAL, SOURCE, TIP, broken, table
 from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import bundle, shipped
+from piezoid.export.from_design import function_values
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.verification.limit_proof import TOOL, LimitProof, prove, prove_axis
 from piezoid.verification.verification import verification_from_json
 from piezoid.verification.verify import verify
@@ -38,6 +41,20 @@ def test_the_tip_is_proved_and_a_limit_left_out_is_refused_with_its_place():
     refused = prove_axis({**held, SOURCE: made.encode()}, file.axes[0], 0, "float")
     assert not refused.passed
     assert any("to_code" in alarm for alarm in refused.alarms)
+
+
+@pytest.mark.usefixtures("tool")
+def test_an_axis_of_plays_behind_functions_is_proved():
+    edge_V = np.linspace(-12.0, 12.0, 5)
+    straight = PreisachPlays(step_V=3.0, edge_V=edge_V, value_m=np.tile(edge_V, (6, 1)))
+    rise_m = np.random.default_rng(0).uniform(1e-7, 2e-6, (6, 4))
+    file = stage("x")
+    values = dict(file.axes[0].values) | {"knot_count": 0, "envelope_count": 0}
+    values |= function_values(straight.with_rises(rise_m)) | {"play_memory_V": np.zeros(6)}
+    axis = replace(file.axes[0], values=values)
+    held = bundle(replace(file, axes=(axis, *file.axes[1:]))).files
+    found = prove_axis(held, axis, 0, "float")
+    assert (found.verdict, found.alarms) == ("proved", ())
 
 
 @pytest.mark.usefixtures("tool")

@@ -11,9 +11,10 @@ from piezoid.export.parameter_file import ParameterFile
 from piezoid.export.stage import export_stage
 from piezoid.identification.model import Lag
 from piezoid.identification.tunnelling.junction_plant import DriveMode
+from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.records.lab import Lab, Tunnelling
 from piezoid.verification.closed_loop import run_axis
-from piezoid.verification.plant import Hysteresis, junction_axis_plant, lateral_plant
+from piezoid.verification.plant import Hysteresis, Plugged, junction_axis_plant, lateral_plant
 from piezoid.verification.stage import varied_plants, verify_stage
 from tests.design.junction_lab import LAB
 from tests.identification.dynamics.stage import truth
@@ -34,6 +35,37 @@ def test_the_plant_is_the_models_own_simulation():
     assert [s.frequency_Hz for s in plant.sensor] == [pytest.approx(8.5e3)]
     late = replace(model, lag=Lag(kind="delay", time_s=3e-5))
     assert lateral_plant(late, sampling_rate_Hz=RATE_Hz).delay_s == 3e-5
+
+
+def test_plays_behind_functions_answer_in_the_plant_as_their_operator_does(rng):
+    """After turning points, between edges and beyond the outermost, against a plugged response."""
+    edge_V = np.linspace(-6.0, 6.0, 7)
+    straight = PreisachPlays(step_V=1.0, edge_V=edge_V, value_m=np.tile(1e-6 * edge_V, (6, 1)))
+    operator = straight.with_rises(rng.uniform(1e-7, 2e-6, (6, 6)))
+    history_V = (8.0, -7.0, 3.0)
+
+    def begin(rest_V):
+        _, memory_V = operator.run(np.array([*history_V, rest_V]), operator.virgin_memory())
+
+        def respond(voltage_V):
+            moved_m, memory_V[:] = operator.run(np.array([voltage_V]), memory_V)
+            return float(moved_m[0])
+
+        return respond
+
+    quiet = replace(lateral_plant(fitted()["x"], sampling_rate_Hz=RATE_Hz), noise_rms=0.0)
+    path = 3e-5 * np.cumsum(rng.standard_normal(2000)) / 20.0
+    runs = [
+        run_axis(
+            replace(quiet, response=response),
+            stage("x").axis("x").for_method("none"),
+            path,
+            rng=np.random.default_rng(0),
+        )
+        for response in (Hysteresis(operator=operator, history_V=history_V), Plugged(begin=begin))
+    ]
+    assert np.ptp(runs[0].voltage_V) > 8.0
+    np.testing.assert_allclose(runs[0].position, runs[1].position, rtol=0.0, atol=1e-18)
 
 
 def test_drawn_plants_differ_and_stay_near_the_identified_one(rng):

@@ -45,3 +45,8 @@ EFFECTS: tuple[Effect, ...] = (
     asymmetry.EFFECT,
     non_congruence.EFFECT,
 )
+
+
+def effect_named(name: str) -> Effect:
+    """Return the effect of a name."""
+    return next(effect for effect in EFFECTS if effect.name == name)

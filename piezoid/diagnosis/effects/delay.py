@@ -25,7 +25,6 @@ from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
-APART = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 12
 SPEED = 50.0  # the same time in every recording of a stage: slow ones hardly show it
@@ -51,7 +50,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {name: value}),
             parameters={name: value},
             coefficient_range=ALLOWED,
-            minimum_separation=APART,
+            needs_time=True,
             free={name: 1.5},
         )
         for name, value in ways

@@ -30,7 +30,6 @@ from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
-APART = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 14
 SPEED = 50.0  # the same pole in every recording of a stage: slow ones hardly show it
@@ -52,7 +51,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
             coefficient_range=ALLOWED,
-            minimum_separation=APART,
+            needs_time=True,
             free={"time_s": 1.5},
         )
         for t in times_s

@@ -19,7 +19,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import (
+    GRIDS_Hz,
+    added_percent,
+    scaled_to,
+    seconds_of,
+    with_displacement,
+)
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -28,7 +34,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Recording
 
-GRIDS_Hz = (50.0, 60.0)
 TWINS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)
 WANDER_s = 8.0  # how long the grid keeps a phase
 MOST_KNOTS = 6

@@ -16,7 +16,7 @@ What the extension adds
     The drive as its converter gave it. For a reading nothing: the remedy is a finer converter or a
     narrower range.
 Source
-    Widrow & Kollar (2008)
+    Widrow & Kollar (2008); Rayleigh (1880) on phases that point together
 """
 
 from dataclasses import dataclass, replace
@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.lattice import lattice_step
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.faults import step_size
 from piezoid.records.recording import Recording
 
 COARSE = 1.2e-3  # of half the stroke: rms of a twelfth of its square is 0.02 % of the stroke
@@ -48,6 +48,13 @@ BLOCKS = 20  # of rows, for these
 DIGITS = 6  # of half the range that tell values of a drive apart
 BETWEEN = 4.0  # values of a drive within a step, or the steps may be its own
 LEAST_BETWEEN = 0.1  # of all rows
+
+DIGITS_OF_READING = 9
+MOST_STEPS_OF_READING = 2000  # of a range: finer ones are nobody's cause
+ON = 0.1  # of a step: so near is on the lattice
+UNEVEN = 0.02  # of a step: what its last digit may be off
+PHASES = 20  # tried for every one that the range can tell
+MOST_ON = 0.99  # of the samples: no more than the rest are spikes
 
 
 def _fault(view: View) -> Fault | None:
@@ -81,6 +88,37 @@ def _step(response: Array) -> float:
     """Return the step of a reading's lattice, 0 where it is too fine to be seen."""
     step = lattice_step(response)
     return step if step > max(COARSE, VISIBLE * white_noise_rms(response)) else 0.0
+
+
+def lattice_step(response: Array) -> float:
+    """Return the step of a reading's lattice, 0 where it never rests on one.
+
+    Spikes, and what was put in their place, are off the lattice: a step that nearly all samples
+    are multiples of is looked for near the usual gap by the phases of all values, before it is
+    asked which step all values are multiples of.
+    """
+    if not np.any(np.diff(response) == 0):
+        return 0.0
+    values, count = np.unique(np.round(response, DIGITS_OF_READING), return_counts=True)
+    usual = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
+    if MOST_STEPS_OF_READING * usual > values[-1] - values[0]:
+        step = _step_near(usual, values)
+        place = (values - values[np.argmax(count)]) / step
+        if count[np.abs(place - np.round(place)) < ON].sum() > MOST_ON * len(response):
+            return step
+    return step_size(np.round(response, DIGITS_OF_READING))
+
+
+def _step_near(usual: float, values: Array) -> float:
+    """Return the step near the usual one at which the phases of values point together most.
+
+    Printed with few digits, steps are uneven by the last of them, and a mean of them is not fine
+    enough to count hundreds by.
+    """
+    width = float(np.ptp(values)) / usual
+    reversals = np.linspace(1.0 - UNEVEN, 1.0 + UNEVEN, int(2.0 * UNEVEN * width * PHASES) + 2)
+    phase = np.exp(2j * np.pi * np.outer(reversals / usual, values))
+    return usual / float(reversals[int(np.argmax(np.abs(phase.sum(axis=1))))])
 
 
 def _evidence(response: Array, step: float) -> float:

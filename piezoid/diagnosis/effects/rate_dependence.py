@@ -28,7 +28,6 @@ from piezoid.records.recording import Recording
 
 LINEAR_STRAIN = 1.0  # half strokes: from here on the lag of the walls is as good as linear
 SHARES = (0.03, 3.0)  # of the walls' lag: what a search may say where it splits them otherwise
-APART = 0.03
 ALLOWED = (0.03, 5.0)
 TIMES_s = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 WIDEST = 1.0  # strain from which the lag is as good as linear
@@ -82,7 +81,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, {"time_s": time_s, "strain": strain}),
             parameters={"time_s": time_s, "strain": strain},
             coefficient_range=ALLOWED,
-            minimum_separation=APART,
+            needs_time=True,
             free={"time_s": 1.8, "strain": 2.0},
             limits={"time_s": LONGEST, "strain": STRAINS},
         )

@@ -53,6 +53,7 @@ def _trials(view: View) -> list[Trial]:
             columns=_columns(view, way),
             parameters=way,
             coefficient_range=ALLOWED,
+            needs_time=True,
             free={"limit_per_s": 1.12},
         )
         for way in ways

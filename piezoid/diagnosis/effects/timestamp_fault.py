@@ -52,7 +52,7 @@ def _fault(view: View) -> Fault | None:
     )
     found: list[SlipEvidence] = []
     while len(found) < MOST:
-        judged = _next(calm, bool(found))
+        judged = _next(calm)
         if judged is None:
             break
         better = undone(calm, judged.slip)
@@ -98,7 +98,7 @@ def _near(one: Slip, other: Slip, view: View) -> bool:
     return one.track == other.track and abs(one.instant - other.instant) <= width
 
 
-def _next(view: View, again: bool) -> SlipEvidence | None:
+def _next(view: View) -> SlipEvidence | None:
     """Return the clearest slip that is left."""
     null = beside(view)
     for slip in strongest(view, null):
@@ -113,21 +113,17 @@ def _next(view: View, again: bool) -> SlipEvidence | None:
             judged = evidence_of(
                 view, null, placed(view, replace(slip, samples=length), fixed=True)
             )
-        if (
-            judged is not None
-            and judged.is_significant(again=again)
-            and _alone(view, judged, again=again)
-        ):
+        if judged is not None and judged.is_significant and _alone(view, judged):
             return judged
     return None
 
 
-def _alone(view: View, judged: SlipEvidence, *, again: bool) -> bool:
+def _alone(view: View, judged: SlipEvidence) -> bool:
     """Tell whether a slip speaks beside what other axes may move as well."""
     if not any(track.others for track in view.tracks):
         return True
     there = evidence_of(view, beside(view, others=True), judged.slip)
-    return there is not None and there.is_significant(again=again)
+    return there is not None and there.is_significant
 
 
 def inject(recording: Recording, share: float) -> Recording:

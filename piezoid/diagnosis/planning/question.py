@@ -6,7 +6,7 @@ from math import sqrt
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.separation import Suspect
 from piezoid.diagnosis.planning.tangents import WITHOUT, tangent_of
 from piezoid.errors import ExcitationError
@@ -142,7 +142,7 @@ def _to_detect(diagnosis: Diagnosis) -> list[Question]:
 
 def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
     """Return the rms below which an effect is not named, m: as the diagnosis itself has it."""
-    effect = next(effect for effect in EFFECTS if effect.name == name)
+    effect = effect_named(name)
     worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
     return max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
 

@@ -1,0 +1,435 @@
+"""Minor loops as recordings show them: plays behind functions, where they predict better.
+
+What plays with dead zones and an envelope leave of a ceramic is the shape of minor loops. Plays
+behind rising functions of their states follow any loops that close [Krejci 1996]. With thresholds
+and edges on a lattice the functions are all that is free, and what the fitted axis knows besides,
+extensions, lag and poles, is linear in them:
+
+    min |L sum_i phi_i(z_i) + c - y|^2 + lambda |D phi|^2,   phi_i not falling
+
+is a convex program. Its shape is the smallest that predicts recordings left out as well as the
+largest. It is taken where it predicts these better by half than plays with dead zones do, for its
+inverse takes more instructions. Fits without one block of time each say
+how well the functions are known, and the distance of two of them over all drives is exact, so that
+model and inverse have bounds as those of plays with dead zones.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares
+
+from piezoid.errors import IdentificationError
+from piezoid.identification.extensions.rate_dependence import RateDependence
+from piezoid.identification.hysteresis.certificate import DRAWS, SEED
+from piezoid.identification.hysteresis.jackknife import BLOCKS
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.model import (
+    AxisModel,
+    Believed,
+    FunctionOrder,
+    MinorLoops,
+    PieceStart,
+)
+from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
+from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.quadratic_program import bounded_step
+from piezoid.operators.play import play_columns
+from piezoid.operators.preisach_bounds import farthest_apart_m
+from piezoid.operators.preisach_plays import PreisachPlays
+from piezoid.readable import told
+from piezoid.records.recording import Recording
+
+EDGE_STEPS = 4  # thresholds from edge to edge: more edges brought nothing on the zoo
+SHAPES = (4, 6, 8)  # pieces of a function; twice as many plays
+CLOSE = 1.03  # as of the other shapes: nobody would notice
+WORTH = 1.5  # times the error of plays with dead zones: less is not worth its instructions
+LEAST_SLOPE = 0.2  # of the mean one, of a branch right behind a turn: see coordinates.py
+RIDGE = 1e-3  # on differences of rises between neighbours; a tenth or ten times it: no difference
+ROWS = 3000  # of a recording
+STEPS = 20  # of the search for first states
+BEGINNING = 0.1  # weight of what states from before a recording are in: they are fitted as well
+WIPED = 0.95  # of the range of a recording: then what was before it is forgotten
+ROUNDING = 1e-13  # of the trace: cells that no drive reached hang on their neighbours alone
+BEYOND = 0.1  # of half the range, that a recording left out may go further than the others
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lattice:
+    """Where plays and edges are, over the range of the recorded drive.
+
+    centre_V, reach_V  of the drive: it goes by the reach to either side
+    pieces             of a function, an even number
+    """
+
+    centre_V: float
+    reach_V: float
+    pieces: int
+
+    @property
+    def plays(self) -> int:
+        """How many plays there are, that of no width among them."""
+        return self.pieces * EDGE_STEPS // 2
+
+    @property
+    def step_V(self) -> float:
+        """By how much half-widths differ."""
+        return self.reach_V / self.plays
+
+    @property
+    def threshold_V(self) -> Array:
+        """Half-widths, (plays,)."""
+        return np.asarray(self.step_V * np.arange(self.plays))
+
+    @property
+    def edge_V(self) -> Array:
+        """Edges, from the centre, (pieces + 1,)."""
+        return np.asarray(self.step_V * (EDGE_STEPS * np.arange(self.pieces + 1) - self.plays))
+
+    @property
+    def cells(self) -> list[tuple[int, int]]:
+        """Play and piece of every rise.
+
+        Those that the drive does not move by itself hold the states from before a recording.
+        """
+        return list(product(range(self.plays), range(self.pieces)))
+
+    def risen(self, states: Array) -> Iterator[Array]:
+        """Yield for every cell which part of its rise is done, from the centre on, (samples,).
+
+        states  (samples, plays)  V, of the drive from the centre
+        """
+        edge_V = self.edge_V
+        for i, k in self.cells:
+            low = -np.inf if k == 0 else edge_V[k]
+            high = np.inf if k + 1 == self.pieces else edge_V[k + 1]
+            away_V = np.clip(states[:, i], low, high) - np.clip(0.0, low, high)
+            yield away_V / (edge_V[1] - edge_V[0])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """One piece of a recording.
+
+    columns  (samples, cells)  what each rise adds to it
+    target   (samples,)        what it shows
+    left_m   (samples,)        what plays with dead zones leave of it
+    counts   (samples,)        whether what was before the recording is forgotten
+    """
+
+    recording: str
+    columns: Array
+    target: Array
+    left_m: Array
+    counts: Array
+    reach: tuple[float, float]
+
+    def before(self, stop: int) -> "Rows":
+        """Return its first rows."""
+        return replace(
+            self,
+            columns=self.columns[:stop],
+            target=self.target[:stop],
+            left_m=self.left_m[:stop],
+            counts=self.counts[:stop],
+        )
+
+    def products(self, blocks: int = 1) -> Array:
+        """Return [columns, target]'[columns, target] of blocks, (blocks, cells + 1, cells + 1).
+
+        Without their means over the piece, weighed.
+        """
+        weight = np.where(self.counts, 1.0, BEGINNING)[:, None]
+        rows = np.column_stack([self.columns, self.target])
+        rows = weight * (rows - np.average(rows, axis=0, weights=weight[:, 0] ** 2))
+        return np.array([part.T @ part for part in np.array_split(rows, blocks)])
+
+
+def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
+    """Return the axis with plays behind functions where they predict its recordings better.
+
+    recordings  of the fit; one that the model does not know is passed over
+    """
+    bare = axis.without_minor_loops()
+    late = any(isinstance(extension, RateDependence) for extension in bare.extensions)
+    if late or not bare.quality.is_tested:  # walls that come late are not linear in functions
+        return bare
+    low_V, high_V = bare.voltage_V
+    half_V = 0.5 * (high_V - low_V)
+
+    def tried(pieces: int) -> "_Tried":
+        lattice = Lattice(centre_V=low_V + half_V, reach_V=half_V, pieces=pieces)
+        rows = [part for r in recordings for part in _rows(bare, r, lattice)]
+        return _tried(rows, lattice, bare.quality.range_m)
+
+    found = [tried(SHAPES[-1])]
+    if not len(found[0].error_m):
+        return bare
+    if found[0].is_better_than(bare.quality.held_out_rms_m):
+        for pieces in SHAPES[:-1]:
+            found.append(tried(pieces))
+            if found[-1].rms_m <= CLOSE * found[0].rms_m:
+                break
+    orders = tuple(
+        FunctionOrder(
+            plays=one.lattice.plays,
+            pieces=one.lattice.pieces,
+            held_out_rms_m=one.rms_m,
+            plain_rms_m=_rms(one.left_m),
+        )
+        for one in found
+    )
+    known = replace(bare, function_orders=orders)
+    if len(found) == 1:
+        return known
+    close = found[-1].rms_m <= CLOSE * found[0].rms_m
+    return _restarted(_taken(known, found[-1 if close else 0]), recordings)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Tried:
+    """A lattice, and what functions on it leave of recordings left out.
+
+    error_m  (rows,)  by functions, of recordings they were not fitted to
+    left_m   (rows,)  by plays with dead zones, in whose fit they were
+    kind     which rows they are
+    """
+
+    lattice: Lattice
+    rows: Sequence[Rows]
+    error_m: Array
+    left_m: Array
+    kind: str
+
+    @property
+    def rms_m(self) -> float:
+        return _rms(self.error_m)
+
+    def is_better_than(self, held_out_rms_m: float) -> bool:
+        """Whether functions predict better by half than plays do.
+
+        Never where they predict worse than plays tell the same rows, which they were fitted to:
+        what plays fail to predict is then no shape of loops.
+        """
+        return self.rms_m <= min(held_out_rms_m / WORTH, _rms(self.left_m))
+
+
+def _rms(error_m: Array) -> float:
+    return float(np.sqrt(np.mean(error_m**2)))
+
+
+def _tried(rows: Sequence[Rows], lattice: Lattice, stroke_m: float) -> _Tried:
+    """Leave out every recording; of one that goes further than others the second half."""
+    names = list(dict.fromkeys(part.recording for part in rows))
+    products = {name: sum(p.products()[0] for p in rows if p.recording == name) for name in names}
+    counts = {name: sum(len(p.target) for p in rows if p.recording == name) for name in names}
+    errors, lefts, is_halved = [], [], False
+    for name in names:
+        own = [part for part in rows if part.recording == name]
+        others = [part for part in rows if part.recording != name]
+        product = sum(products.values()) - products[name]
+        count = sum(counts.values()) - counts[name]
+        seen = [0 if _is_covered(p, others, lattice) else len(p.target) // 2 for p in own]
+        for part, stop in zip(own, seen, strict=True):
+            if stop:
+                is_halved, count = True, count + stop
+                product = product + part.before(stop).products()[0]
+        rise_m = rises_of(product, count, lattice, stroke_m)
+        for part, stop in zip(own, seen, strict=True):
+            rest = np.flatnonzero(part.counts[stop:]) + stop
+            if len(rest):
+                error_m = part.target[rest] - part.columns[rest] @ rise_m
+                errors.append(error_m - error_m.mean())
+                lefts.append(part.left_m[rest] - part.left_m[rest].mean())
+    whole = WIDEST_HALVED if is_halved else OTHER_RECORDINGS
+    return _Tried(
+        lattice=lattice,
+        rows=rows,
+        error_m=np.concatenate([np.zeros(0), *errors]),
+        left_m=np.concatenate([np.zeros(0), *lefts]),
+        kind=whole if len(names) > 1 else SECOND_HALF,
+    )
+
+
+def _is_covered(part: Rows, others: Sequence[Rows], lattice: Lattice) -> bool:
+    room = BEYOND * lattice.reach_V
+    return any(
+        other.reach[0] <= part.reach[0] + room and other.reach[1] >= part.reach[1] - room
+        for other in others
+    )
+
+
+def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
+    """Return the axis with functions fitted to all rows, and what is known of their error."""
+    lattice, rows, quality = found.lattice, found.rows, axis.quality
+    total = sum(len(part.target) for part in rows)
+    cut = [part.products(max(round(BLOCKS * len(part.target) / total), 1)) for part in rows]
+    products = np.concatenate(cut)
+    product, blocks = products.sum(axis=0), len(products)
+    rise_m = rises_of(product, total, lattice, quality.range_m)
+    fewer = total * (blocks - 1) // blocks
+    without_m = [
+        rises_of(product - one, fewer, lattice, quality.range_m).reshape(lattice.plays, -1)
+        for one in products
+    ]
+    beside_m = [part.target - part.columns @ rise_m for part in rows]
+    offset_m = axis.hysteresis.displacement_offset_m + float(np.mean([b.mean() for b in beside_m]))
+    fit_m = np.concatenate([(b - b.mean())[p.counts] for b, p in zip(beside_m, rows, strict=True)])
+    minor_loops = MinorLoops(
+        operator=functions_of(rise_m, lattice, offset_m),
+        without_m=np.array(without_m),
+        least_rise_m=LEAST_SLOPE * quality.range_m / lattice.pieces,
+        plain=Believed(
+            rms_m=quality.rms_m,
+            held_out_rms_m=quality.held_out_rms_m,
+            held_out_kind=quality.held_out_kind,
+            certificate=axis.certificate,
+        ),
+    )
+    reach_V = axis.certificate.reach_V
+    drawn = minor_loops.drawn(np.random.default_rng(SEED), DRAWS)
+    apart_m = farthest_apart_m(minor_loops.operator, drawn, reach_V)
+    likely_m = float(np.quantile(apart_m, 0.95))
+    said = (
+        f"on rows left out {lattice.plays} plays behind functions of {lattice.pieces} pieces "
+        f"leave {told(found.rms_m, 'm')}, where plays with dead zones leave "
+        f"{told(quality.held_out_rms_m, 'm')}: the controller inverts the former"
+    )
+    return replace(
+        axis,
+        minor_loops=minor_loops,
+        verdict=replace(axis.verdict, remarks=(*axis.verdict.remarks, said)),
+        quality=replace(
+            quality, rms_m=_rms(fit_m), held_out_rms_m=found.rms_m, held_out_kind=found.kind
+        ),
+        certificate=replace(
+            axis.certificate,
+            plays_m=likely_m,
+            dead_zones_m=0.0,
+            remainder_m=float(np.quantile(np.abs(found.error_m), 0.999)),
+            found_m=likely_m,  # a drive through the states of the extremes attains it
+        ),
+    )
+
+
+def _restarted(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
+    """Return the axis with the first states that suit the functions.
+
+    z_i(0) = z_0(0) + sum_(j<=i) d_j s_j, -1 <= s_j <= 1, d_j between thresholds: admissible.
+    """
+    gap_V = np.diff(axis.hysteresis.plays.threshold)
+    by_name = {recording.name: recording for recording in recordings}
+    seen: dict[str, int] = {}
+    starts = []
+    for start in axis.starts:
+        number = seen[start.recording] = seen.get(start.recording, -1) + 1
+        recording = by_name.get(start.recording)
+        if recording is not None:
+            parts = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+            start = _restarted_piece(axis, recording, parts[number], start, gap_V)
+        starts.append(start)
+    return replace(axis, starts=tuple(starts))
+
+
+def _restarted_piece(
+    axis: AxisModel, recording: Recording, part: slice, start: PieceStart, gap_V: Array
+) -> PieceStart:
+    where = where_of(recording, axis.axis, part)
+    voltage_V = recording.voltage_V(axis.axis)[part]
+    zero_m, measured_m = zero_of(start, where.samples), recording.displacement_m(axis.axis)[part]
+    every = max(len(voltage_V) // ROWS, 1)
+
+    def memory_V(slope: Array) -> Array:
+        away_V = np.concatenate([[0.0], np.cumsum(gap_V * slope)])
+        return np.asarray(start.memory_V[0] + away_V)
+
+    def left(slope: Array) -> Array:
+        moved_m = zero_m + axis.moved(voltage_V, memory_V(slope), where)
+        error = (axis.read(moved_m) - measured_m)[::every] / axis.quality.range_m
+        return np.asarray(error - error.mean())
+
+    begun = np.clip(np.diff(start.memory_V) / gap_V, -WIPED, WIPED)
+    found = least_squares(left, begun, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=STEPS)
+    moved_m = axis.read(zero_m + axis.moved(voltage_V, memory_V(found.x), where))
+    beside_m = float(np.mean(measured_m - moved_m))
+    return replace(start, memory_V=memory_V(found.x), zero_m=start.zero_m + beside_m)
+
+
+def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[Rows]:
+    """Yield the pieces of one recording."""
+    try:
+        simulated_m = simulate_recording(axis, recording)
+    except IdentificationError:
+        return
+    parts = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+    voltage_V = recording.voltage_V(axis.axis)
+    left_m = recording.displacement_m(axis.axis) - simulated_m
+    for part, start in zip(parts, starts_of(axis, recording), strict=True):
+        where = where_of(recording, axis.axis, part)
+        driven_V = axis.driven(voltage_V[part], where.rate_Hz)
+        inner_V = np.ascontiguousarray(driven_V - lattice.centre_V)
+        plain_m = axis.hysteresis_of(driven_V, start.memory_V, where.rate_Hz)
+        plain_m = plain_m - axis.hysteresis.displacement_offset_m
+        sample = np.arange(0, len(inner_V), max(len(inner_V) // ROWS, 1))
+        followed = axis.behind(plain_m, where)[sample]
+        memory_V = axis.memory_at(lattice.threshold_V, start.memory_V)
+        states, _ = play_columns(inner_V, lattice.threshold_V, memory_V)
+        columns = np.empty((len(sample), len(lattice.cells)), order="F")
+        for column, risen in enumerate(lattice.risen(states)):
+            columns[:, column] = axis.behind(risen, where)[sample]
+        yield Rows(
+            recording=recording.name,
+            columns=columns,
+            target=followed + axis.polarity * left_m[part][sample],
+            left_m=left_m[part][sample],
+            counts=_is_forgotten(inner_V)[sample],
+            reach=(float(inner_V.min()), float(inner_V.max())),
+        )
+
+
+def _is_forgotten(drive: Array) -> Array:
+    """Tell of each sample whether the drive has gone about as far as it ever does."""
+    gone = np.maximum.accumulate(drive) - np.minimum.accumulate(drive)
+    return np.asarray(gone >= WIPED * gone[-1])
+
+
+def rises_of(product: Array, count: int, lattice: Lattice, stroke_m: float) -> Array:
+    """Return what every function rises between edges, (cells,) m, beside a constant a piece.
+
+    product  (cells + 1, cells + 1)  of the rows, see ``Rows.products``
+    count    of the rows
+    """
+    cells = {cell: number for number, cell in enumerate(lattice.cells)}
+    near = [
+        (a, cells[other])
+        for (i, k), a in cells.items()
+        for other in ((i, k + 1), (i + 1 if i else -1, k))  # phi_0 is of another kind
+        if other in cells
+    ]
+    first, second = np.array(near).T
+    smooth = np.zeros((len(near), len(cells)))
+    smooth[np.arange(len(near)), first], smooth[np.arange(len(near)), second] = 1.0, -1.0
+    normal = product[:-1, :-1] + RIDGE * count * (smooth.T @ smooth)
+    normal += ROUNDING * np.trace(normal) * np.eye(len(normal))
+    lower = np.linalg.cholesky(normal)
+    target = solve_triangular(lower, product[:-1, -1] / stroke_m, lower=True)
+    least = np.array([LEAST_SLOPE / lattice.pieces if i == 0 else 0.0 for i, _ in cells])
+    unbounded = np.full(len(least), np.inf)
+    return stroke_m * bounded_step(np.asarray(lower.T), target, least, unbounded)
+
+
+def functions_of(rise_m: Array, lattice: Lattice, offset_m: float) -> PreisachPlays:
+    """Return the functions, 0 in the middle."""
+    rises_m = rise_m.reshape(lattice.plays, lattice.pieces)
+    straight = PreisachPlays(
+        step_V=lattice.step_V,
+        edge_V=lattice.edge_V,
+        value_m=np.tile(lattice.edge_V, (lattice.plays, 1)),
+        voltage_offset_V=lattice.centre_V,
+        displacement_offset_m=offset_m,
+    )
+    return straight.with_rises(rises_m)

@@ -1,0 +1,149 @@
+"""The Preisach operator in play form: plays, each behind a rising function of its state."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from piezoid.numerics.arrays import Array, freeze
+from piezoid.operators.library import KERNELS, address, contiguous
+from piezoid.operators.play import play_columns
+
+UNEVEN = 1e-9  # of a step: rounding of numbers that came through a file
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PreisachPlays:
+    """A sum of rising functions of plays: any shape of minor loops that closes.
+
+        y = y_off + sum_i phi_i(z_i[u - u_off]),   phi_i straight between edges      [Krejci 1996]
+
+    step_V      r_i = i step_V are the half-widths of the plays
+    edge_V      (edges,)        V, evenly spaced by whole steps, the lowest first
+    value_m     (plays, edges)  m, phi_i at the edges: never falling, and rising for i = 0; beyond
+                the outermost as inside
+    voltage_offset_V, displacement_offset_m  u_off and y_off
+
+    With the density of Preisach's plane constant in cells along the two ways of a branch; straight
+    functions are Prandtl-Ishlinskii. All places at which a branch can bend lie ``step_V`` apart or
+    where a play begins to move, so that its inverse passes a known number of them.
+    """
+
+    step_V: float
+    edge_V: Array
+    value_m: Array
+    voltage_offset_V: float = 0.0
+    displacement_offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "edge_V")
+        freeze(self, "value_m", ndim=2)
+        plays, edges = self.value_m.shape
+        steps = np.diff(self.edge_V) / self.step_V
+        if plays < 2 or edges < 2 or edges != len(self.edge_V) or not self.step_V > 0.0:
+            raise ValueError(
+                f"{plays} plays {self.step_V} V apart with {edges} values at {len(self.edge_V)} "
+                "edges, expected two or more of each"
+            )
+        if np.abs(steps - max(round(steps[0]), 1)).max() > UNEVEN * steps[0]:
+            raise ValueError(f"edges are {steps} steps apart, expected the same whole number")
+        if self.rise_m.min() < 0.0 or self.rise_m[0].min() <= 0.0:
+            raise ValueError(f"a function falls by {-self.rise_m.min():.3g} m between edges")
+
+    def multiplied(self, factor: float) -> "PreisachPlays":
+        """Return what moves a factor as far as this one."""
+        return replace(self, value_m=factor * self.value_m)
+
+    def with_rises(self, rise_m: Array) -> "PreisachPlays":
+        """Return the same with functions that rise otherwise, each 0 at the middle edge.
+
+        rise_m  (plays, edges - 1)  m
+        """
+        value_m = np.pad(np.cumsum(rise_m, axis=1), ((0, 0), (1, 0)))
+        return replace(self, value_m=value_m - value_m[:, len(self.edge_V) // 2, None])
+
+    @cached_property
+    def rise_m(self) -> Array:
+        """What the functions rise between edges, (plays, edges - 1)."""
+        return np.asarray(np.diff(self.value_m, axis=1))
+
+    @property
+    def threshold_V(self) -> Array:
+        """Half-widths of the plays, (plays,)."""
+        return np.asarray(self.step_V * np.arange(len(self.value_m)))
+
+    @property
+    def slope_sector_m_per_V(self) -> tuple[float, float]:
+        """Least and greatest increment gain: m <= dy/du <= M for every step of every input.
+
+        Behind a turn only phi_0 moves, and on a branch at u the plays up to some i, at u -+ r_i.
+        The greatest sums are found on the lattice on which functions bend.
+        """
+        width = self.edge_V[1] - self.edge_V[0]
+        reach = self.threshold_V[-1]
+        middle = np.arange(self.edge_V[0] - reach, self.edge_V[-1] + reach, self.step_V)
+        middle += 0.5 * self.step_V
+        greatest = 0.0
+        for way in (-1.0, 1.0):
+            at = (middle[:, None] + way * self.threshold_V - self.edge_V[0]) / width
+            k = np.clip(at.astype(int), 0, len(self.edge_V) - 2)
+            slopes = self.rise_m[np.arange(len(self.value_m)), k].sum(axis=1) / width
+            greatest = max(greatest, float(slopes.max()))
+        return float(self.rise_m[0].min() / width), greatest
+
+    def virgin_memory(self) -> Array:
+        """Return the memory of a de-poled stage, (plays,) of u - u_off."""
+        return np.zeros(len(self.value_m))
+
+    def at_rest(self, voltage_V: float) -> Array:
+        """Return the memory of a stage that came to a voltage de-poled, (plays,) of u - u_off."""
+        u, r = voltage_V - self.voltage_offset_V, self.threshold_V
+        return np.clip(self.virgin_memory(), u - r, u + r)
+
+    def run(self, voltage_V: Array, memory_V: Array) -> tuple[Array, Array]:
+        """Return the displacement and the memory after the last sample.
+
+        voltage_V  (samples,)  V
+        memory_V   (plays,)    V, admissible states before the first sample
+        """
+        u = contiguous(voltage_V - self.voltage_offset_V)
+        states, after = play_columns(u, self.threshold_V, memory_V)
+        moved = np.full(len(u), self.displacement_offset_m)
+        for state, value in zip(states.T, self.value_m, strict=True):
+            moved += straight_between(state, self.edge_V, value)
+        return moved, after
+
+    def inverse_run(self, displacement_m: Array, memory_V: Array) -> tuple[Array, Array]:
+        """Return the voltage that makes this displacement, and the memory after it.
+
+        displacement_m  (samples,)  m
+        memory_V        (plays,)    V, before the first sample
+
+        Halved until it is known to the last bit, since every branch rises.
+        """
+        wanted = contiguous(displacement_m - self.displacement_offset_m)
+        state = np.array(memory_V, dtype=np.float64)
+        found = np.empty_like(wanted)
+        plays, edges = self.value_m.shape
+        KERNELS.pk_valued_inverse(
+            len(wanted),
+            address(wanted),
+            plays,
+            self.step_V,
+            edges,
+            address(self.edge_V),
+            address(contiguous(self.value_m)),
+            address(state),
+            address(found),
+        )
+        return found + self.voltage_offset_V, state
+
+
+def straight_between(x: Array, edge: Array, value: Array) -> Array:
+    """Return a function straight between its values at edges, the outermost pieces going on."""
+    found = np.interp(x, edge, value)
+    for beyond, end, inner in ((x < edge[0], 0, 1), (x > edge[-1], -1, -2)):
+        if beyond.any():
+            slope = (value[end] - value[inner]) / (edge[end] - edge[inner])
+            found[beyond] = value[end] + slope * (x[beyond] - edge[end])
+    return found

@@ -1,0 +1,51 @@
+"""What needs time is a width of the loop at one speed, whatever else goes on meanwhile."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.records.ingest import ingest
+from piezoid.records.recording import Recording
+from tests.laws import LAWS, RATE_Hz, triangles, write
+
+LAG_s = 0.01
+GREW_percent = 5.0
+DRIFT_um = 0.6
+
+
+def late(folder: Path, cycles: int, samples: int, gain: float, drift_um: float) -> Recording:
+    """Return triangles of so many samples a cycle of a stage whose reading is late."""
+    field = triangles(cycles, samples)
+    reading_um = relaxed(10.0 * gain * LAWS["preisach"](field), LAG_s, RATE_Hz)
+    reading_um = reading_um + drift_um * np.linspace(0.0, 1.0, len(field)) ** 0.8
+    reading_um = reading_um + 0.008 * np.random.default_rng(cycles).standard_normal(len(field))
+    return ingest(write(folder / f"{samples}.csv", field, reading_um))
+
+
+def test_a_lag_is_no_cause_where_speeds_hardly_differ(tmp_path: Path) -> None:
+    first = late(tmp_path, 16, 250, 1.0, DRIFT_um)
+    grown = late(tmp_path, 10, 180, 1.0 + GREW_percent / 100.0, 0.0)
+    found = diagnose([first, grown])
+    assert set(found.names) == {"thermal_drift", "gain_change"}
+    size = next(one.size for one in found.findings if one.effect == "gain_change")
+    assert size.value == pytest.approx(GREW_percent, abs=1.0)
+    for name, others in (("lag", "delay"), ("delay", "lag"), ("rate_dependence", "lag")):
+        unseen = next(one for one in found.not_detected if one.effect == name)
+        assert unseen.upper_bound_m is None
+        assert unseen.reason.startswith("not separable from hysteresis")
+        assert others in unseen.reason
+        assert "half the speed" in unseen.next_experiment
+
+
+def test_a_lag_is_named_where_one_loop_was_slow(tmp_path: Path) -> None:
+    recordings = [
+        late(tmp_path, 16, 250, 1.0, DRIFT_um),
+        late(tmp_path, 3, 1500, 1.0, 0.0),
+    ]
+    found = diagnose(recordings)
+    assert set(found.names) == {"thermal_drift", "lag"}
+    size = next(one.size for one in found.findings if one.effect == "lag")
+    assert size.value == pytest.approx(1e6 * LAG_s, rel=0.12)
