@@ -31,7 +31,7 @@ from benchmarks.mutation_trial import KILLED, ROOT, SURVIVED, timed_tests, verdi
 
 KEPT = ROOT / "build" / "mutation"
 LIGHT = ("numpy", "scipy.linalg", "pytest", "hypothesis", "_pytest.assertion.rewrite")
-HEAVY = ("scipy.optimize", "scipy.signal", "scipy.integrate", "pandas", "cvxpy", "nlopt")
+HEAVY = ("scipy.optimize", "scipy.signal", "scipy.integrate", "pandas", "clarabel", "nlopt")
 
 
 @dataclass(frozen=True, kw_only=True)

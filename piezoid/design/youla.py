@@ -20,9 +20,10 @@ and the left side asks for a cone in the free coefficients of R and S.    [Karim
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from piezoid.design.family_grid import FamilyGrid, family_grid, worst_place
 from piezoid.design.plant import Plant, PlantFamily
@@ -193,35 +194,31 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
     import clarabel
     from scipy.sparse import csc_array
 
-    rows, unknowns = len(cones.reference), 2 * count + 1  # x, gamma, slack, and then a constant
+    one = np.eye(2 * count + 2)  # of the unknowns x, gamma and slack, and of a constant
 
-    def line(x: Array, gamma: ArrayLike, slack: ArrayLike, constant: ArrayLike) -> Array:
-        last = np.broadcast_arrays(gamma, slack, constant, np.empty(rows))[:3]
-        return np.column_stack([x, *last])
+    def affine(of: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
+        return np.column_stack([of[0], np.zeros((len(of[0]), 2)), of[1]])
 
     def cone(bound: Array, size: tuple[Response, Response], held: NDArray[np.bool_]) -> Array:
-        both = np.column_stack(size)
-        parts = [line(part[:, :-1], 0.0, 0.0, part[:, -1]) for part in (both.real, both.imag)]
-        return np.stack([bound, *parts], axis=1)[held]
+        whole = affine(size)
+        return np.stack([bound, whole.real, whole.imag], axis=1)[held]
 
-    reference, band = cones.reference, np.isfinite(cones.slope)
-    none, (free, constant) = np.zeros((rows, unknowns - 2)), cones.real
-    room = line(free, 0.0, reference, constant)
-    above = [line(free, 0.0, 0.0, constant - least * reference) for least in (_LEAST_REAL, 1.0)]
-    positive = np.vstack([np.eye(unknowns + 1)[-2], above[0], above[1][band]])
+    real, band = affine(cones.real), np.isfinite(cones.slope)
+    slack, constant = (np.outer(cones.reference, one[k]) for k in (-2, -1))
+    rise = np.outer(cones.slope * cones.reference, one[-3])
+    positive = np.vstack([one[-2], real - _LEAST_REAL * constant, (real - constant)[band]])
     limited = [
-        cone(np.where(held, reserve * upper, 0.0)[:, None] * room, size, held)
+        cone(np.where(held, reserve * upper, 0.0)[:, None] * (real + slack), size, held)
         for size, upper in zip(cones.limited, cones.limits[:3], strict=True)
         for held in [np.isfinite(upper)]
     ]
-    limited.append(cone(line(none, cones.slope * reference, 0.0, 0.0), cones.A_S, band))
-    asked = np.vstack([positive, np.concatenate(limited).reshape(-1, unknowns + 1)])
-    price = np.zeros(unknowns)
-    price[-2:] = 1.0, _SLACK_PRICE
+    limited.append(cone(rise, cones.A_S, band))
+    asked = np.vstack([positive, np.concatenate(limited).reshape(-1, len(one))])
+    price = one[-3, :-1] + _SLACK_PRICE * one[-2, :-1]
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     found = clarabel.DefaultSolver(
-        csc_array((unknowns, unknowns)),
+        csc_array((len(price), len(price))),
         price,
         csc_array(-asked[:, :-1]),
         asked[:, -1],

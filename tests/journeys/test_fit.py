@@ -135,7 +135,7 @@ def test_help_names_the_verbs_and_loads_nothing_heavy(tmp_path: Path) -> None:
         "from piezoid_cli.main import main\n"
         "try: main()\n"
         "except SystemExit: pass\n"
-        "heavy = {'numpy', 'scipy', 'pandas', 'matplotlib', 'cvxpy', 'jinja2'}\n"
+        "heavy = {'numpy', 'scipy', 'pandas', 'matplotlib', 'clarabel', 'jinja2'}\n"
         "assert not heavy & set(sys.modules), heavy & set(sys.modules)\n"
     )
     checked = subprocess.run(

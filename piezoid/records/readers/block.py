@@ -5,6 +5,7 @@ import io
 import re
 import warnings
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -105,7 +106,7 @@ def number_of(text: str, decimal: str, *, grouped: bool = False) -> float | None
     if len(text) > _LONGEST or not _NUMBER.fullmatch(text):
         return None
     value = float(text.replace("D", "e").replace("d", "e"))
-    return value if np.isfinite(value) else np.nan
+    return value if isfinite(value) else np.nan
 
 
 def count_of(text: str) -> int | None:
