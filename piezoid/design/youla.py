@@ -20,7 +20,7 @@ and the left side asks for a cone in the free coefficients of R and S.    [Karim
 """
 
 from dataclasses import dataclass
-from typing import Any
+from warnings import catch_warnings
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +42,6 @@ _RESERVES_dB = (0.05, 0.2, 0.5)
 _LEAST_GAIN = 0.01
 _TIE = 1e-4
 _EVERY = 10
-_FAR = 0.5  # of the closed loop's size: what is missed by so little has no say in the next problem
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,18 +68,16 @@ class Cones:
         """What has limits, in their order."""
         return self.A_S, self.A_R, self.B_R
 
-    def at(self, deciding: NDArray[np.bool_]) -> "Cones":
-        """Return the problem with some limits only, (limits and slope, rows)."""
-        rows = deciding.any(axis=0)
-        deciding = deciding[:, rows]
+    def at(self, rows: NDArray[np.bool_]) -> "Cones":
+        """Return the problem on some rows only."""
         return Cones(
             A_S=(self.A_S[0][rows], self.A_S[1][rows]),
             A_R=(self.A_R[0][rows], self.A_R[1][rows]),
             B_R=(self.B_R[0][rows], self.B_R[1][rows]),
             real=(self.real[0][rows], self.real[1][rows]),
             reference=self.reference[rows],
-            limits=np.where(deciding[:3], self.limits[:3, rows], np.inf),
-            slope=np.where(deciding[3], self.slope[rows], np.nan),
+            limits=self.limits[:, rows],
+            slope=self.slope[rows],
         )
 
 
@@ -109,11 +106,10 @@ def solve(
     R, S      of the loop it is set up around
     count     free coefficients of R' and of S'
     reserve   <= 1: share of every limit that may be used
-    deciding  (limits and slope, rows)  what is asked; one problem hands on to the next what came
-              near in it
+    deciding  (rows,)  which rows are asked; one problem hands them on to the next
     returned  R and S
 
-    A few hundred of the limits decide. The problem is solved on those, and again with the peaks of
+    A few hundred of the rows decide. The problem is solved on those, and again with the peaks of
     what its solution misses, until it misses none (the exchange of Remez).
     """
     scale = abs(plant.gain)
@@ -122,12 +118,10 @@ def solve(
         found = _solved(cones.at(deciding), count, reserve)
         if found is None:
             return None
-        excess = _excess(cones, found, reserve)
-        missed = _peaks(excess) & ~deciding
+        missed = _peaks(_excess(cones, found, reserve)) & ~deciding
         if not missed.any():
             break
         deciding |= missed
-    deciding &= excess > -_FAR
     s_free = np.concatenate([[1.0], found.x[: count - 1]])
     r_free = found.x[count - 1 :] / scale
     return product(OPEN_AT_NYQUIST, r_free), product(INTEGRATOR, s_free)
@@ -161,24 +155,21 @@ def cones_around(grid: FamilyGrid, scale: float, R: Array, S: Array, count: int)
 
 
 def _excess(cones: Cones, found: Reached, reserve: float) -> Array:
-    """Return by how much a solution misses limits and slope, over the closed loop's size.
-
-    returned  (limits and slope, rows); what the real part is asked stands with the first limit
-    """
+    """Return by how much a solution misses what every row asks, over the closed loop's size."""
     real = (cones.real[0] @ found.x + cones.real[1]) / cones.reference
-    size = np.abs([rows @ found.x + constant for rows, constant in cones.limited])
-    size /= cones.reference
-    excess = size / cones.limits[:3] - reserve * (real + found.slack)
-    excess[0] = np.maximum(excess[0], _LEAST_REAL - real)
-    in_band = np.maximum(size[0] / cones.slope - found.gamma, 1.0 - real)
-    # above the band nothing is asked of the slope
-    return np.vstack([excess, np.where(np.isnan(in_band), -np.inf, in_band)])
+    room = reserve * (real + found.slack)
+    excess = _LEAST_REAL - real
+    for (rows, constant), limit in zip(cones.limited, cones.limits[:3], strict=True):
+        size = np.abs(rows @ found.x + constant) / cones.reference
+        excess = np.maximum(excess, size / limit - room)
+    size = np.abs(cones.A_S[0] @ found.x + cones.A_S[1]) / cones.reference
+    in_band = np.maximum(size / cones.slope - found.gamma, 1.0 - real)
+    return np.asarray(np.fmax(excess, in_band))  # above the band nothing is asked of the slope
 
 
 def _peaks(excess: Array) -> NDArray[np.bool_]:
-    """Return where a real excess is no better than both its neighbours along a row."""
-    before = np.pad(excess[:, :-1], ((0, 0), (1, 0)), constant_values=-np.inf)
-    after = np.pad(excess[:, 1:], ((0, 0), (0, 1)), constant_values=-np.inf)
+    """Return the rows of a real excess that are no better than both their neighbours."""
+    before, after = np.append(-np.inf, excess[:-1]), np.append(excess[1:], -np.inf)
     return (excess > _TOLERANCE) & (excess >= before) & (excess >= after)
 
 
@@ -191,48 +182,36 @@ def _solved(cones: Cones, count: int, reserve: float) -> Reached | None:
 
     A slack on all limits together, at a high price, lets a start that exceeds them come back.
     """
-    import clarabel
-    from scipy.sparse import csc_array
+    import cvxpy as cp
 
-    one = np.eye(2 * count + 2)  # of the unknowns x, gamma and slack, and of a constant
+    x, gamma, slack = cp.Variable(2 * count - 1), cp.Variable(), cp.Variable(nonneg=True)
+    reference, band = cones.reference, np.isfinite(cones.slope)
+    real = cones.real[0] @ x + cones.real[1]
+    asked = [real >= _LEAST_REAL * reference]
 
-    def affine(of: tuple[NDArray[Any], NDArray[Any]]) -> NDArray[Any]:
-        return np.column_stack([of[0], np.zeros((len(of[0]), 2)), of[1]])
+    def limit(size: tuple[Response, Response], held: NDArray[np.bool_], bound: object) -> None:
+        if held.any():
+            rows, constant = size[0][held], size[1][held]
+            parts = [rows.real @ x + constant.real, rows.imag @ x + constant.imag]
+            asked.append(cp.SOC(bound, cp.vstack(parts)))
 
-    def cone(bound: Array, size: tuple[Response, Response], held: NDArray[np.bool_]) -> Array:
-        whole = affine(size)
-        return np.stack([bound, whole.real, whole.imag], axis=1)[held]
-
-    real, band = affine(cones.real), np.isfinite(cones.slope)
-    slack, constant = (np.outer(cones.reference, one[k]) for k in (-2, -1))
-    rise = np.outer(cones.slope * cones.reference, one[-3])
-    positive = np.vstack([one[-2], real - _LEAST_REAL * constant, (real - constant)[band]])
-    limited = [
-        cone(np.where(held, reserve * upper, 0.0)[:, None] * (real + slack), size, held)
-        for size, upper in zip(cones.limited, cones.limits[:3], strict=True)
-        for held in [np.isfinite(upper)]
-    ]
-    limited.append(cone(rise, cones.A_S, band))
-    asked = np.vstack([positive, np.concatenate(limited).reshape(-1, len(one))])
-    price = one[-3, :-1] + _SLACK_PRICE * one[-2, :-1]
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    found = clarabel.DefaultSolver(
-        csc_array((len(price), len(price))),
-        price,
-        csc_array(-asked[:, :-1]),
-        asked[:, -1],
-        [
-            clarabel.NonnegativeConeT(len(positive)),
-            *[clarabel.SecondOrderConeT(3)] * sum(map(len, limited)),
-        ],
-        settings,
-    ).solve()
-    # An inaccurate answer is judged on the finer grid like any other.
-    if str(found.status) not in ("Solved", "AlmostSolved"):
+    room = real + slack * reference
+    for size, upper in zip(cones.limited, cones.limits[:3], strict=True):
+        held = np.isfinite(upper)
+        limit(size, held, cp.multiply(reserve * upper[held], room[held]))
+    limit(cones.A_S, band, gamma * (cones.slope * reference)[band])
+    if band.any():
+        asked.append(real[band] >= reference[band])
+    program = cp.Problem(cp.Minimize(gamma + _SLACK_PRICE * slack), asked)
+    try:
+        with catch_warnings(action="ignore", category=UserWarning):
+            # An inaccurate answer is judged on the finer grid like any other.
+            program.solve(cp.CLARABEL)
+    except cp.SolverError:
         return None
-    *x, gamma, slack = found.x
-    return Reached(x=np.array(x), gamma=gamma, slack=slack)
+    if program.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
+        return None
+    return Reached(x=np.array(x.value), gamma=float(gamma.value), slack=float(slack.value))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -276,7 +255,7 @@ def optimise(
     count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
     fine = family_grid(family, specification, count=200 * count)
-    deciding = np.tile(np.arange(coarse.A.size) % _EVERY == 0, (4, 1))
+    deciding = np.arange(coarse.A.size) % _EVERY == 0
     best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
     history = [best.rejection]
     while len(history) <= most_iterations:

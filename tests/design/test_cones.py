@@ -64,7 +64,7 @@ def test_the_rows_are_the_loops_numerators_over_its_own_polynomial():
 def test_what_a_loop_misses_is_what_its_sensitivities_exceed(gamma, reserve, slack):
     place = grid()
     cones = cones_around(place, SCALE, R, S, TAPS)
-    found = _excess(cones, Reached(x=unknowns(), gamma=gamma, slack=slack), reserve).max(axis=0)
+    found = _excess(cones, Reached(x=unknowns(), gamma=gamma, slack=slack), reserve)
     limits = np.tile(place.limits[:3], len(FAMILY.members))
     over = np.max(np.array(functions(place)) / limits, axis=0) - reserve * (1.0 + slack)
     f = np.tile(place.frequency_Hz, len(FAMILY.members))
