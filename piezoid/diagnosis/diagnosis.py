@@ -175,15 +175,6 @@ class Diagnosis:
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
 
-    def with_finding(self, found: Finding) -> "Diagnosis":
-        """Return the same with one more finding, in the place of what was said of its effect."""
-        findings = [*(one for one in self.findings if one.effect != found.effect), found]
-        return replace(
-            self,
-            findings=tuple(sorted(findings, key=lambda one: one.held_out_gain, reverse=True)),
-            not_detected=tuple(n for n in self.not_detected if n.effect != found.effect),
-        )
-
     def told_in_counts(self, counted: tuple[str, ...]) -> "Diagnosis":
         """Return the diagnosis with its sizes and sentences in counts.
 
@@ -241,3 +232,13 @@ class Diagnosis:
                 ("explained", f"{100 * self.explained_fraction:.0f} %"),
             ),
         )
+
+
+def with_finding(diagnosis: Diagnosis, found: Finding) -> Diagnosis:
+    """Return a diagnosis with one more finding, in the place of what was said of its effect."""
+    findings = [*(one for one in diagnosis.findings if one.effect != found.effect), found]
+    return replace(
+        diagnosis,
+        findings=tuple(sorted(findings, key=lambda one: one.held_out_gain, reverse=True)),
+        not_detected=tuple(n for n in diagnosis.not_detected if n.effect != found.effect),
+    )

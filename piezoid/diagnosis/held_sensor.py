@@ -17,7 +17,7 @@ from math import erfc, log, sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size, with_finding
 from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
@@ -85,7 +85,7 @@ def with_creep_of_holds(
     found = [one for one in (_finding(hold, diagnosis, gain_m_per_V) for hold in holds) if one]
     if not found:
         return diagnosis
-    return diagnosis.with_finding(max(found, key=lambda one: one.share))
+    return with_finding(diagnosis, max(found, key=lambda one: one.share))
 
 
 def _holds(recordings: Sequence[Recording], axis: str) -> list[_Hold]:

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
@@ -78,7 +78,7 @@ def with_modes(
         next_experiment=effect.experiment,
         parameters={"frequency_Hz": frequency_Hz, "quality": _quality(dynamics, largest)},
     )
-    return diagnosis.with_finding(finding)
+    return with_finding(diagnosis, finding)
 
 
 def _beside(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) -> Diagnosis:

@@ -39,7 +39,7 @@ Maker = Callable[[Bench, np.random.Generator], Made]
 Body = Callable[[Bench, float, np.random.Generator], Array]  # (..., rate in Hz, ...) -> volts
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Experiment:
     """One entry.
 
@@ -178,62 +178,69 @@ def _still(limits: DriveLimits, rate_Hz: float, time_s: float) -> Array:
 
 MENU: tuple[Experiment, ...] = (
     Experiment(
-        "quasi_static_loops",
-        "Nested minor loops, slow: the hysteresis alone.",
-        at(SLOW_Hz, lambda b, f, _: decaying_loops(b.limits, f, frequency_Hz=0.5, cycles=12)),
+        name="quasi_static_loops",
+        why="Nested minor loops, slow: the hysteresis alone.",
+        drive=at(
+            SLOW_Hz, lambda b, f, _: decaying_loops(b.limits, f, frequency_Hz=0.5, cycles=12)
+        ),
     ),
     Experiment(
-        "reversal_curves",
-        "First-order reversal curves: how minor loops depend on where they are.",
-        at(SLOW_Hz, lambda b, f, _: reversal_curves(b.limits, f, curves=10, move_s=1.0)),
+        name="reversal_curves",
+        why="First-order reversal curves: how minor loops depend on where they are.",
+        drive=at(SLOW_Hz, lambda b, f, _: reversal_curves(b.limits, f, curves=10, move_s=1.0)),
     ),
     Experiment(
-        "held_levels",
-        "Random levels, each held: what goes on by itself, with the sign of the step.",
-        at(SLOWER_Hz, _held_levels),
+        name="held_levels",
+        why="Random levels, each held: what goes on by itself, with the sign of the step.",
+        drive=at(SLOWER_Hz, _held_levels),
     ),
     Experiment(
-        "held_levels_mirrored",
-        "Random levels and the same mirrored: creep changes sign with the steps, drift does not.",
-        at(SLOWER_Hz, _mirrored_levels),
+        name="held_levels_mirrored",
+        why="Random levels and the same mirrored: creep changes sign with the steps, drift "
+        "does not.",
+        drive=at(SLOWER_Hz, _mirrored_levels),
     ),
     Experiment(
-        "sine_grid",
-        "Sines of every amplitude at every frequency: what grows with speed, and whether "
+        name="sine_grid",
+        why="Sines of every amplitude at every frequency: what grows with speed, and whether "
         "small motion does too.",
-        at(ROWS * max(GRID_Hz), _sines),
+        drive=at(ROWS * max(GRID_Hz), _sines),
     ),
     Experiment(
-        "small_multisine",
-        "Small motion up to a tenth of the clock: gain and phase without walls moving.",
-        at(np.inf, _small_multisine),  # at the clock itself
+        name="small_multisine",
+        why="Small motion up to a tenth of the clock: gain and phase without walls moving.",
+        drive=at(np.inf, _small_multisine),  # at the clock itself
     ),
     Experiment(
-        "other_axis",
-        "This axis held while the others move: what comes across.",
-        _other_axes,
+        name="other_axis",
+        why="This axis held while the others move: what comes across.",
+        drive=_other_axes,
         needs_other=True,
     ),
-    Experiment("fast_ramps", "Full triangles at rising speed up to the slew limit.", _ramps),
     Experiment(
-        "long_hold",
-        "Five minutes at one level: what moves now, moves by itself.",
-        at(SLOWER_Hz, lambda b, f, _: _still(b.limits, f, 300.0)),
+        name="fast_ramps",
+        why="Full triangles at rising speed up to the slew limit.",
+        drive=_ramps,
     ),
     Experiment(
-        "idle",
-        "The drive at rest, sampled fast: the sensor and its surroundings alone.",
-        at(2000.0, lambda b, f, _: _still(b.limits, f, 20.0)),
+        name="long_hold",
+        why="Five minutes at one level: what moves now, moves by itself.",
+        drive=at(SLOWER_Hz, lambda b, f, _: _still(b.limits, f, 300.0)),
     ),
     Experiment(
-        "equal_cycles",
-        "The same full cycle over and over: whatever differs came with time.",
-        at(SLOW_Hz, lambda b, f, _: equal_cycles(b.limits, f, frequency_Hz=0.97, cycles=40)),
+        name="idle",
+        why="The drive at rest, sampled fast: the sensor and its surroundings alone.",
+        drive=at(2000.0, lambda b, f, _: _still(b.limits, f, 20.0)),
     ),
     Experiment(
-        "slow_ramp",
-        "The whole range once, slowly: errors that repeat with displacement, and by how much "
+        name="equal_cycles",
+        why="The same full cycle over and over: whatever differs came with time.",
+        drive=at(SLOW_Hz, lambda b, f, _: equal_cycles(b.limits, f, frequency_Hz=0.97, cycles=40)),
+    ),
+    Experiment(
+        name="slow_ramp",
+        why="The whole range once, slowly: errors that repeat with displacement, and by how much "
         "a slow loop differs from fast ones.",
-        at(1000.0, _slow_ramp),
+        drive=at(1000.0, _slow_ramp),
     ),
 )
