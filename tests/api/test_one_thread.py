@@ -24,7 +24,9 @@ def test_a_session_with_many_threads_lends_one_to_a_verb_and_has_them_back(verb)
         raise EnoughError
 
     with threadpool_limits(limits=2, user_api="blas"):
+        held = blas_threads()  # of a library that was built for one thread it is 1 for ever
+        assert 2 in held
         with pytest.raises(EnoughError):
             verb([recording()], progress=interrupt)
-        assert blas_threads() == {2}
+        assert blas_threads() == held
     assert seen == [{1}]
