@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.counts import record_in_counts
 from piezoid.errors import RecordingError
@@ -28,6 +30,9 @@ _POWER = 0.02
 # Above so many times the lowest of these frequencies a mode may have turned the sign.
 _BAND = 10.0
 _SLOW_Hz = 1.0
+# A rest longer than this part of a recording is left out. A sine of one period stays within a
+# hundredth of its range for 0.06 of it, a step of a staircase mostly for less than a twentieth.
+_REST = 0.1
 # Below this coherence the drive does not say what the sensor shows.
 _COHERENT = 0.8
 # Ceramics move up to twice as far per volt over their full range as in small loops, and no stage
@@ -242,7 +247,9 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
     None where the drive does not move, where the sensor shows little but its noise, and where a
     feedback holds it: then it is the drive that answers.
     """
-    voltage_V, displacement_m = recording.voltage_V(axis), recording.displacement_m(axis)
+    moves = _moves(recording.voltage_V(axis))
+    voltage_V = recording.voltage_V(axis)[moves]
+    displacement_m = recording.displacement_m(axis)[moves]
     held = any(p.kind == "closed_loop" and p.place == f"axis {axis}" for p in recording.problems)
     if held or len(voltage_V) < 8 or not np.ptp(voltage_V) > 0:
         return None
@@ -270,6 +277,18 @@ def _answer(recording: Recording, axis: str) -> _Answer | None:
         range_ratio=float(np.ptp(displacement_m) / np.ptp(voltage_V)),
         voltage_V=_range(voltage_V),
     )
+
+
+def _moves(voltage_V: Array) -> NDArray[np.bool_]:
+    """Tell which rows are in no long rest of the drive, (samples,).
+
+    A stage creeps while its drive rests for minutes: the lowest frequencies of the whole recording
+    would show that, with any sign, and a window the motion at its ends not at all.
+    """
+    length = max(int(_REST * len(voltage_V)), 1)
+    range_V = maximum_filter1d(voltage_V, length) - minimum_filter1d(voltage_V, length)
+    is_centre = range_V <= STILL * float(np.ptp(voltage_V))
+    return np.asarray(~maximum_filter1d(is_centre, length))
 
 
 def _contradicts(one: _Answer, usual: _Answer) -> bool:

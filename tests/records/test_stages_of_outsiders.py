@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.outsiders.simulators import simulator
+from benchmarks.zoo.stages import drawn, stage
 from piezoid.records.comparison import misfits
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
@@ -30,6 +31,15 @@ def test_a_long_hold_contradicts_the_gain_of_no_sweep(seed: int, tmp_path: Path)
     """About another mean than that under the window, two offsets were taken for a gain."""
     made = draw_campaign(seed, truth="bouc_wen", plans=("sweep", "long_hold"))
     write_campaign(made, tmp_path)
+    files = sorted((tmp_path / "recordings").glob("*.csv"))
+    assert misfits(ingest_all(files, read_lab(tmp_path / "recordings/lab.toml"))) == ()
+
+
+def test_creep_through_minutes_of_rest_between_two_moves_contradicts_no_sweep(
+    tmp_path: Path,
+) -> None:
+    """Its lowest frequencies said -49 um per volt where the stage moves 2.8 um."""
+    write_campaign(drawn(stage("bouc_wen", "single", 0, 2_400_000)), tmp_path)
     files = sorted((tmp_path / "recordings").glob("*.csv"))
     assert misfits(ingest_all(files, read_lab(tmp_path / "recordings/lab.toml"))) == ()
 
