@@ -27,13 +27,8 @@ from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.hysteresis.certificate import DRAWS, SEED
 from piezoid.identification.hysteresis.jackknife import BLOCKS
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import (
-    AxisModel,
-    Believed,
-    FunctionOrder,
-    MinorLoops,
-    PieceStart,
-)
+from piezoid.identification.minor_loops_known import Believed, FunctionOrder, MinorLoops
+from piezoid.identification.model import AxisModel, PieceStart
 from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
 from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
