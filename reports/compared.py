@@ -20,7 +20,8 @@ from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
 from piezoid.diagnosis.planning.tangents import Tangent
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording, starts_of
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording

@@ -4,7 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.identification.model import AxisModel, wandering_zeros
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import wandering_zeros
 from piezoid.identification.quality import OTHER_RECORDINGS
 from piezoid_reports.effect_words import words
 from piezoid_reports.quantities import percent, told

@@ -5,7 +5,6 @@ finer grid with exact crossings.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,11 +44,6 @@ class FamilyGrid:
     q_scan: Response
     A_scan: Response
     B_scan: Response
-
-    @cached_property
-    def size(self) -> Array:
-        """Return |A| and |B|, (2, members, frequencies)."""
-        return np.abs([self.A, self.B])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,8 +159,9 @@ def magnitudes(grid: FamilyGrid, R: ArrayLike, S: ArrayLike) -> tuple[Array, int
     """
     r, s = polynomial_response(R, grid.q), polynomial_response(S, grid.q)
     p = grid.A * s + grid.B * r
-    parts = np.abs([r, s])[:, None] / np.abs(p)
-    functions = np.stack([*grid.size[0] * parts[::-1], *grid.size[1] * parts])
+    functions = np.stack(
+        [np.abs(grid.A * s), np.abs(grid.A * r), np.abs(grid.B * r), np.abs(grid.B * s)]
+    ) / np.abs(p)
     return functions, int(np.round(np.abs(_turned(np.angle(p))) / np.pi).max())
 
 

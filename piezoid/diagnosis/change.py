@@ -192,6 +192,7 @@ def change_since(
             remedy="Write scale = { ... } into lab.toml as at the fit.",
         )
     progress("simulating the model as it was")
+    model = model.without_minor_loops()  # what is refitted is plays with dead zones
     asked = recordings
     kept = tuple(e for e in model.extensions if not isinstance(e, PASSING))
     then = replace(model, extensions=kept, starts=())

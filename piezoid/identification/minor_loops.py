@@ -28,7 +28,8 @@ from piezoid.identification.hysteresis.certificate import DRAWS, SEED
 from piezoid.identification.hysteresis.jackknife import BLOCKS
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.minor_loops_known import Believed, FunctionOrder, MinorLoops
-from piezoid.identification.model import AxisModel, PieceStart
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import OTHER_RECORDINGS, SECOND_HALF, WIDEST_HALVED
 from piezoid.identification.simulation import simulate_recording, starts_of, where_of, zero_of
 from piezoid.numerics.arrays import Array
@@ -283,6 +284,7 @@ def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
             held_out_rms_m=quality.held_out_rms_m,
             held_out_kind=quality.held_out_kind,
             certificate=axis.certificate,
+            starts=axis.starts,
         ),
     )
     reach_V = axis.certificate.reach_V

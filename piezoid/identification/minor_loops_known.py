@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import student_quantile
@@ -25,14 +26,15 @@ class FunctionOrder:
     plain_rms_m: float
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Believed:
-    """How far a fit may be believed, where another one took its place."""
+    """What an axis had before another class took the place of its plays with dead zones."""
 
     rms_m: float
     held_out_rms_m: float
     held_out_kind: str
     certificate: Certificate
+    starts: tuple[PieceStart, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,8 +45,8 @@ class MinorLoops:
     without_m     (blocks, plays, edges - 1)  what the functions rise between edges in fits without
                   one block of time each
     least_rise_m  that of the play of no width between edges, in all of these
-    plain         what plays with dead zones leave and how far they may be wrong, by which a
-                  diagnosis goes: quality and certificate as the axis has them without this
+    plain         what plays with dead zones leave, how far they may be wrong and where they begin,
+                  by which a diagnosis goes
     """
 
     operator: PreisachPlays

@@ -1,6 +1,5 @@
 """AxisModel: what is known of one axis, with how well it is known."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +16,7 @@ from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.hysteresis.filters import lagged, relaxed
 from piezoid.identification.hysteresis.pieces import Rig, behind_pole
 from piezoid.identification.minor_loops_known import FunctionOrder, MinorLoops
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
 from piezoid.identification.restoring_force.fit import RestoringForceModel
 from piezoid.identification.restoring_force.placing import HysteresisPlacement
@@ -35,10 +35,6 @@ if TYPE_CHECKING:
     from piezoid.identification.prediction import Comparison
 
 SCHEMA = "piezoid.model/1"
-SEEN = 5e-4  # of the range: a zero that moves less means nothing to a controller
-# Times what the fit leaves: the zero takes up what a class leaves of a strange law, too. On
-# healthy recordings of seven laws it moved by 0.01 to 3.1 times that, with a drift of 1 % by 16.
-BEYOND_THE_FIT = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,39 +47,6 @@ class Lag:
 
     kind: str
     time_s: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PieceStart:
-    """Where one uninterrupted piece of a recording began.
-
-    recording    its name
-    memory_V     (plays,)  admissible states of u - u_off before the first sample
-    zero_m       (knots,)  displacement at which the operator's output is 0, spread over the rows
-    first, last  rows of the piece that counted
-    """
-
-    recording: str
-    memory_V: Array
-    zero_m: Array
-    first: int
-    last: int
-
-    def __post_init__(self) -> None:
-        freeze(self, "memory_V", "zero_m")
-
-
-def wandering_zeros(
-    starts: Sequence[PieceStart], rms_m: float, range_m: float
-) -> tuple[tuple[PieceStart, float], ...]:
-    """Return the pieces whose zero moves by more than the fit may ask of it, and by how much.
-
-    rms_m    what the fit leaves
-    range_m  of the displacement
-    """
-    least_m = max(SEEN * range_m, BEYOND_THE_FIT * rms_m)
-    moved = [(start, float(np.ptp(start.zero_m))) for start in starts]
-    return tuple((start, by_m) for start, by_m in moved if by_m > least_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -232,7 +195,13 @@ class AxisModel:
             held_out_rms_m=plain.held_out_rms_m,
             held_out_kind=plain.held_out_kind,
         )
-        return replace(self, minor_loops=None, quality=quality, certificate=plain.certificate)
+        return replace(
+            self,
+            minor_loops=None,
+            quality=quality,
+            certificate=plain.certificate,
+            starts=plain.starts,
+        )
 
     @property
     def virgin_memory_V(self) -> Array:

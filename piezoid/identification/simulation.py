@@ -5,7 +5,8 @@ import numpy as np
 from piezoid.errors import IdentificationError
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import AxisModel, PieceStart
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
 

@@ -48,7 +48,8 @@ from piezoid.identification.hysteresis.search import (
 from piezoid.identification.hysteresis.sensor_noise import noise_is_most, sensor_noise
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import summarise
-from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
 from piezoid.readable import told
 from piezoid.records.recording import Recording

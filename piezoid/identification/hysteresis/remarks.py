@@ -6,7 +6,7 @@ from piezoid.identification.hysteresis.forgetting import Transient
 from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.order import Choice
 from piezoid.identification.hysteresis.search import Fitted
-from piezoid.identification.model import PieceStart, wandering_zeros
+from piezoid.identification.piece_start import PieceStart, wandering_zeros
 from piezoid.identification.quality import IN_SAMPLE, SECOND_HALF
 from piezoid.operators.play import forgetting_sample
 from piezoid.readable import told

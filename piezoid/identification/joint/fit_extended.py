@@ -29,7 +29,8 @@ from piezoid.identification.joint.chain import (
     residual,
 )
 from piezoid.identification.joint.vector import FOLDS, Part, State, Structure, parts_of, state_of
-from piezoid.identification.model import AxisModel, Lag, PieceStart
+from piezoid.identification.model import AxisModel, Lag
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once

@@ -26,7 +26,8 @@ from piezoid.identification.hysteresis.coordinates import (
 )
 from piezoid.identification.hysteresis.physical import envelope_stretch
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of
-from piezoid.identification.model import AxisModel, PieceStart
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import LINEAR, from_slopes

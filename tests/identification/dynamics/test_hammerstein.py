@@ -24,7 +24,8 @@ from piezoid.identification.dynamics.hammerstein_model import (
 )
 from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.model import AxisModel, PieceStart
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import fraction, resonance
 from piezoid.record_json import from_json, to_json

@@ -7,7 +7,8 @@ import numpy as np
 
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import AxisModel, PieceStart
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Channel, Quantity, Recording
