@@ -197,6 +197,8 @@ def _bound_line(row: "ErrorBound") -> str:
     from piezoid.readable import told
 
     bounded = "not bounded" if row.bound_m is None else f"bounded by {told(row.bound_m, 'm')}"
+    if row.is_exceeded:
+        bounded += " (but not on all stages drawn here: some are farther from the model's class)"
     return (
         f"axis {row.axis}, at most {told(row.slew_m_per_s, 'm/s')}: {bounded}, below "
         f"{told(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst found "

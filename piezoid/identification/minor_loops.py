@@ -9,9 +9,9 @@ extensions, lag and poles, is linear in them:
 
 is a convex program. Its shape is the smallest that predicts recordings left out as well as the
 largest. It is taken where it predicts these better by half than plays with dead zones do, for its
-inverse takes more instructions. Fits without one block of time each say
-how well the functions are known, and the distance of two of them over all drives is exact, so that
-model and inverse have bounds as those of plays with dead zones.
+inverse takes more instructions. Fits without one block of time each say how well the functions are
+known, and the distance of two of them over all drives is exact: model and inverse have bounds as
+those of plays with dead zones have.
 """
 
 from collections.abc import Iterator, Sequence
@@ -162,14 +162,18 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         rows = [part for r in recordings for part in _rows(bare, r, lattice)]
         return _tried(rows, lattice, bare.quality.range_m)
 
-    found = [tried(SHAPES[-1])]
-    if not len(found[0].error_m):
+    largest = tried(SHAPES[-1])
+    if not len(largest.error_m):
         return bare
-    if found[0].is_better_than(bare.quality.held_out_rms_m):
+    found, chosen = [largest], None
+    if largest.is_better_than(bare.quality.held_out_rms_m):
         for pieces in SHAPES[:-1]:
             found.append(tried(pieces))
-            if found[-1].rms_m <= CLOSE * found[0].rms_m:
+            chosen = found[-1]
+            if chosen.rms_m <= CLOSE * largest.rms_m:
                 break
+        else:
+            chosen = largest
     orders = tuple(
         FunctionOrder(
             plays=one.lattice.plays,
@@ -180,10 +184,7 @@ def with_minor_loops(axis: AxisModel, recordings: Sequence[Recording]) -> AxisMo
         for one in found
     )
     known = replace(bare, function_orders=orders)
-    if len(found) == 1:
-        return known
-    close = found[-1].rms_m <= CLOSE * found[0].rms_m
-    return _restarted(_taken(known, found[-1 if close else 0]), recordings)
+    return known if chosen is None else _restarted(_taken(known, chosen), recordings)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -335,25 +336,29 @@ def _restarted(axis: AxisModel, recordings: Sequence[Recording]) -> AxisModel:
 def _restarted_piece(
     axis: AxisModel, recording: Recording, part: slice, start: PieceStart, gap_V: Array
 ) -> PieceStart:
-    where = where_of(recording, axis.axis, part)
     voltage_V = recording.voltage_V(axis.axis)[part]
-    zero_m, measured_m = zero_of(start, where.samples), recording.displacement_m(axis.axis)[part]
-    every = max(len(voltage_V) // ROWS, 1)
+    measured_m = recording.displacement_m(axis.axis)[part]
+    zero_m = zero_of(start, len(voltage_V))
+    # Behind its first swing a recording says nothing of them: as much again tells the zero.
+    swing = int(np.argmax(_is_forgotten(voltage_V)))
+    head = slice(part.start, min(part.start + max(2 * swing, ROWS), part.stop))
 
     def memory_V(slope: Array) -> Array:
-        away_V = np.concatenate([[0.0], np.cumsum(gap_V * slope)])
-        return np.asarray(start.memory_V[0] + away_V)
+        return np.asarray(start.memory_V[0] + np.append(0.0, np.cumsum(gap_V * slope)))
+
+    def beside_m(slope: Array, rows: slice) -> Array:
+        count, where = rows.stop - rows.start, where_of(recording, axis.axis, rows)
+        moved_m = axis.moved(voltage_V[:count], memory_V(slope), where)
+        return np.asarray(measured_m[:count] - axis.read(zero_m[:count] + moved_m))
 
     def left(slope: Array) -> Array:
-        moved_m = zero_m + axis.moved(voltage_V, memory_V(slope), where)
-        error = (axis.read(moved_m) - measured_m)[::every] / axis.quality.range_m
-        return np.asarray(error - error.mean())
+        error_m = beside_m(slope, head)[:: max((head.stop - head.start) // ROWS, 1)]
+        return np.asarray((error_m - error_m.mean()) / axis.quality.range_m)
 
     begun = np.clip(np.diff(start.memory_V) / gap_V, -WIPED, WIPED)
-    found = least_squares(left, begun, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=STEPS)
-    moved_m = axis.read(zero_m + axis.moved(voltage_V, memory_V(found.x), where))
-    beside_m = float(np.mean(measured_m - moved_m))
-    return replace(start, memory_V=memory_V(found.x), zero_m=start.zero_m + beside_m)
+    found = least_squares(left, begun, bounds=(-1.0, 1.0), diff_step=1e-2, max_nfev=STEPS).x
+    beside = float(np.mean(beside_m(found, part)))
+    return replace(start, memory_V=memory_V(found), zero_m=start.zero_m + beside)
 
 
 def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[Rows]:

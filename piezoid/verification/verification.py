@@ -77,6 +77,15 @@ class ErrorBound:
     simulated_m: float
     runs: int
 
+    @property
+    def is_exceeded(self) -> bool:
+        """Whether a stage was drawn that goes beyond the bound: its conditions do not hold there.
+
+        A certificate takes what no model of the class explains for no more than it left of rows
+        left out; stages are drawn that are farther from the class.
+        """
+        return self.bound_m is not None and self.worst_found_m > self.bound_m
+
 
 @dataclass(frozen=True, kw_only=True)
 class SpiralRow:

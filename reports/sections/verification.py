@@ -6,7 +6,7 @@ from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
 from piezoid.verification.scenarios import spiral_speed_m_per_s
-from piezoid.verification.verification import ComparisonRow, Verification
+from piezoid.verification.verification import ComparisonRow, ErrorBound, Verification
 from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
@@ -163,7 +163,7 @@ def _bounds(found: Verification) -> list[Part]:
         (
             row.axis,
             told(row.slew_m_per_s, "m/s"),
-            "none" if row.bound_m is None else told(row.bound_m, "m"),
+            _bounded(row),
             told(row.probable_m, "m") if np.isfinite(row.probable_m) else "too few runs",
             told(row.worst_found_m, "m"),
             told(row.simulated_m, "m"),
@@ -174,7 +174,8 @@ def _bounds(found: Verification) -> list[Part]:
     table = Table(
         caption="The largest error of half a second, for references (or the surface under a tip) "
         "that are never faster than said. Bounded: what the certificate proves on its conditions, "
-        "of a tip what its linear loop can show, each with three standard deviations of noise. "
+        "which stages farther from the model's class than rows left out do not meet; of a tip "
+        "what its linear loop can show, each with three standard deviations of noise. "
         f"Probable: below this with a probability of {probability}, on stages like those that the "
         "recordings allow; it is no guarantee. Worst found: by a search over references, pasts "
         "and stages. Simulated: on the identified stage, in the median.",
@@ -182,6 +183,12 @@ def _bounds(found: Verification) -> list[Part]:
         rows=rows,
     )
     return [Heading(text="How large errors may be"), table]
+
+
+def _bounded(row: ErrorBound) -> str:
+    if row.bound_m is None:
+        return "none"
+    return told(row.bound_m, "m") + (", not on all stages drawn" if row.is_exceeded else "")
 
 
 def _field(found: Verification) -> list[Part]:

@@ -91,6 +91,10 @@ def test_compensators_of_others_and_how_large_errors_may_be_have_rows_where_aske
     rows = texts(asked)
     assert any(row.startswith("high-gain feedback") and "80.0 Hz" in row for row in rows)
     assert any(row.startswith("x1.00 mm/snone150 nm357 nm91.0 nm") for row in rows), rows
+    held = replace(asked, bounds=(replace(bound, bound_m=400e-9),))
+    assert any(row.startswith("x1.00 mm/s400 nm150 nm") for row in texts(held))
+    broken = replace(asked, bounds=(replace(bound, bound_m=300e-9),))
+    assert any("300 nm, not on all stages drawn" in row for row in texts(broken))
     again = verification_from_json(asked.to_json())
     assert again.field == asked.field
     assert again.bounds == asked.bounds
