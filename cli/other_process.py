@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from multiprocessing.resource_tracker import ensure_running
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -96,7 +97,7 @@ def others(count: int, ready: Ready = _at_once) -> Iterator[list[Other]]:
         for _ in range(count):
             ours, theirs = context.Pipe()
             process = context.Process(target=_work, args=(theirs, ready), daemon=True)
-            with suppress(OSError), theirs, _deaf():  # no room for one more: fewer do it all
+            with suppress(OSError), theirs, _postponed():  # no room for one more: fewer do it all
                 process.start()
                 processes.append(process)
                 found.append(Other(ours))
@@ -111,21 +112,26 @@ def others(count: int, ready: Ready = _at_once) -> Iterator[list[Other]]:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Let whoever is started here not hear Ctrl-C, which goes to all processes at once.
+def _postponed() -> Iterator[None]:
+    """Hear Ctrl-C only after the block, and let whoever is started in it not hear it at all.
 
-    This one hears it afterwards: what is blocked is not lost, even while it is ignored.
+    Who is started inherits that the signal is blocked here. Another thread of this process may be
+    handed it nevertheless, and ignoring it meanwhile would lose it: it is noted, and raised later.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    heard: list[int] = []
+    ensure_running()  # beginning its process unblocks the signal
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    hears = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    hears = signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, hears)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if heard:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _work(channel: Connection, ready: Ready) -> None:

@@ -220,3 +220,37 @@ def test_ctrl_c_ends_every_process_and_one_of_them_says_so(tmp_path: Path) -> No
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+HEARD = """
+import os, signal, threading, time
+from piezoid_cli.other_process import others
+
+def press(waits):
+    for wait_s, go in waits:
+        go.wait()
+        time.sleep(wait_s)
+        os.kill(os.getpid(), signal.SIGINT)
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    waits = [(wait / 2000, threading.Event()) for wait in range(30)]
+    threading.Thread(target=press, args=(waits,), daemon=True).start()
+    for _, go in waits:
+        try:
+            go.set()
+            with others(2):
+                time.sleep(0.3)
+        except KeyboardInterrupt:
+            print("heard")
+"""
+
+
+def test_ctrl_c_is_heard_whenever_it_comes_while_processes_are_begun(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(HEARD)
+    ran = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert ran.stdout.count("heard") == 30
+    assert not ran.stderr
