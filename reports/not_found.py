@@ -3,14 +3,10 @@
 from statistics import median
 
 from piezoid.diagnosis.diagnosis import Diagnosis, NotDetected
-from piezoid.diagnosis.effects import EFFECTS
-from piezoid_reports.effect_words import words
+from piezoid.diagnosis.effects import effect_named
+from piezoid.readable import words
 from piezoid_reports.page import Part, Table
 from piezoid_reports.quantities import percent, significant, told
-
-# Found in the samples themselves before anything is fitted; their sizes are heights of spikes and
-# steps, which no rms can be compared with.
-FAULTS = frozenset(effect.name for effect in EFFECTS if effect.fault is not None)
 
 
 def tables(found: Diagnosis) -> tuple[Part, ...]:
@@ -78,11 +74,19 @@ def _about_faults(found: Diagnosis) -> str:
 
 
 def _causes(found: Diagnosis) -> list[NotDetected]:
-    return _hidden_first([one for one in found.not_detected if one.effect not in FAULTS])
+    return _hidden_first([one for one in found.not_detected if not _is_fault(one)])
 
 
 def _faults(found: Diagnosis) -> list[NotDetected]:
-    return _hidden_first([one for one in found.not_detected if one.effect in FAULTS])
+    return _hidden_first([one for one in found.not_detected if _is_fault(one)])
+
+
+def _is_fault(one: NotDetected) -> bool:
+    """Tell what is found in the samples themselves before anything is fitted.
+
+    Such sizes are heights of spikes and steps, which no rms can be compared with.
+    """
+    return effect_named(one.effect).fault is not None
 
 
 def _hidden_first(absent: list[NotDetected]) -> list[NotDetected]:

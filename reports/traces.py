@@ -1,7 +1,7 @@
 """What every chapter looks at: drive, measurement and model of each recording, side by side."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from piezoid.records.recording import Recording
 class Trace:
     """One recording of one axis beside the model's simulation of it.
 
-    recording   as it was ingested
+    recording   as it was ingested, of this axis
     time_s      (samples,)  s, from its first sample
     voltage_V   (samples,)  V
     measured_m  (samples,)  m; NaN where nothing was measured: a gap in every curve
@@ -107,7 +107,7 @@ def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: fl
     zero_m = float(np.nanmean((measured_m - slope_m_per_V * voltage_V)[counts]))
     line_m = np.where(counts, zero_m + slope_m_per_V * voltage_V, np.nan)
     return Trace(
-        recording=recording,
+        recording=replace(recording, axis=axis),
         time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,
         voltage_V=voltage_V,
         measured_m=measured_m,

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
 from piezoid.identification.model import AxisModel
-from piezoid.readable import told
-from piezoid_reports.effect_words import words
+from piezoid.readable import told, words
 
 CHANCE = 0.05  # p-value: what more healthy stages leave is told to be usual
 LEAST = 0.01  # part of the power: less is told as living nowhere
-SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # they move a zero
 
 SPEEDS = (
     "Repeat the same drive at three speeds a decade apart: what grows with speed is dynamics, "
@@ -146,10 +145,11 @@ def _lives(rest: Unexplained) -> str:
 
 def mover_of(found: Diagnosis | None) -> Mover | None:
     """Return the largest cause found that moves a zero, or None."""
-    slow = [one for one in found.findings if one.effect in SLOW] if found is not None else []
-    if not slow:
+    named = () if found is None else (one for one in found.findings if one.effect != NAME)
+    slow = next((one for one in named if effect_named(one.effect).moves_zero), None)
+    if slow is None:
         return None
-    return Mover(name=words(slow[0].effect), experiment=slow[0].next_experiment)
+    return Mover(name=words(slow.effect), experiment=slow.next_experiment)
 
 
 def named(found: Diagnosis) -> str:

@@ -29,7 +29,7 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import EFFECTS, effect_named
+from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import (
     BLOCKS,
@@ -103,7 +103,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         findings=tuple(findings),
         not_detected=tuple(
             _absent(effect, rest.columns, final, recording)
-            for effect in EFFECTS
+            for effect in every_effect()
             if effect.name not in chosen
         ),
     )

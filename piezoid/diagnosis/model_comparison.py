@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.jumps import behind_jumps
@@ -20,6 +20,7 @@ from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.readable import words
 
 NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
@@ -52,7 +53,7 @@ def _compare_each(
 ) -> tuple[list[Candidate], Confounded]:
     causes, near = [], {}
     for k, one in enumerate(selected):
-        executor.report(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        executor.report(f"telling {words(one.effect.name)} from its rivals")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
         cause = _cause(there, beside, one)
@@ -86,7 +87,9 @@ def confounded_with(
 ) -> tuple[Candidate, ...]:
     """Return the effects that these recordings do not separate from a cause, the best first."""
     taken = {one.effect.name for one in others}
-    asked = [e for e in EFFECTS if e.name in cause.effect.confounded and e.name not in taken]
+    asked = [
+        e for e in every_effect() if e.name in cause.effect.confounded and e.name not in taken
+    ]
     tried = executor.map(lambda effect: _in_place(effect, cause, clean, others), asked)
     near = [
         alternative

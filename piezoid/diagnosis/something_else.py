@@ -32,6 +32,10 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 
 NAME = "something_else"
+CONTROL = (
+    "No model of a controller has it. What is in the reading alone the loop will follow, so find "
+    "out first whether the stage moves."
+)
 MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
 OF_LINES = ("frequency", "line_phase")
 ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau

@@ -1,13 +1,14 @@
 """What the simulation gets wrong: each cause seen, faked, sized, and what it means for control."""
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
-from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.effects import effect_named
+from piezoid.diagnosis.something_else import CONTROL, NAME
+from piezoid.readable import words
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
-from piezoid_reports.effect_words import CONTROL, size_of, words
 from piezoid_reports.not_found import last_sentences, tables
 from piezoid_reports.page import Fold, Heading, Page, Part, Prose, Section, Table
-from piezoid_reports.quantities import percent, significant, told
+from piezoid_reports.quantities import percent, significant, size_of, told
 from piezoid_reports.what_is_left import largest_first, nothing_named
 
 LEAST_GAIN = 1e-3  # of the held-out error: below, refitting alone moves it as much
@@ -131,7 +132,8 @@ def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> lis
         parts.append(figure)
     elif pictures:
         parts.append(Prose(text=NO_PICTURE))
-    parts.append(Prose(text=f"For control: {CONTROL[finding.effect]}"))
+    control = CONTROL if finding.effect == NAME else effect_named(finding.effect).control
+    parts.append(Prose(text=f"For control: {control}"))
     return parts
 
 

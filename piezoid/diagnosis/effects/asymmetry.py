@@ -14,6 +14,7 @@ Source
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.effect import Effect
 from piezoid.diagnosis.signals import scaled_to, with_displacement
 from piezoid.records.recording import Recording
@@ -33,6 +34,10 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of the stroke, rms",
     experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
+    control="A symmetric inverse is wrong by more on one side; dead zones in the model take it up "
+    "exactly.",
+    shows=OVER_DRIVE,
+    tangent="the model has dead zones and follows it, so that nothing of it can be missing",
     confounded=("non_congruence",),
     untestable=lambda _: REASON,
     inject=inject,

@@ -15,7 +15,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import Appearance, unsigned
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import (
     GAPS,
     added_percent,
@@ -27,7 +37,7 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
+from piezoid.records.recording import Quantity, Recording
 
 
 def _untestable(view: View) -> str:
@@ -47,11 +57,24 @@ def _columns(view: View, _: Parameters) -> Array:
     return answers_of_others(view)
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    if not drive.others:
+        return np.zeros((len(drive.voltage_V), 1))
+    return 1e-6 * np.column_stack(list(drive.others.values()))
+
+
+def _other_drive(recording: Recording) -> tuple[Array, Array]:
+    for channel in recording.channels:
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
+            return unsigned(channel.values)
+    return unsigned(np.full(recording.samples, np.nan))
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let the axis answer to every other drive the recording holds."""
     total = np.zeros(recording.samples)
     for channel in recording.channels:
-        if channel.quantity.value == "V" and channel.axis != recording.axis:
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
             total += channel.values - channel.values.mean()
     return with_displacement(
         recording, recording.displacement_m() + scaled_to(total, share, recording)
@@ -84,6 +107,16 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and record "
     "both drives and this displacement.",
+    control="Each axis must be told what the other does: feed its drive forward, or the loop must "
+    "reject it as a disturbance.",
+    shows=Appearance(
+        label="drive of the other axis",
+        unit="V",
+        kind="classes",
+        along=_other_drive,
+        reading="Coupling: a line, or a loop, with the other axis' drive.",
+    ),
+    tangent=Tangent(columns=_tangent),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
@@ -91,4 +124,5 @@ EFFECT = Effect(
     model_error=0.06,  # the other drive has a hysteresis of its own, of which plays follow most
     inject=inject,
     extend=extend,
+    without=without_part(CrossAxis),
 )

@@ -15,7 +15,8 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
 from piezoid.diagnosis.signals import delayed, filtered_change, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
@@ -87,10 +88,15 @@ EFFECT = Effect(
     model_error=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
+    control="It takes phase in proportion to frequency and so bounds the bandwidth; a constant "
+    "delay can be taken off the reference.",
+    shows=OVER_SPEED,
+    tangent=late(_passed, "delay_s"),
     confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,
     size=_size,
     inject=inject,
     extend=extend,
+    without=without_part(Delay, lag=True),
 )

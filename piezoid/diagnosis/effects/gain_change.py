@@ -24,7 +24,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import Appearance
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
@@ -152,6 +162,17 @@ def _size(_: View, __: Parameters, coefficient: Array) -> float:
     return 100.0 * float(coefficient[0])
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    after = drive.time_s > 0.5 * drive.time_s[-1]
+    return np.asarray((drive.static_m * after)[:, None])
+
+
+def _about_middle(recording: Recording) -> tuple[Array, Array]:
+    voltage_V = recording.voltage_V()
+    middle = voltage_V - 0.5 * (voltage_V.max() + voltage_V.min())
+    return seconds_of(recording), np.asarray(np.sign(middle))
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let the gain rise in the middle, by twice its share at the end of the stroke."""
     moved_m = recording.displacement_m()
@@ -183,6 +204,17 @@ WITHIN = Effect(
     unit="percent",
     experiment="Record equal full cycles for the whole time, and write down when anything on the "
     "stage is touched; a small multisine tells a load, which moves the resonance, from the rest.",
+    control="The inverse carries a gain that is no longer true; fit again, or keep the margin for "
+    "it.",
+    shows=Appearance(
+        label="time",
+        unit="s",
+        kind="time",
+        along=_about_middle,
+        reading="Times the side of the range. A change of gain: a step to one side for good, or a "
+        "slope from end to end.",
+    ),
+    tangent=Tangent(columns=_tangent, own=True),
     confounded=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,
@@ -191,6 +223,7 @@ WITHIN = Effect(
     model_error=0.03,  # the hysteresis beside it takes a part of a step of the gain
     inject=inject,
     extend=extend,
+    without=without_part(GainChange),
     detectable_share=8e-3,
     minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )

@@ -19,7 +19,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
 from piezoid.diagnosis.signals import filtered_change, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -82,12 +83,17 @@ BEHIND = Effect(
     model_error=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",
+    control="It takes phase and gain; declare the filter in lab.toml or let the plant carry it, "
+    "or the loop is designed on the wrong plant.",
+    shows=OVER_SPEED,
+    tangent=late(_passed, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,
     size=_size,
     inject=inject,
     extend=extend,
+    without=without_part(FirstOrderLag, lag=True),
 )
 IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)
 EFFECT = replace(BEHIND, other_side=IN_FRONT)

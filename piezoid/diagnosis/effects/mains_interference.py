@@ -18,7 +18,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import (
     GRIDS_Hz,
     added_percent,
@@ -42,6 +52,7 @@ HARMONICS = (1, 2, 3)
 OFF_Hz, OFF_STEP_Hz = 0.3, 0.03  # how far a grid is off its nominal frequency
 NEAR_Hz = 6.0  # around a line, to compare it with
 LINE = 8.0  # times what is around it
+PLANNED_Hz = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 
 
 def _untestable(view: View) -> str:
@@ -153,6 +164,13 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _lines(view, Lines.of(view), parameters["frequency_Hz"], HARMONICS)
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    heard = [f for f in PLANNED_Hz if f < 0.4 * drive.rate_Hz]
+    reversals = [2 * np.pi * f * drive.time_s for f in heard]
+    waves = [wave(turn) for turn in reversals for wave in (np.cos, np.sin)]
+    return 1e-6 * np.column_stack(waves or [np.zeros(len(drive.voltage_V))])
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let 50 Hz hum."""
     hum = np.sin(2 * np.pi * 50.0 * seconds_of(recording) + 1.0)
@@ -172,6 +190,10 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record one minute with the drive at rest at 1 kHz or more, then once more with "
     "the amplifier unplugged: what stays comes from the sensor's side.",
+    control="It is noise to the loop: a controller with gain at its frequency makes the stage "
+    "follow the hum. Mend the wiring before the loop is made fast.",
+    shows=IN_SPECTRUM,
+    tangent=Tangent(columns=_tangent, own=True),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
@@ -179,4 +201,5 @@ EFFECT = Effect(
     model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
     inject=inject,
     extend=extend,
+    without=without_part(MainsLines),
 )

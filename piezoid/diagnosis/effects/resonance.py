@@ -15,8 +15,18 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
 from piezoid.diagnosis.extended import without_memory
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -34,6 +44,7 @@ LOWEST_Hz = 15.0
 INJECTED_Hz = 300.0
 PER_OCTAVE = 5
 LEAST_RATE_Hz = 200.0
+PLANNED_QUALITY = 20.0
 
 
 def _untestable(view: View) -> str:
@@ -104,6 +115,11 @@ def _size(_: View, parameters: Parameters, __: Array) -> float:
     return parameters["frequency_Hz"]
 
 
+def _tangent(drive: Driven, frequency_Hz: float) -> Array:
+    rung_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
+    return (rung_m - drive.static_m)[:, None]
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let a part of the motion ring, fifty times the share: so much of it a chirp shows."""
     moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
@@ -134,6 +150,10 @@ EFFECT = Effect(
     model_error=0.002,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
+    control="It limits the bandwidth: keep a notch or a template there, and smooth the corners of "
+    "triangles.",
+    shows=IN_SPECTRUM,
+    tangent=Tangent(columns=_tangent, lags=True, scale=500.0, found="frequency_Hz"),
     confounded=("delay", "lag"),
     untestable=_untestable,
     trials=_trials,
@@ -142,4 +162,5 @@ EFFECT = Effect(
     may_be_absorbed=True,
     inject=inject,
     extend=extend,
+    without=without_part(LinearMode),
 )

@@ -15,7 +15,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -27,6 +37,7 @@ from piezoid.records.recording import Recording
 ALLOWED = (0.4, 1.8)
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
 QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
+PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
 
 def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
@@ -64,6 +75,14 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     return view.voltage_V * parameters["limit_per_s"]
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    """Return what a drive misses that gets no faster than a share of the fastest so far."""
+    limit_V_per_s = PLANNED * drive.model.certificate.slew_V_per_s
+    followed_V = _limited(drive.voltage_V, drive.rate_Hz, {"limit_per_s": limit_V_per_s})
+    gain = float(np.sum(drive.model.hysteresis.plays.weight))
+    return np.asarray(gain * (followed_V - drive.voltage_V)[:, None])
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let the displacement go at most so fast that it misses its share of the stroke."""
     moved_m = recording.displacement_m()
@@ -86,10 +105,15 @@ EFFECT = Effect(
     model_error=0.002,
     experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
     "limit is where its slope stops rising.",
+    control="Fast large ramps arrive late whatever the controller asks: bound the reference's "
+    "speed.",
+    shows=OVER_SPEED,
+    tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
     drive_filter=_limited,
     size=_size,
     inject=inject,
     extend=extend,
+    without=without_part(SlewLimit),
 )

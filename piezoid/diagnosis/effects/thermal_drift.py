@@ -16,7 +16,17 @@ Source
 import numpy as np
 from numpy.polynomial.legendre import legval
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_TIME
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -26,6 +36,7 @@ from piezoid.records.recording import Recording
 
 DEGREES_s = (5.0, 15.0, 60.0)  # from which duration drift has a slope, a bend, an inflection
 PLACEBOS = (8, 11)  # half waves, that many and the next
+PLANNED_s = 100.0
 
 
 def _untestable(view: View) -> str:
@@ -62,6 +73,11 @@ def _columns(view: View, _: Parameters) -> Array:
     return _curves(view)
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    unit = drive.time_s / PLANNED_s
+    return 1e-6 * np.column_stack([unit, unit**2])
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let a recording drift: the air conditioning and a straight line."""
     way = seconds_of(recording) / max(recording.duration_s, 1e-9)
@@ -83,6 +99,10 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
+    control="No feedforward can know of it; only a sensor in the loop, or waiting, helps. Re-zero "
+    "before long scans.",
+    shows=OVER_TIME,
+    tangent=Tangent(columns=_tangent, own=True),
     confounded=("creep",),
     untestable=_untestable,
     trials=_trials,
@@ -90,5 +110,6 @@ EFFECT = Effect(
     size=added_percent(_columns),
     inject=inject,
     extend=extend,
+    without=without_part(ThermalDrift),
     detectable_share=4e-3,
 )

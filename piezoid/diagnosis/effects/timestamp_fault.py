@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.signals import with_displacement
@@ -142,6 +143,10 @@ EFFECT = Effect(
     unit="samples",
     experiment="Record a steady sine for as long, with the acquisition's own sample counter in a "
     "column, and nothing else running on the computer.",
+    control="The clock of the recording is not that of the stage: nothing fast can be designed "
+    "from it. Record again.",
+    shows=OVER_TIME,
+    tangent="its remedy is the acquisition's own counter in a column",
     confounded=("delay",),
     fault=_fault,
     bound=hidden,

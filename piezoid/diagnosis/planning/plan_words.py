@@ -6,7 +6,7 @@ from piezoid.diagnosis.experiment import Plan
 from piezoid.diagnosis.planning.answer import POWER, expected_half, expected_limit_m
 from piezoid.diagnosis.planning.question import Question, is_open
 from piezoid.diagnosis.planning.separation import Told
-from piezoid.readable import significant, told
+from piezoid.readable import significant, told, words
 
 
 def sentences(found: Plan) -> tuple[str, ...]:
@@ -21,7 +21,7 @@ def _settled(found: Plan) -> tuple[str, ...]:
     absent = found.question.absent
     limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
     return (
-        f"These recordings would show {_said(found.question.effects[0])} from "
+        f"These recordings would show {words(found.question.effects[0])} from "
         f"{told(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
         "needed.",
         f"Of the menu {_played(found)} would serve it best.",
@@ -29,7 +29,7 @@ def _settled(found: Plan) -> tuple[str, ...]:
 
 
 def _why(question: Question) -> str:
-    first, *others = map(_said, question.effects)
+    first, *others = map(words, question.effects)
     if question.kind == "separate":
         return f"These recordings show {first} or {others[0]} and cannot tell which."
     if question.finding is not None:
@@ -100,7 +100,7 @@ def _separable(before: Told | None, after: Told) -> str:
 def _lost(found: Plan) -> str:
     """Say where a size stays lost in its error, however well the two differ."""
     lost = [
-        _said(name)
+        words(name)
         for name, error in zip(found.question.effects, found.after.errors, strict=True)
         if POWER * error > 1.0
     ]
@@ -115,11 +115,7 @@ def _aside(found: Plan) -> str:
 
 
 def _asked(question: Question) -> str:
-    first, *others = map(_said, question.effects)
+    first, *others = map(words, question.effects)
     if question.kind == "separate":
         return f"{first} or {others[0]}"
     return f"the size of {first}" if question.kind == "tighten" else f"whether there is {first}"
-
-
-def _said(effect: str) -> str:
-    return effect.replace("_", " ")

@@ -1,14 +1,14 @@
 """What a diagnosis left open, most pressing first: what the next experiment is to answer."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
-from piezoid.diagnosis.effects import effect_named
+from piezoid.diagnosis.effect import Tangent
+from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.planning.separation import Suspect
-from piezoid.diagnosis.planning.tangents import WITHOUT, tangent_of
 from piezoid.errors import ExcitationError
 
 WIDE = 0.25  # half an interval over the size: from here on it is worth a recording
@@ -51,11 +51,12 @@ def questions_of(diagnosis: Diagnosis, effect: str | None) -> tuple[Question, ..
     ]
     if effect is None:
         return _pressing(questions)
-    if effect in WITHOUT:
+    tangent = _tangent_of(effect)
+    if isinstance(tangent, str):
         raise ExcitationError(
             f"a plan for {effect} was asked for",
             needed="an effect that a drive can expose",
-            remedy=f"No drive helps: {WITHOUT[effect]}.",
+            remedy=f"No drive helps: {tangent}.",
         )
     asked = tuple(q for q in questions if q.effects[0] == effect)
     if not asked:
@@ -88,14 +89,8 @@ def is_open(question: Question) -> bool:
 
 def suspect_of(finding: Finding, stroke_m: float) -> Suspect | None:
     """Return what was found as a plan and a picture take it, or None for a fault of the data."""
-    tangent = tangent_of(finding.effect)
-    if tangent is None:
-        return None
-    return Suspect(
-        tangent=tangent,
-        rms_m=max(finding.share, 1e-6) * stroke_m,
-        scale=finding.parameters.get(tangent.found),
-    )
+    own = _suspect(finding.effect, finding.share, stroke_m)
+    return own and replace(own, scale=finding.parameters.get(own.tangent.found))
 
 
 def _to_separate(diagnosis: Diagnosis) -> list[Question]:
@@ -105,7 +100,7 @@ def _to_separate(diagnosis: Diagnosis) -> list[Question]:
         own = suspect_of(finding, diagnosis.stroke_m)
         for alternative in finding.not_separable_from:
             share = found[alternative].share if alternative in found else finding.share
-            other = _suspect(alternative, share, diagnosis)
+            other = _suspect(alternative, share, diagnosis.stroke_m)
             if own and other:
                 questions.append(Question(kind="separate", suspects=(own, other), finding=finding))
     return questions
@@ -131,7 +126,7 @@ def _to_detect(diagnosis: Diagnosis) -> list[Question]:
     for absent in sorted(diagnosis.not_detected, key=openness, reverse=True):
         limit_m = absent.detection_limit_m
         share = VISIBLE if limit_m is None else limit_m / diagnosis.stroke_m
-        own = _suspect(absent.effect, share, diagnosis)
+        own = _suspect(absent.effect, share, diagnosis.stroke_m)
         floor_m = _named_from_m(absent.effect, diagnosis)
         if own:
             questions.append(
@@ -147,11 +142,16 @@ def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
     return max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
 
 
-def _suspect(name: str, share: float, diagnosis: Diagnosis) -> Suspect | None:
-    tangent = tangent_of(name)
-    if tangent is None:
+def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:
+    tangent = _tangent_of(name)
+    if not isinstance(tangent, Tangent):
         return None
-    return Suspect(tangent=tangent, rms_m=max(share, 1e-6) * diagnosis.stroke_m)
+    return Suspect(name=name, tangent=tangent, rms_m=max(share, 1e-6) * stroke_m)
+
+
+def _tangent_of(name: str) -> Tangent | str | None:
+    """Return the tangent of a name, or why it has none; None for a name that is no effect."""
+    return next((effect.tangent for effect in every_effect() if effect.name == name), None)
 
 
 def _width(finding: Finding | None) -> float:
