@@ -7,7 +7,9 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Parameters
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.filters import first_order
+from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import recursive_filter
@@ -106,6 +108,16 @@ def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
         for channel in recording.channels
     )
     return replace(recording, channels=channels)
+
+
+def through(recording: Recording, part: Extension) -> Recording:
+    """Return a recording of which the displacement came about with this part of a model.
+
+    Parts in front of the hysteresis have nothing to act on: a recording knows no ceramic.
+    """
+    where = where_of(recording, recording.axis, slice(0, recording.samples))
+    moved_m = part.response(recording.displacement_m(), where) * part.gain(where)
+    return with_displacement(recording, part.reading(moved_m + part.added(where)))
 
 
 def stroke_of(recording: Recording) -> float:
