@@ -91,6 +91,7 @@ def setting_of(
 
 
 Parameters = Mapping[str, float]
+Filter = Callable[[Array, float, Parameters], Array]  # (signal, rate_Hz, parameters) -> signal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,7 +174,7 @@ class Tangent:
     found: str = ""
 
 
-def late(response_filter: Callable[[Array, float, Parameters], Array], name: str) -> Tangent:
+def late(response_filter: Filter, name: str) -> Tangent:
     """Return the tangent of a filter that is late by its one parameter, a time in s."""
 
     def columns(drive: Driven, time_s: float) -> Array:
@@ -263,8 +264,8 @@ class Effect:
     trials: Callable[[View], Sequence[Trial]] | None = None
     columns: Callable[[View, Parameters], Array] | None = None
     covariates: Callable[[View], Array] | None = None
-    drive_filter: Callable[[Array, float, Parameters], Array] | None = None
-    response_filter: Callable[[Array, float, Parameters], Array] | None = None
+    drive_filter: Filter | None = None
+    response_filter: Filter | None = None
     other_side: "Effect | None" = None
     between_recordings: "Effect | None" = None
     fault: Callable[[View], Fault | None] | None = None

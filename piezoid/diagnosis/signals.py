@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Parameters
+from piezoid.diagnosis.effect import Filter, Parameters
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.filters import first_order
@@ -32,12 +32,6 @@ def laddered(
     filters = [(pole, a * b0, a * b1) for a, (pole, b0, b1) in plain]
     first = float(signal[0])
     return first * float(np.sum(each)) + ladder(signal - first, filters)
-
-
-def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal that much later, straight between samples."""
-    place = np.arange(len(signal), dtype=np.float64)
-    return np.asarray(np.interp(place - time_s * rate_Hz, place, signal))
 
 
 def rate_of(signal: Array, rate_Hz: float) -> Array:
@@ -81,16 +75,18 @@ def added_percent(
     return size
 
 
-def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Array:
-    """Return what a filter of (response, rate_Hz) changes at the rows, (rows, 1)."""
-    return view.of(lambda k, t: change(view.static[k], t.rate_Hz) - view.static[k])[:, None]
+def filtered_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+    """Return what a filter of the response changes at the rows, (rows, 1)."""
+    return view.of(lambda k, t: passed(view.static[k], t.rate_Hz, parameters) - view.static[k])[
+        :, None
+    ]
 
 
-def drive_change(view: View, change: Callable[[Array, float], Array]) -> Array:
-    """Return what a changed command (command, rate_Hz) changes at the rows, (rows, 1)."""
+def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+    """Return what a filter of the command changes at the rows, (rows, 1)."""
     parts = []
     for k, track in enumerate(view.tracks):
-        command = change(track.command, track.rate_Hz)
+        command = passed(track.command, track.rate_Hz, parameters)
         if command is track.command or np.array_equal(command, track.command):
             parts.append(np.zeros(len(track.place)))
             continue
@@ -116,7 +112,7 @@ def through(recording: Recording, part: Extension) -> Recording:
     Parts in front of the hysteresis have nothing to act on: a recording knows no ceramic.
     """
     where = where_of(recording, recording.axis, slice(0, recording.samples))
-    moved_m = part.response(recording.displacement_m(), where) * part.gain(where)
+    moved_m = part.response(recording.displacement_m(), where)
     return with_displacement(recording, part.reading(moved_m + part.added(where)))
 
 
@@ -130,10 +126,11 @@ def seconds_of(recording: Recording) -> Array:
     return np.arange(recording.samples) / recording.sampling_rate_Hz
 
 
-def scaled_to(change_m: Array, share: float, recording: Recording) -> Array:
-    """Return a change whose rms is a share of the stroke."""
+def with_added(recording: Recording, change_m: Array, share: float) -> Recording:
+    """Return a recording with a change added, of which the rms is a share of the stroke."""
     rms_m = float(np.sqrt(np.mean(change_m**2)))
-    return change_m * (share * stroke_of(recording) / rms_m) if rms_m > 0 else change_m
+    scale = share * stroke_of(recording) / rms_m if rms_m > 0 else 1.0
+    return with_displacement(recording, recording.displacement_m() + change_m * scale)
 
 
 def answers_of_others(view: View, *, backwards: bool = False) -> Array:

@@ -16,6 +16,8 @@ from piezoid.identification.store import read_model, write_model
 from piezoid.operators.linear import sample
 from piezoid.readable import words
 from piezoid.verification.plant import lateral_plant
+from piezoid_reports.compared import compared
+from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 
 SHARE, TIME_s = 0.03, 0.4
@@ -75,8 +77,12 @@ def quick(moved, time_s, rate_Hz):
     return moved - relaxed(moved, time_s, rate_Hz)
 
 
+def passed(response, rate_Hz, way):
+    return response + quick(response, way["time_s"], rate_Hz)
+
+
 def columns(view, way):
-    return filtered_change(view, lambda h, rate_Hz: h + quick(h, way["time_s"], rate_Hz))
+    return filtered_change(view, passed, way)
 
 
 def trials(view):
@@ -199,6 +205,10 @@ def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known: Known)
     assert any(name.startswith("quick part of the drive") for name in axes)
     captions = [one.text for one in page.all("figcaption")]
     assert any("A leak: a straight line through zero." in caption for caption in captions)
+    axis = known.model["x"]
+    pictures = compared(axis, traces_of(axis, known.recordings), known.found)["charge_leak"]
+    for one in pictures:
+        assert rms(one.before_m) > 1.2 * rms(one.after_m)
 
 
 def test_injected_by_its_file_it_is_the_leak_of_the_test(known: Known) -> None:

@@ -45,10 +45,6 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
     return np.clip(drive, low, high)
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return drive_change(view, lambda u, rate_Hz: _clip(u, rate_Hz, parameters))
-
-
 def _trials(view: View) -> list[Trial]:
     high = max(float(track.command.max()) for track in view.tracks)
     low = min(float(track.command.min()) for track in view.tracks)
@@ -58,7 +54,7 @@ def _trials(view: View) -> list[Trial]:
         ways.append({"high": high - depth, "low": low + depth})
     return [
         Trial(
-            columns=_columns(view, way),
+            columns=drive_change(view, _clip, way),
             parameters=way,
             coefficient_range=ALLOWED,
             free={name: 0.015 for name in way},

@@ -36,7 +36,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import laddered, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import laddered, seconds_of, through, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
@@ -143,12 +143,10 @@ def _in_holds(recording: Recording) -> tuple[Array, Array]:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let a recording creep."""
-    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
     times_s = np.geomspace(0.03, 3.0 * float(seconds_of(recording)[-1]) + 0.1, 9)
-    crept_m = laddered(moved_m, times_s.tolist(), rate_Hz)
-    return with_displacement(
-        recording, moved_m + scaled_to(crept_m - crept_m.mean(), share, recording)
-    )
+    ladder = CreepLadder(time_s=tuple(times_s.tolist()), share=(0.1,) * 9)
+    crept_m = through(recording, ladder).displacement_m() - recording.displacement_m()
+    return with_added(recording, crept_m - crept_m.mean(), share)
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:

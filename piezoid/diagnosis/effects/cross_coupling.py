@@ -26,13 +26,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import (
-    GAPS,
-    added_percent,
-    answers_of_others,
-    scaled_to,
-    with_displacement,
-)
+from piezoid.diagnosis.signals import GAPS, added_percent, answers_of_others, through, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
@@ -72,13 +66,18 @@ def _other_drive(recording: Recording) -> tuple[Array, Array]:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the axis answer to every other drive the recording holds."""
-    total = np.zeros(recording.samples)
+    coupled = recording
     for channel in recording.channels:
         if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
-            total += channel.values - channel.values.mean()
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(total, share, recording)
-    )
+            answer = CrossAxis(
+                axis=channel.axis,
+                centre_V=float(channel.values.mean()),
+                gain_m_per_V=1e-6,
+                curvature_m_per_V_per_V=0.0,
+            )
+            coupled = through(coupled, answer)
+    change_m = coupled.displacement_m() - recording.displacement_m()
+    return with_added(recording, change_m, share)
 
 
 def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:

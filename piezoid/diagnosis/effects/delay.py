@@ -17,7 +17,8 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
-from piezoid.diagnosis.signals import delayed, filtered_change, with_displacement
+from piezoid.diagnosis.signals import filtered_change, through
+from piezoid.diagnosis.tracks import later
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
@@ -33,11 +34,7 @@ SPEED = 50.0  # the same time in every recording of a stage: slow ones hardly sh
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
-    return delayed(response, time_s, rate_Hz)
-
-
-def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
+    return later(response, time_s * rate_Hz)
 
 
 def _trials(view: View) -> list[Trial]:
@@ -48,7 +45,7 @@ def _trials(view: View) -> list[Trial]:
         ways += [("delay_samples", n) for n in (1.0, 2.0, 4.0, 8.0)]
     return [
         Trial(
-            columns=_columns(view, {name: value}),
+            columns=filtered_change(view, _passed, {name: value}),
             parameters={name: value},
             coefficient_range=ALLOWED,
             needs_time=True,
@@ -67,10 +64,7 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the displacement come late: by the share of the stroke at SPEED strokes a second."""
-    rate_Hz = recording.sampling_rate_Hz
-    return with_displacement(
-        recording, delayed(recording.displacement_m(), share / SPEED, rate_Hz)
-    )
+    return through(recording, Delay(delay_s=share / SPEED))
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:

@@ -35,7 +35,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
+from piezoid.diagnosis.signals import seconds_of, through
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.identification.dynamics.repetition import equal_cycles
@@ -175,10 +175,9 @@ def _about_middle(recording: Recording) -> tuple[Array, Array]:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the gain rise in the middle, by twice its share at the end of the stroke."""
-    moved_m = recording.displacement_m()
-    after = seconds_of(recording) > 0.5 * recording.duration_s
-    gain = 4.0 * share * stroke_of(recording) / max(float(np.ptp(moved_m)), 1e-30)
-    return with_displacement(recording, moved_m * (1.0 + gain * after))
+    middle_s, ratio = 0.5 * recording.duration_s, 1.0 + 4.0 * share
+    change = GainChange(recording=recording.name, instant_s=middle_s, ratio=ratio)
+    return through(recording, change)
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:

@@ -22,7 +22,7 @@ from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
-from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.signals import with_added
 from piezoid.diagnosis.view import View, with_free_memory
 from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
 from piezoid.identification.joint.vector import Structure
@@ -74,9 +74,7 @@ def inject(recording: Recording, share: float) -> Recording:
     drive_V = recording.voltage_V()
     span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
     early = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(early, share, recording)
-    )
+    return with_added(recording, early, share)
 
 
 EFFECT = Effect(

@@ -21,7 +21,7 @@ import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
-from piezoid.diagnosis.signals import filtered_change, with_displacement
+from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
@@ -40,16 +40,12 @@ def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return relaxed(response, parameters["time_s"], rate_Hz)
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
-
-
 def _trials(view: View) -> list[Trial]:
     fastest_Hz = max(track.rate_Hz for track in view.tracks)
     times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
     return [
         Trial(
-            columns=_columns(view, {"time_s": float(t)}),
+            columns=filtered_change(view, _passed, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
             coefficient_range=ALLOWED,
             needs_time=True,
@@ -65,10 +61,7 @@ def _size(_: View, parameters: Parameters, __: Array) -> float:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the displacement pass a pole: late by the share at SPEED strokes a second."""
-    rate_Hz = recording.sampling_rate_Hz
-    return with_displacement(
-        recording, relaxed(recording.displacement_m(), share / SPEED, rate_Hz)
-    )
+    return through(recording, FirstOrderLag(lag_s=share / SPEED))
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:

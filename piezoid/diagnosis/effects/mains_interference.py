@@ -29,13 +29,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import (
-    GRIDS_Hz,
-    added_percent,
-    scaled_to,
-    seconds_of,
-    with_displacement,
-)
+from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -174,9 +168,7 @@ def _tangent(drive: Driven, _: float) -> Array:
 def inject(recording: Recording, share: float) -> Recording:
     """Let 50 Hz hum."""
     hum = np.sin(2 * np.pi * 50.0 * seconds_of(recording) + 1.0)
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(hum, share, recording)
-    )
+    return with_added(recording, hum, share)
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:

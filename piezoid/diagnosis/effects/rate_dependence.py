@@ -112,8 +112,8 @@ def inject(recording: Recording, share: float) -> Recording:
     moved_m, drive_V = recording.displacement_m(), recording.voltage_V()
     slope = 0.6 * float(np.polyfit(drive_V, moved_m, 1)[0])
     walls_m = moved_m - slope * drive_V
-    behind_m = relaxed(walls_m, share / SPEED, recording.sampling_rate_Hz) - walls_m
-    return with_displacement(recording, moved_m + behind_m)
+    late_m = RateDependence(time_s=share / SPEED).irreversible(walls_m, recording.sampling_rate_Hz)
+    return with_displacement(recording, moved_m + (late_m - walls_m))
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:

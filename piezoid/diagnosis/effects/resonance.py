@@ -27,7 +27,7 @@ from piezoid.diagnosis.effect import (
 )
 from piezoid.diagnosis.extended import without_memory
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
+from piezoid.diagnosis.signals import filtered_change, mode, through
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
@@ -54,9 +54,12 @@ def _untestable(view: View) -> str:
     return ""
 
 
+def _rung(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    return mode(response, parameters["frequency_Hz"], parameters["quality"], rate_Hz)
+
+
 def _columns(view: View, parameters: Parameters) -> Array:
-    frequency_Hz, quality = parameters["frequency_Hz"], parameters["quality"]
-    return filtered_change(view, lambda h, rate_Hz: mode(h, frequency_Hz, quality, rate_Hz))
+    return filtered_change(view, _rung, parameters)
 
 
 def _trials(view: View) -> list[Trial]:
@@ -122,9 +125,10 @@ def _tangent(drive: Driven, frequency_Hz: float) -> Array:
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let a part of the motion ring, fifty times the share: so much of it a chirp shows."""
-    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
-    rung_m = mode(moved_m, min(INJECTED_Hz, 0.2 * rate_Hz), 15.0, rate_Hz) - moved_m
-    return with_displacement(recording, moved_m + min(50.0 * share, 1.0) * rung_m)
+    frequency_Hz = min(INJECTED_Hz, 0.2 * recording.sampling_rate_Hz)
+    participation = min(50.0 * share, 1.0)
+    ringing = LinearMode(frequency_Hz=frequency_Hz, quality=15.0, participation=participation)
+    return through(recording, ringing)
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:

@@ -45,10 +45,6 @@ def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return drive if float(np.abs(np.diff(drive)).max()) <= step else slewed(drive, step)
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return drive_change(view, lambda u, rate_Hz: _limited(u, rate_Hz, parameters))
-
-
 def _fastest(view: View) -> float:
     return max(
         float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
@@ -61,7 +57,7 @@ def _trials(view: View) -> list[Trial]:
     ways = [{"limit_per_s": share * fastest} for share in SHARES]
     return [
         Trial(
-            columns=_columns(view, way),
+            columns=drive_change(view, _limited, way),
             parameters=way,
             coefficient_range=ALLOWED,
             needs_time=True,

@@ -27,7 +27,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
@@ -82,10 +82,7 @@ def inject(recording: Recording, share: float) -> Recording:
     """Let a recording drift: the air conditioning and a straight line."""
     way = seconds_of(recording) / max(recording.duration_s, 1e-9)
     drift_m = np.sin(2.0 * np.pi * 0.8 * way) + 0.5 * way
-    moved_m = recording.displacement_m()
-    return with_displacement(
-        recording, moved_m + scaled_to(drift_m - drift_m.mean(), share, recording)
-    )
+    return with_added(recording, drift_m - drift_m.mean(), share)
 
 
 def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
