@@ -25,7 +25,7 @@ from piezoid.diagnosis.initial_state_search import (
 from piezoid.diagnosis.jumps import modes_behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.slip_alternative import slips_in_place
+from piezoid.diagnosis.slips import slips_in_place
 from piezoid.diagnosis.view import (
     View,
     with_bouc_wen,

@@ -12,8 +12,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.bench import Bench
 from piezoid.diagnosis.planning.menu import MENU, Experiment, played
-from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files
-from piezoid.diagnosis.planning.plan_words import sentences
+from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.provenance import unseal

@@ -14,9 +14,8 @@ from piezoid.identification.model import Lag
 from piezoid.readable import words
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
-from piezoid_reports.not_found import last_sentences
 from piezoid_reports.render import render, render_diagnosis
-from piezoid_reports.sections.diagnosis import NO_PICTURE
+from piezoid_reports.sections.diagnosis import NO_PICTURE, last_sentences
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
