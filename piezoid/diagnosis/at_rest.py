@@ -266,7 +266,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
         "on slowing down, thermal drift does not."
         if creeps
         else effect.experiment,
-        confounded=("creep",) if creeps else (),
+        confounded=effect.confounded if creeps else (),
     )
 
 

@@ -27,7 +27,7 @@ from piezoid.readable import significant, told
 from piezoid.records.plausibility import held_stretch, is_held_throughout
 from piezoid.records.recording import Recording
 
-NAME, RIVAL = "creep", "thermal_drift"
+NAME = "creep"
 SURE = 3.3  # standard errors of blocks: as every effect asks for
 WORTH = 0.1  # of what the drive does in the hold: loops under feedback wander by themselves
 SCALES = 12  # of the logarithm, from one sample to a third of the hold
@@ -153,7 +153,7 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(every_effect())),
         rms_percent=100.0 * curve_m / diagnosis.stroke_m,
         size=Size(value=percent, unit=effect.unit, ci95=((1.0 - SLOPE) * percent, 1.05 * percent)),
-        not_separable_from=(RIVAL,) if after > fit.cubic_V / SLOWS else (),
+        not_separable_from=effect.confounded if after > fit.cubic_V / SLOWS else (),
         explanation=f"{effect.summary} In "
         f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
         f"{told(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / {told(fit.scale_s, 's', 2)}): "

@@ -110,14 +110,6 @@ def _decays(view: View) -> Array:
     )
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return _ladder(view, parameters)
-
-
-def _size(_: View, __: Parameters, coefficient: Array) -> float:
-    return 100.0 * float(coefficient[0])
-
-
 def _tangent(drive: Driven, _: float) -> Array:
     first, last = np.log10(PLANNED_s)
     times_s = np.logspace(first, last, round((last - first) * PER_DECADE))
@@ -179,8 +171,8 @@ EFFECT = Effect(
     untestable=_untestable,
     trials=_trials,
     covariates=_decays,
-    columns=_columns,
-    size=_size,
+    columns=_ladder,
+    size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     inject=inject,
     extend=extend,
     without=without_part(CreepLadder),

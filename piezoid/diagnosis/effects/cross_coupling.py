@@ -19,7 +19,6 @@ from piezoid.diagnosis.appearance import Appearance, unsigned
 from piezoid.diagnosis.effect import (
     Effect,
     Found,
-    Parameters,
     Setting,
     Tangent,
     Trial,
@@ -45,10 +44,6 @@ def _trials(view: View) -> list[Trial]:
         Trial(columns=answers_of_others(view)),
         Trial(columns=answers_of_others(view, backwards=True), physical=False),
     ]
-
-
-def _columns(view: View, _: Parameters) -> Array:
-    return answers_of_others(view)
 
 
 def _tangent(drive: Driven, _: float) -> Array:
@@ -118,8 +113,8 @@ EFFECT = Effect(
     tangent=Tangent(columns=_tangent),
     untestable=_untestable,
     trials=_trials,
-    columns=_columns,
-    size=added_percent(_columns),
+    columns=lambda view, _: answers_of_others(view),
+    size=added_percent(lambda view, _: answers_of_others(view)),
     model_error=0.06,  # the other drive has a hysteresis of its own, of which plays follow most
     inject=inject,
     extend=extend,

@@ -23,13 +23,13 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 12
-SPEED = 50.0  # the same time in every recording of a stage: slow ones hardly show it
+# strokes a second at which what is injected is late by its share: the same time in every recording
+SPEED = 50.0
 
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
@@ -62,11 +62,6 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     return 1e6 * time_s
 
 
-def inject(recording: Recording, share: float) -> Recording:
-    """Let the displacement come late: by the share of the stroke at SPEED strokes a second."""
-    return through(recording, Delay(delay_s=share / SPEED))
-
-
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
     """Return the part of the model that begins where a search found it."""
     samples = found.parameters.get("delay_samples", 0.0)
@@ -90,7 +85,7 @@ EFFECT = Effect(
     trials=_trials,
     response_filter=_passed,
     size=_size,
-    inject=inject,
+    inject=lambda recording, share: through(recording, Delay(delay_s=share / SPEED)),
     extend=extend,
     without=without_part(Delay, lag=True),
 )

@@ -158,10 +158,6 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _change(view, track, parameters["place"], lasts)
 
 
-def _size(_: View, __: Parameters, coefficient: Array) -> float:
-    return 100.0 * float(coefficient[0])
-
-
 def _tangent(drive: Driven, _: float) -> Array:
     after = drive.time_s > 0.5 * drive.time_s[-1]
     return np.asarray((drive.static_m * after)[:, None])
@@ -218,7 +214,7 @@ WITHIN = Effect(
     trials=_trials,
     columns=_columns,
     covariates=_beside,
-    size=_size,
+    size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     model_error=0.03,  # the hysteresis beside it takes a part of a step of the gain
     inject=inject,
     extend=extend,

@@ -20,20 +20,19 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_SPEED
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
+from piezoid.diagnosis.effect import Effect, Parameters, Trial, late, without_part
 from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
 ALLOWED = (0.4, 1.8)
 TRIED = 14
-SPEED = 50.0  # the same pole in every recording of a stage: slow ones hardly show it
+# strokes a second at which what is injected is late by its share: the same pole in every recording
+SPEED = 50.0
 
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
@@ -55,20 +54,6 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(_: View, parameters: Parameters, __: Array) -> float:
-    return 1e6 * parameters["time_s"]
-
-
-def inject(recording: Recording, share: float) -> Recording:
-    """Let the displacement pass a pole: late by the share at SPEED strokes a second."""
-    return through(recording, FirstOrderLag(lag_s=share / SPEED))
-
-
-def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),)
-
-
 BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
@@ -83,9 +68,9 @@ BEHIND = Effect(
     confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,
-    size=_size,
-    inject=inject,
-    extend=extend,
+    size=lambda _, parameters, __: 1e6 * parameters["time_s"],
+    inject=lambda recording, share: through(recording, FirstOrderLag(lag_s=share / SPEED)),
+    extend=lambda found, _: (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),),
     without=without_part(FirstOrderLag, lag=True),
 )
 IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)

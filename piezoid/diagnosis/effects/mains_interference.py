@@ -21,9 +21,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import IN_SPECTRUM
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
     Parameters,
-    Setting,
     Tangent,
     Trial,
     without_part,
@@ -32,7 +30,6 @@ from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -171,11 +168,6 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_added(recording, hum, share)
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),)
-
-
 EFFECT = Effect(
     name="mains_interference",
     explanation=__doc__ or "",
@@ -192,6 +184,8 @@ EFFECT = Effect(
     size=added_percent(_columns),
     model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
     inject=inject,
-    extend=extend,
+    extend=lambda found, setting: (
+        MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),
+    ),
     without=without_part(MainsLines),
 )

@@ -114,10 +114,6 @@ def _closer(best: Parameters) -> list[dict[str, float]]:
     ]
 
 
-def _size(_: View, parameters: Parameters, __: Array) -> float:
-    return parameters["frequency_Hz"]
-
-
 def _tangent(drive: Driven, frequency_Hz: float) -> Array:
     rung_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
     return (rung_m - drive.static_m)[:, None]
@@ -162,7 +158,7 @@ EFFECT = Effect(
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
-    size=_size,
+    size=lambda _, parameters, __: parameters["frequency_Hz"],
     may_be_absorbed=True,
     inject=inject,
     extend=extend,

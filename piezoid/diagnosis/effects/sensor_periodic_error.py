@@ -144,10 +144,6 @@ def _trial(view: View, periods: float, *, real: bool) -> Trial:
     )
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return _waves(view, parameters["periods"])
-
-
 def _size(view: View, _: Parameters, coefficient: Array) -> float:
     """Return the amplitude of the first order, or of the second if that is larger."""
     each = coefficient.reshape(-1, 4)
@@ -201,7 +197,7 @@ EFFECT = Effect(
     ),
     tangent=Tangent(columns=_tangent),
     trials=_trials,
-    columns=_columns,
+    columns=lambda view, parameters: _waves(view, parameters["periods"]),
     size=_size,
     inject=inject,
     extend=extend,

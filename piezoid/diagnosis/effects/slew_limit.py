@@ -18,9 +18,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
     Parameters,
-    Setting,
     Tangent,
     Trial,
     without_part,
@@ -28,7 +26,6 @@ from piezoid.diagnosis.effect import (
 from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
@@ -67,10 +64,6 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(view: View, parameters: Parameters, _: Array) -> float:
-    return view.voltage_V * parameters["limit_per_s"]
-
-
 def _tangent(drive: Driven, _: float) -> Array:
     """Return what a drive misses that gets no faster than a share of the fastest so far."""
     limit_V_per_s = PLANNED * drive.model.certificate.slew_V_per_s
@@ -89,11 +82,6 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, slewed(moved_m, step_m))
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),)
-
-
 EFFECT = Effect(
     name="slew_limit",
     explanation=__doc__ or "",
@@ -108,8 +96,10 @@ EFFECT = Effect(
     confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
     drive_filter=_limited,
-    size=_size,
+    size=lambda view, parameters, _: view.voltage_V * parameters["limit_per_s"],
     inject=inject,
-    extend=extend,
+    extend=lambda found, setting: (
+        SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),
+    ),
     without=without_part(SlewLimit),
 )

@@ -19,9 +19,6 @@ from numpy.polynomial.legendre import legval
 from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import (
     Effect,
-    Found,
-    Parameters,
-    Setting,
     Tangent,
     Trial,
     without_part,
@@ -29,7 +26,6 @@ from piezoid.diagnosis.effect import (
 from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
@@ -69,10 +65,6 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _columns(view: View, _: Parameters) -> Array:
-    return _curves(view)
-
-
 def _tangent(drive: Driven, _: float) -> Array:
     unit = drive.time_s / PLANNED_s
     return 1e-6 * np.column_stack([unit, unit**2])
@@ -83,11 +75,6 @@ def inject(recording: Recording, share: float) -> Recording:
     way = seconds_of(recording) / max(recording.duration_s, 1e-9)
     drift_m = np.sin(2.0 * np.pi * 0.8 * way) + 0.5 * way
     return with_added(recording, drift_m - drift_m.mean(), share)
-
-
-def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (ThermalDrift.of(setting.pieces),)
 
 
 EFFECT = Effect(
@@ -103,10 +90,10 @@ EFFECT = Effect(
     confounded=("creep",),
     untestable=_untestable,
     trials=_trials,
-    columns=_columns,
-    size=added_percent(_columns),
+    columns=lambda view, _: _curves(view),
+    size=added_percent(lambda view, _: _curves(view)),
     inject=inject,
-    extend=extend,
+    extend=lambda _, setting: (ThermalDrift.of(setting.pieces),),
     without=without_part(ThermalDrift),
     detectable_share=4e-3,
 )
