@@ -67,7 +67,9 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
         (r.voltage_V(axis)[np.isfinite(m)], r.displacement_m(axis)[np.isfinite(m)])
         for r, m in zip(fitted, modelled, strict=True)
     ]
-    slope = _common_slope(compared)
+    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in compared)
+    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in compared)
+    slope = covariance / variance if variance > 0.0 else 0.0
     found = [
         _trace(recording, axis, model_m, slope)
         for recording, model_m in zip(fitted, modelled, strict=True)
@@ -92,12 +94,6 @@ def _counted(axis_model: AxisModel, recording: Recording) -> Array:
     counts[list(recording.bridged)] = False
     modelled_m[~counts] = np.nan
     return modelled_m
-
-
-def _common_slope(pairs: Sequence[tuple[Array, Array]]) -> float:
-    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in pairs)
-    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in pairs)
-    return covariance / variance if variance > 0.0 else 0.0
 
 
 def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:

@@ -74,7 +74,8 @@ def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
             why=", and the diagnosis finds no cause for it.",
             remedy=SHAPE,
         )
-    leading = _leading(found)
+    # what cannot be told apart comes first, then the largest
+    leading = next((one for one in found.findings if one.not_separable_from), found.findings[0])
     rest = f"; {shape or 'no other cause is visible in what is left'}"
     rest = _or_rival(leading) or rest
     most = "; most of it lies in the shape of its loops" if shape else ""
@@ -156,11 +157,6 @@ def named(found: Diagnosis) -> str:
     """Return the causes found as a reader says them, the largest first."""
     *others, last = map(words, found.names)
     return f"{', '.join(others)} and {last}" if others else last
-
-
-def _leading(found: Diagnosis) -> Finding:
-    """Return whose experiment comes next: what cannot be told apart first, then the largest."""
-    return next((one for one in found.findings if one.not_separable_from), found.findings[0])
 
 
 def _or_rival(finding: Finding) -> str:

@@ -56,7 +56,12 @@ def _compare_each(
         executor.report(f"telling {words(one.effect.name)} from its rivals")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
-        cause = _cause(there, beside, one)
+        # judged once more, refined beside all others
+        better, view = refined(one, there, beside, finer=1)
+        without = extended(there, beside)
+        seen = score_test(one.effect, without)
+        assert seen is not None
+        cause = judged(better, view, without, seen=seen)
         confounded = confounded_with(cause, there, beside, executor)
         causes.append(cause)
         near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
@@ -71,15 +76,6 @@ def _where_seen(
     if jumps is None:
         return clean, others
     return jumps, [other for other in others if other.effect.drive_filter is None]
-
-
-def _cause(clean: View, others: Sequence[SelectedEffect], one: SelectedEffect) -> Candidate:
-    """Judge a selected effect once more, refined beside all others."""
-    better, view = refined(one, clean, others, finer=1)
-    without = extended(clean, others)
-    seen = score_test(one.effect, without)
-    assert seen is not None
-    return judged(better, view, without, seen=seen)
 
 
 def confounded_with(

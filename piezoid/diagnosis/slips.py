@@ -344,7 +344,17 @@ def slips_in_place(
     first = max(found, key=lambda slip: slip.gain)
     if abs(first.samples) != abs(known.value):
         return None
-    return there, _fault(without, found, first, there)
+    place = without.tracks[first.track].place
+    change = late(without.static[first.track], place, int(first.samples))
+    column = without.of_track(first.track, np.where(place >= first.instant, change, 0.0))[:, None]
+    spread = abs(first.samples) * float(np.sqrt(without.null.doubt(column)[0, 0]))
+    return there, Fault(
+        tracks=there.tracks,
+        value=first.samples,
+        spread=float(np.hypot(spread, ROUNDED)),
+        p_value=without.null.cross_validated(column).p_value,
+        where=places_of(found, without.tracks),
+    )
 
 
 def _again(clean: View, others: Sequence[SelectedEffect], tracks: Sequence[Track]) -> View:
@@ -354,17 +364,3 @@ def _again(clean: View, others: Sequence[SelectedEffect], tracks: Sequence[Track
 def _rms_of_tracks(view: View, null: Null) -> list[float]:
     parts = [null.residual[a:b] for a, b in pairwise(view.nuisance.edges)]
     return [float(np.sqrt(np.mean(part**2))) for part in parts]
-
-
-def _fault(without: View, slips: Sequence[Slip], first: Slip, there: View) -> Fault:
-    place = without.tracks[first.track].place
-    change = late(without.static[first.track], place, int(first.samples))
-    column = without.of_track(first.track, np.where(place >= first.instant, change, 0.0))[:, None]
-    spread = abs(first.samples) * float(np.sqrt(without.null.doubt(column)[0, 0]))
-    return Fault(
-        tracks=there.tracks,
-        value=first.samples,
-        spread=float(np.hypot(spread, ROUNDED)),
-        p_value=without.null.cross_validated(column).p_value,
-        where=places_of(slips, without.tracks),
-    )

@@ -85,18 +85,14 @@ def _trials(view: View) -> list[Trial]:
             for place, column in zip(PLACES, steps, strict=True)
         ]
         rivals = [_change(view, k, p - NARROW / 2, 0.0, passes=True) for p in PLACES[::3]]
-        if _repeats(view.tracks[k]):
+        # enough equal cycles show a slow trend of the gain
+        if equal_cycles(view.tracks[k].drive, fewest=FEWEST) is not None:
             slow = {"track": float(k), "place": 0.5, "lasts": 1.0}
             found.append(_trial(_change(view, k, 0.5, 1.0), slow))
         else:
             rivals += [_change(view, k, place, 0.5) for place in PLACES[::3]]
         found += [_trial(column, {}, physical=False) for column in rivals]
     return found
-
-
-def _repeats(track: Track) -> bool:
-    """Tell whether cycles enough are equal to show a slow trend of the gain."""
-    return equal_cycles(track.drive, fewest=FEWEST) is not None
 
 
 def _trial(

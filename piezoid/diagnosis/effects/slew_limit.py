@@ -42,15 +42,11 @@ def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return drive if float(np.abs(np.diff(drive)).max()) <= step else slewed(drive, step)
 
 
-def _fastest(view: View) -> float:
-    return max(
+def _trials(view: View) -> list[Trial]:
+    fastest = max(
         float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
         for track in view.tracks
     )
-
-
-def _trials(view: View) -> list[Trial]:
-    fastest = _fastest(view)
     ways = [{"limit_per_s": share * fastest} for share in SHARES]
     return [
         Trial(

@@ -42,16 +42,12 @@ def _untestable(view: View) -> str:
     return ""
 
 
-def _degree(duration_s: float) -> int:
-    return sum(duration_s >= least_s for least_s in DEGREES_s)
-
-
 def _curves(view: View, first_wave: int = 0) -> Array:
     """Return a smooth curve for every long track; or, for placebos, as many half waves."""
     columns = []
     for k, track in enumerate(view.tracks):
         share = 2.0 * track.place / len(track.drive) - 1.0
-        for n in range(_degree(track.duration_s)):
+        for n in range(sum(track.duration_s >= least_s for least_s in DEGREES_s)):
             wave = np.cos(0.5 * np.pi * (first_wave + n) * (share + 1.0))
             curve = wave if first_wave else legval(share, np.eye(n + 2)[n + 1])
             columns.append(view.of_track(k, curve))

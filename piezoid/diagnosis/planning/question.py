@@ -139,19 +139,15 @@ def _to_detect(diagnosis: Diagnosis) -> list[Question]:
         limit_m = absent.detection_limit_m
         share = VISIBLE if limit_m is None else limit_m / diagnosis.stroke_m
         own = _suspect(absent.effect, share, diagnosis.stroke_m)
-        floor_m = _named_from_m(absent.effect, diagnosis)
+        # below which the diagnosis itself names no such effect
+        effect = effect_named(absent.effect)
+        worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
+        floor_m = max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
         if own:
             questions.append(
                 Question(kind="detect", suspects=(own,), absent=absent, floor_m=floor_m)
             )
     return questions
-
-
-def _named_from_m(name: str, diagnosis: Diagnosis) -> float:
-    """Return the rms below which an effect is not named, m: as the diagnosis itself has it."""
-    effect = effect_named(name)
-    worth_m = diagnosis.envelope_rms_m * sqrt(2.0 * effect.minimum_gain)
-    return max(MINIMUM_SHARE * diagnosis.stroke_m, worth_m)
 
 
 def _suspect(name: str, share: float, stroke_m: float) -> Suspect | None:
