@@ -12,7 +12,7 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.tracks import Places, Track
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.joint.vector import Structure, parts_of
@@ -184,6 +184,24 @@ def late(response_filter: Filter, name: str) -> Tangent:
     return Tangent(columns=columns, lags=True, scale=1e-4)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standing:
+    """Readings of a stage whose drive rests, for causes that need no drive.
+
+    recording  whose they are
+    axis       of the stage
+    keep       (rows,)  samples that are used
+    time_s     (rows,)
+    calm_m     (rows,)  readings less what drifts
+    """
+
+    recording: Recording
+    axis: str
+    keep: Places
+    time_s: Array
+    calm_m: Array
+
+
 Without = Callable[[AxisModel, Recording], AxisModel | None]
 
 
@@ -230,6 +248,8 @@ class Effect:
     fault                     (view) -> Fault or None, for faults of the data
     size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
                               percent
+    at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
+                              why these readings cannot show it; None: it needs a drive
     null_without              (view) -> the null to beat where that is not the view's own: a part
                               of the nuisance class, judged last
     model_error               part of the size that the law itself may be wrong by (a spectrum
@@ -271,6 +291,7 @@ class Effect:
     fault: Callable[[View], Fault | None] | None = None
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
+    at_rest: Callable[[Standing], Array | str] | None = None
     null_without: Callable[[View], Null] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
     structure: Callable[[Structure, AxisModel, bool], Structure] | None = None

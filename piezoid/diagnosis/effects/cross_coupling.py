@@ -20,6 +20,7 @@ from piezoid.diagnosis.effect import (
     Effect,
     Found,
     Setting,
+    Standing,
     Tangent,
     Trial,
     without_part,
@@ -30,6 +31,7 @@ from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Quantity, Recording
 
 
@@ -57,6 +59,19 @@ def _other_drive(recording: Recording) -> tuple[Array, Array]:
         if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
             return unsigned(channel.values)
     return unsigned(np.full(recording.samples, np.nan))
+
+
+def _at_rest(standing: Standing) -> Array | str:
+    others = [
+        channel.values[standing.keep]
+        for channel in standing.recording.channels
+        if channel.quantity is Quantity.VOLTAGE
+        and channel.axis != standing.axis
+        and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
+    ]
+    if not others:
+        return "the drive of no other axis moves in it"
+    return np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in others])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -116,6 +131,7 @@ EFFECT = Effect(
     columns=lambda view, _: answers_of_others(view),
     size=added_percent(lambda view, _: answers_of_others(view)),
     model_error=0.06,  # the other drive has a hysteresis of its own, of which plays follow most
+    at_rest=_at_rest,
     inject=inject,
     extend=extend,
     without=without_part(CrossAxis),
