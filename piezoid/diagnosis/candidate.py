@@ -181,11 +181,12 @@ def structural_candidate(effect: Effect, final: View) -> tuple[ScoreTest, Candid
     if found is None:
         return None
     structure = _structure_of(found, final)
-    if not (structure.is_significant and effect.may_be_bouc_wen and effect.null_without):
+    own = effect.structural
+    if own is None or not (structure.is_significant and own.may_be_bouc_wen):
         return found, structure
-    bent = with_bouc_wen_of(final, effect.null_without)
+    bent = with_bouc_wen_of(final, own.null_without)
     again = score_test(effect, bent)
-    if again is None or effect.null_without(bent).rms >= AS_LITTLE * final.rms:
+    if again is None or own.null_without(bent).rms >= AS_LITTLE * final.rms:
         return found, structure
     return again, _structure_of(again, bent)
 

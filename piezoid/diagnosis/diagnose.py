@@ -315,13 +315,13 @@ def _structure(confounded: Sequence[str]) -> list[Effect]:
     return [
         alternative
         for alternative in map(effect_named, confounded)
-        if alternative.null_without is not None
+        if alternative.structural is not None
     ]
 
 
 def _named_beside(cause: Candidate, outcome: Outcome) -> list[str]:
     """Return causes that may hold a part of this one, where it is not sure beyond doubt."""
-    if cause.cv.z > CERTAIN or cause.effect.null_without is not None:
+    if cause.cv.z > CERTAIN or cause.effect.structural is not None:
         return []
     others = [other.effect for other in outcome.causes if other is not cause]
     return [other.name for other in others if other.resembles(cause.effect)]

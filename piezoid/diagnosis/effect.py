@@ -223,6 +223,23 @@ def without_part(kind: type[Extension], *, lag: bool = False) -> Without:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Structural:
+    """A part of the nuisance class and of the static model themselves, judged last.
+
+    null_without         (view) -> the nuisance class without it: the null to beat
+    structure            (structure, model, found) -> the static structure to refit with it, or
+                         without it
+    largest_noise_ratio  residual over noise above which that null counts as misspecified
+    may_be_bouc_wen      whether a Bouc-Wen state may do what it seems to do
+    """
+
+    null_without: Callable[[View], Null]
+    structure: Callable[[Structure, AxisModel, bool], Structure]
+    largest_noise_ratio: float
+    may_be_bouc_wen: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """What one effect provides.
 
@@ -250,22 +267,17 @@ class Effect:
                               percent
     at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
                               why these readings cannot show it; None: it needs a drive
-    null_without              (view) -> the null to beat where that is not the view's own: a part
-                              of the nuisance class, judged last
     model_error               part of the size that the law itself may be wrong by (a spectrum
                               that is not even, a hold between samples), which blocks of rows
                               cannot show. Two to three times the worst of thirteen laws
                               (``python -m benchmarks.zoo.sizes``)
-    may_be_bouc_wen           whether a Bouc-Wen state may do what it seems to do
     may_be_absorbed           whether the nuisance class may have been fitted to it, so that its
                               columns are made from a response without it
     inject                    (recording, share) -> the recording with it, share of the stroke
     extend                    (found, setting) -> the model's extension to refit from there
-    structure                 (structure, model, found) -> the static structure to refit with it,
-                              or without it, for what the static model has itself
+    structural                for what nuisance class and static model have themselves
     without                   (model, recording) -> the model without it, None where the model
                               does not have it
-    largest_noise_ratio       residual over noise above which its null counts as misspecified
     minimum_gain              part of the held-out error that it must take off
     detectable_share          share of the stroke from which it is found at 0.05 % of noise
     bound                     (view) -> share of the stroke that could be missed, for faults
@@ -292,14 +304,11 @@ class Effect:
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     at_rest: Callable[[Standing], Array | str] | None = None
-    null_without: Callable[[View], Null] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
-    structure: Callable[[Structure, AxisModel, bool], Structure] | None = None
+    structural: Structural | None = None
     without: Without = lambda *_: None
     model_error: float = 0.02
-    largest_noise_ratio: float = float("inf")
     minimum_gain: float = 0.05
-    may_be_bouc_wen: bool = False
     may_be_absorbed: bool = False
     detectable_share: float = 2e-3
 

@@ -258,7 +258,7 @@ def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, Sco
         executor.report(f"testing {words(effect.name)}")
         return score_test(effect, view)
 
-    others = [e for e in every_effect() if e.null_without is None and e.name not in named]
+    others = [e for e in every_effect() if e.structural is None and e.name not in named]
     others = [effect for effect in others if not effect.untestable(view)]
     between = {
         f"{e.name} {BETWEEN}": e.between_recordings

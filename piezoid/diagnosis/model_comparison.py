@@ -110,11 +110,7 @@ def is_confounded(alternative: Candidate, cause: Candidate) -> bool:
 def _in_place(
     effect: Effect, cause: Candidate, clean: View, others: Sequence[SelectedEffect]
 ) -> Candidate | None:
-    if (
-        effect.trials is None
-        or effect.null_without is not None
-        or effect.untestable(cause.without)
-    ):
+    if effect.trials is None or effect.structural is not None or effect.untestable(cause.without):
         return None
     seen = score_test(effect, cause.without)
     if seen is None or seen.total_gain < NEAR * cause.cv.gain:

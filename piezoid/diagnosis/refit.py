@@ -87,8 +87,8 @@ def refitted(
         effect = effects[one.effect]
         if effect.extend is not None:
             given[one.effect] = effect.extend(one, setting)
-        if effect.structure is not None:
-            structure = effect.structure(structure, model, True)
+        if effect.structural is not None:
+            structure = effect.structural.structure(structure, model, True)
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
@@ -103,8 +103,8 @@ def refitted(
         progress(f"refitting without {words(one.effect)}")
         mine = fitted.get(one.effect, ())
         rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
-        itself = effects[one.effect].structure
-        bare = structure if itself is None else itself(structure, model, False)
+        own = effects[one.effect].structural
+        bare = structure if own is None else own.structure(structure, model, False)
         without[one.effect] = again(recordings, rest, structure=bare, places=places)
     if faults:
         broken = again(raw or recordings, final.model.extensions, structure=structure)

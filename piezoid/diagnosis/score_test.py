@@ -61,8 +61,8 @@ def score_test(effect: Effect, view: View) -> ScoreTest | None:
 
 def null_of(effect: Effect, view: View) -> Null:
     """Return what an effect has to beat."""
-    if effect.null_without is not None:
-        return effect.null_without(view)
+    if effect.structural is not None:
+        return effect.structural.null_without(view)
     if effect.covariates is None:
         return view.null
     return replace(view, selected=np.hstack([view.selected, effect.covariates(view)])).null

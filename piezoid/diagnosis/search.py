@@ -112,9 +112,7 @@ def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
     screenings = [
         score_test(effect, final)
         for effect in every_effect()
-        if effect.null_without is None
-        and effect.name not in known
-        and not effect.untestable(final)
+        if effect.structural is None and effect.name not in known and not effect.untestable(final)
     ]
     return {found.effect.name: found for found in screenings if found is not None}
 
@@ -123,7 +121,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     """Judge the nuisance class's own structure, with all causes at work."""
     final = outcome.final
     for effect in every_effect():
-        if effect.null_without is None or effect.untestable(final):
+        if effect.structural is None or effect.untestable(final):
             continue
         executor.report(f"testing {words(effect.name)}")
         judgement = structural_candidate(effect, final)
@@ -148,7 +146,8 @@ def _stands(structure: Candidate, final: View) -> bool:
     """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
     gain = structure.cv.gain
     clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
-    return clear or final.rms < structure.effect.largest_noise_ratio * final.noise
+    own = structure.effect.structural
+    return clear or own is None or final.rms < own.largest_noise_ratio * final.noise
 
 
 def _with_confounded(confounded: Confounded, effect: Effect) -> Confounded:

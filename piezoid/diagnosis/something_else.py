@@ -340,7 +340,7 @@ def _beyond_range(outcome: Outcome) -> Discovered | None:
     others = [
         cause.selected
         for cause in outcome.causes
-        if cause.effect.name != CLIPPED and cause.effect.null_without is None
+        if cause.effect.name != CLIPPED and cause.effect.structural is None
     ]
     found = ended(outcome.clean, others)
     if found is None:
@@ -384,7 +384,7 @@ def _instead(outcome: Outcome) -> Discovered | None:
     """Return a curve that leaves clearly less in the place of a cause than the cause does."""
     best, least = None, 1.0
     for cause in outcome.causes:
-        if cause.effect.null_without is not None or cause.selected.from_jumps:
+        if cause.effect.structural is not None or cause.selected.from_jumps:
             continue
         tangents = tangents_of(outcome, cause.without, cause.effect.name)
         remainder = Remainder.of(cause.without, tangents)

@@ -30,7 +30,7 @@ def speaks(effect: Effect, view) -> bool:
     found = score_test(effect, view)
     if found is None:
         return False
-    if effect.null_without is not None:
+    if effect.structural is not None:
         _, structure = structural_candidate(effect, view)
         return structure.is_significant
     one, there = refined(

@@ -25,7 +25,7 @@ def test_every_effect_but_faults_of_the_data_has_its_place_in_the_model() -> Non
     homeless = {
         effect.name
         for effect in effects.EFFECTS
-        if effect.extend is None and effect.structure is None and effect.fault is None
+        if effect.extend is None and effect.structural is None and effect.fault is None
     }
     assert homeless == {"asymmetry"}, "whose dead zones every model has"
 

@@ -34,7 +34,11 @@ class Cause:
 
     @property
     def effect(self) -> SimpleNamespace:
-        return SimpleNamespace(name=self.name, largest_noise_ratio=self.quiet, minimum_gain=0.1)
+        return SimpleNamespace(
+            name=self.name,
+            structural=SimpleNamespace(largest_noise_ratio=self.quiet),
+            minimum_gain=0.1,
+        )
 
     @property
     def cv(self) -> SimpleNamespace:

@@ -45,7 +45,8 @@ def test_one_of_many_products_with_the_drive_that_a_ceramic_misses_is_not_named(
 
 def test_a_bent_bouc_wen_state_does_what_a_product_seemed_to_do() -> None:
     view = sound_stage("bouc_wen", 20)
-    _, alone = structural_candidate(replace(non_congruence.EFFECT, may_be_bouc_wen=False), view)
+    never = replace(non_congruence.EFFECT.structural, may_be_bouc_wen=False)
+    _, alone = structural_candidate(replace(non_congruence.EFFECT, structural=never), view)
     _, beside = structural_candidate(non_congruence.EFFECT, view)
     assert alone.is_significant
     assert not beside.is_significant
@@ -85,7 +86,9 @@ def test_a_part_that_a_bouc_wen_state_does_as_well_must_be_there_beside_it(
     monkeypatch.setattr(candidate, "_structure_of", lambda _, view: structures[id(view)])
     monkeypatch.setattr(candidate, "with_bouc_wen_of", lambda *_: bent)
     effect = SimpleNamespace(
-        may_be_bouc_wen=True, null_without=lambda _: SimpleNamespace(rms=left)
+        structural=SimpleNamespace(
+            may_be_bouc_wen=True, null_without=lambda _: SimpleNamespace(rms=left)
+        )
     )
     _, judged = candidate.structural_candidate(effect, final)
     assert judged is structures[id(final if alone else bent)]

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Trial
+from piezoid.diagnosis.effect import Effect, Structural, Trial
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
 from piezoid.diagnosis.signals import with_added
@@ -89,12 +89,10 @@ EFFECT = Effect(
     tangent="its remedy is to cycle the drive first, as every planned drive does",
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
-    null_without=_against,
-    largest_noise_ratio=1.6,
+    structural=Structural(null_without=_against, structure=_structure, largest_noise_ratio=1.6),
     # On laws that forget slowly, pasts as laboratories leave them are found at 0.35 to 1.2 of the
     # noise, rms; injected ones at full size from 1.9 on. A gain of 0.25 asks for about 0.9.
     minimum_gain=0.25,
     inject=inject,
-    structure=_structure,
     without=_cycled,
 )

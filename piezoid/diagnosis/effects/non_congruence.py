@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_DRIVE
-from piezoid.diagnosis.effect import Effect, Tangent, Trial
+from piezoid.diagnosis.effect import Effect, Structural, Tangent, Trial
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -122,11 +122,13 @@ EFFECT = Effect(
     tangent=Tangent(columns=_tangent),
     confounded=("asymmetry",),
     trials=_trials,
-    null_without=_against,
+    structural=Structural(
+        null_without=_against,
+        structure=_structure,
+        largest_noise_ratio=2.0,
+        may_be_bouc_wen=True,
+    ),
     inject=inject,
-    structure=_structure,
     detectable_share=4e-3,
-    largest_noise_ratio=2.0,
-    may_be_bouc_wen=True,
     minimum_gain=WORTH,
 )
