@@ -21,7 +21,9 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
     found = _sought(effect, outcome)
     untestable = effect.untestable(outcome.final)
     width = "" if found is None or found.separable or untestable else _width(effect, outcome)
-    if untestable or width or (found is None and effect.fault is None):
+    if found is not None and not untestable and not width:
+        return _bounded(found, outcome)
+    if untestable or width or effect.fault is None:
         return NotDetected(
             effect=effect.name,
             upper_bound_m=None,
@@ -29,17 +31,14 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
             reason=untestable or width or "nothing in these recordings excites it",
             next_experiment=SPEEDS if width else effect.experiment,
         )
-    if found is None:
-        least = MINIMUM_SHARE if effect.bound is None else effect.bound(outcome.clean)
-        limit_m = least * 2.0 * outcome.final.stroke_m
-        return NotDetected(
-            effect=effect.name,
-            upper_bound_m=limit_m,
-            detection_limit_m=limit_m,
-            reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
-            next_experiment=effect.experiment,
-        )
-    return _bounded(found, outcome)
+    limit_m = effect.fault.bound(outcome.clean) * 2.0 * outcome.final.stroke_m
+    return NotDetected(
+        effect=effect.name,
+        upper_bound_m=limit_m,
+        detection_limit_m=limit_m,
+        reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
+        next_experiment=effect.experiment,
+    )
 
 
 def not_sought(effect: Effect, against: str) -> NotDetected:

@@ -202,6 +202,18 @@ class Standing:
     calm_m: Array
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FaultTest:
+    """How a fault of the data is looked for.
+
+    find   (view) -> the fault, or None
+    bound  (view) -> share of the stroke that could be missed
+    """
+
+    find: Callable[[View], Fault | None]
+    bound: Callable[[View], float]
+
+
 Without = Callable[[AxisModel, Recording], AxisModel | None]
 
 
@@ -262,7 +274,7 @@ class Effect:
                               the whole response passes
     other_side                the same cause on the other side of the hysteresis
     between_recordings        the same cause where it acts between two recordings
-    fault                     (view) -> Fault or None, for faults of the data
+    fault                     how it is looked for, for faults of the data
     size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
                               percent
     at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
@@ -280,7 +292,6 @@ class Effect:
                               does not have it
     minimum_gain              part of the held-out error that it must take off
     detectable_share          share of the stroke from which it is found at 0.05 % of noise
-    bound                     (view) -> share of the stroke that could be missed, for faults
     """
 
     name: str
@@ -300,8 +311,7 @@ class Effect:
     response_filter: Filter | None = None
     other_side: "Effect | None" = None
     between_recordings: "Effect | None" = None
-    fault: Callable[[View], Fault | None] | None = None
-    bound: Callable[[View], float] | None = None
+    fault: FaultTest | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
     at_rest: Callable[[Standing], Array | str] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None

@@ -180,7 +180,7 @@ def repaired(
             continue
         for _ in range(MOST_REPAIRS):
             executor.report(f"looking for {words(effect.name)}")
-            fault = effect.fault(view)
+            fault = effect.fault.find(view)
             if fault is None:
                 break
             faults[effect.name] = fault.after(faults.get(effect.name))

@@ -51,7 +51,7 @@ def fault_of(*seen: tuple[Array, Array]):
         null=SimpleNamespace(residual=residual, without=lambda column: column),
         rows=np.concatenate,
     )
-    return quantisation.EFFECT.fault(view)
+    return quantisation.EFFECT.fault.find(view)
 
 
 def test_steps_of_a_coarse_drive_are_found_where_the_file_has_a_smooth_one() -> None:

@@ -26,7 +26,7 @@ TOGETHER = ("non_congruence",)
 
 def speaks(effect: Effect, view) -> bool:
     if effect.fault is not None:
-        return effect.fault(view) is not None
+        return effect.fault.find(view) is not None
     found = score_test(effect, view)
     if found is None:
         return False

@@ -35,7 +35,7 @@ FAULTS = (timestamp_fault, outliers, quantisation)
 
 @pytest.mark.parametrize("effect", FAULTS, ids=[f.EFFECT.name for f in FAULTS])
 def test_healthy_recordings_have_no_fault(effect):
-    assert effect.EFFECT.fault(healthy()) is None
+    assert effect.EFFECT.fault.find(healthy()) is None
 
 
 def test_no_hum_and_no_ripple_is_seen_in_healthy_recordings():
@@ -49,7 +49,7 @@ def test_spikes_are_found_sized_and_bridged():
     reading_m[[1200, 4000, 7311]] += np.array([0.012, -0.02, 0.009]) * STROKE_m
     reading_m[5000:5002] -= 0.015 * STROKE_m
     view = view_with(walk=reading_m)
-    fault = outliers.EFFECT.fault(view)
+    fault = outliers.EFFECT.fault.find(view)
     assert within(fault, 1e9 * 0.02 * STROKE_m)
     assert fault.p_value < 1e-3
     assert fault.where == ("walk (5)",)
@@ -95,7 +95,7 @@ def test_a_jump_of_the_drive_is_no_spike():
     field[3000:3002] += 0.05
     reading_m = STROKE_m * moved(field) + np.random.default_rng(3).normal(0.0, NOISE_m, 9000)
     recordings = [recording("sweep"), recording("walk", reading_m, field), recording("waves")]
-    assert outliers.EFFECT.fault(view_on(recordings, axis="x", lab=Lab())) is None
+    assert outliers.EFFECT.fault.find(view_on(recordings, axis="x", lab=Lab())) is None
 
 
 @pytest.mark.parametrize("period", [16, 20, 23])
@@ -118,7 +118,7 @@ def coarse_reading(step_m: float):
 def test_a_coarse_reading_is_named_with_its_step_and_its_saw_is_no_periodic_error():
     step_m = 4e-3 * STROKE_m
     view = coarse_reading(step_m)
-    assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)
+    assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
     ripple = score_test(sensor_periodic_error.EFFECT, view)
     assert ripple is None or ripple.cv.gain < 0.05
 
@@ -132,7 +132,7 @@ def test_spikes_off_the_lattice_do_not_hide_a_coarse_reading(repaired):
         where = np.random.default_rng(k).choice(len(reading_m) - 2, 9, replace=False) + 1
         between_m = 0.5 * (reading_m[where - 1] + reading_m[where + 1]) + 0.25 * step_m
         reading_m[where] = between_m if repaired else reading_m[where] + 17.3 * step_m
-    fault = quantisation.EFFECT.fault(view_with(**readings_m))
+    fault = quantisation.EFFECT.fault.find(view_with(**readings_m))
     assert within(fault, 1e9 * step_m)
     assert fault.spread < 0.05 * fault.value
 
@@ -150,7 +150,7 @@ def test_what_repeats_and_has_no_step_rests_on_no_coarse_lattice(reading):
 
 
 def test_a_converter_of_sixteen_bits_is_not_coarse():
-    assert quantisation.EFFECT.fault(coarse_reading(1.3 * STROKE_m / 2**16)) is None
+    assert quantisation.EFFECT.fault.find(coarse_reading(1.3 * STROKE_m / 2**16)) is None
 
 
 def test_a_coarse_drive_is_found_where_the_file_has_the_smooth_one():
@@ -161,11 +161,11 @@ def test_a_coarse_drive_is_found_where_the_file_has_the_smooth_one():
         for kind in ("sweep", "walk", "waves")
     }
     view = view_with(**readings_m)
-    fault = quantisation.EFFECT.fault(view)
+    fault = quantisation.EFFECT.fault.find(view)
     slope_m = float(np.ptp(clean("sweep")[2])) / 2.0
     assert fault.value == pytest.approx(1e9 * step * slope_m, rel=0.4)
     assert with_tracks(view, fault.tracks).rms < 0.8 * view.rms
-    assert outliers.EFFECT.fault(view) is None
+    assert outliers.EFFECT.fault.find(view) is None
 
 
 def test_hum_a_little_off_its_nominal_frequency_is_found_at_its_own():
@@ -197,12 +197,14 @@ def test_a_fine_ripple_is_found_though_every_recording_counts_from_its_own_zero(
 
 
 def test_what_is_larger_than_a_fault_that_could_hide_is_found():
-    height = 1.3 * outliers.EFFECT.bound(healthy())
+    height = 1.3 * outliers.EFFECT.fault.bound(healthy())
     reading_m = np.array(clean("walk")[2])
     reading_m[4000] += height * 2.0 * healthy().stroke_m
-    assert outliers.EFFECT.fault(view_with(walk=reading_m)) is not None
-    step = 1.3 * np.sqrt(12.0) * quantisation.EFFECT.bound(healthy())
-    assert quantisation.EFFECT.fault(coarse_reading(step * 2.0 * healthy().stroke_m)) is not None
+    assert outliers.EFFECT.fault.find(view_with(walk=reading_m)) is not None
+    step = 1.3 * np.sqrt(12.0) * quantisation.EFFECT.fault.bound(healthy())
+    assert (
+        quantisation.EFFECT.fault.find(coarse_reading(step * 2.0 * healthy().stroke_m)) is not None
+    )
 
 
 def test_a_fault_found_in_several_goes_has_the_larger_size_and_the_surer_p():
@@ -224,4 +226,4 @@ def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():
         lab=Lab(),
     )
     assert not np.isin(view.tracks[0].place, lost).any()
-    assert within(quantisation.EFFECT.fault(view), 1e9 * step_m)
+    assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)

@@ -36,7 +36,7 @@ def test_a_recording_that_hardly_moves_promises_no_slip_longer_than_may_be(seed)
     assert slips
     for slip in slips:
         assert abs(slip.samples) <= longest(len(view.tracks[slip.track].drive))
-    assert timestamp_fault.EFFECT.fault(view) is None
+    assert timestamp_fault.EFFECT.fault.find(view) is None
 
 
 @pytest.mark.parametrize("times", [-2.0, 0.5])
@@ -55,7 +55,7 @@ def test_stretches_of_equal_speed_that_tell_of_a_slip_longer_than_may_be_are_not
         )
 
     monkeypatch.setattr(timestamp_fault, "evidence_of", told)
-    assert timestamp_fault.EFFECT.fault(wandering_view(2)) is None
+    assert timestamp_fault.EFFECT.fault.find(wandering_view(2)) is None
     assert asked
     assert all(abs(slip.samples) < 0.5 * SAMPLES for slip in asked)
 

@@ -35,7 +35,7 @@ from .play_stage import (
 @pytest.mark.parametrize(("kind", "samples"), [("sweep", 4), ("walk", -3), ("waves", 60)])
 def test_a_slip_is_found_sized_and_undone(kind, samples):
     view = view_with(**{kind: slipped(clean(kind)[2], 4100, samples)})
-    fault = timestamp_fault.EFFECT.fault(view)
+    fault = timestamp_fault.EFFECT.fault.find(view)
     assert fault is not None
     assert within(fault, samples)
     assert fault.p_value < 0.01
@@ -44,14 +44,14 @@ def test_a_slip_is_found_sized_and_undone(kind, samples):
     assert float(since_s) == pytest.approx(4100 / clean(kind)[0], rel=0.05)
     again = with_tracks(view, fault.tracks)
     assert again.rms < min(1.6 * healthy().rms, 0.9 * view.rms)
-    assert timestamp_fault.EFFECT.fault(again) is None
+    assert timestamp_fault.EFFECT.fault.find(again) is None
 
 
 def test_two_recordings_may_slip_each_by_its_own():
     view = view_with(
         sweep=slipped(clean("sweep")[2], 3500, 5), walk=slipped(clean("walk")[2], 5000, -4)
     )
-    fault = timestamp_fault.EFFECT.fault(view)
+    fault = timestamp_fault.EFFECT.fault.find(view)
     again = with_tracks(view, fault.tracks)
     assert again.rms < 1.3 * healthy().rms
     assert fault.value in (5, -4)
@@ -59,7 +59,7 @@ def test_two_recordings_may_slip_each_by_its_own():
 
 def test_a_delay_of_all_of_a_recording_is_no_slip():
     view = view_with(sweep=slipped(clean("sweep")[2], 0, 4))
-    assert timestamp_fault.EFFECT.fault(view) is None
+    assert timestamp_fault.EFFECT.fault.find(view) is None
 
 
 def test_a_delay_that_only_fast_stretches_have_is_no_slip():
@@ -80,12 +80,12 @@ def test_a_delay_that_only_fast_stretches_have_is_no_slip():
 
 
 def test_a_slip_well_above_one_that_could_hide_is_found():
-    share = timestamp_fault.EFFECT.bound(healthy())
+    share = timestamp_fault.EFFECT.fault.bound(healthy())
     late_m = [slipped(clean("waves")[2], 4100, n) - clean("waves")[2] for n in range(1, 60)]
     rms = np.array([np.sqrt(np.mean(change_m**2)) for change_m in late_m])
     samples = 1 + int(np.argmax(rms > 1.5 * share * 2.0 * healthy().stroke_m))
     view = view_with(waves=slipped(clean("waves")[2], 4100, samples))
-    assert within(timestamp_fault.EFFECT.fault(view), samples)
+    assert within(timestamp_fault.EFFECT.fault.find(view), samples)
 
 
 def test_what_the_stamps_tell_is_a_timestamp_fault_of_so_many_samples():
@@ -127,7 +127,7 @@ def test_what_the_drive_of_another_axis_explains_as_well_is_no_slip(is_driven) -
     walk = recording("walk", late_m)
     coupled = replace(walk, channels=(*walk.channels, other))
     view = view_on([recording("sweep"), coupled, recording("waves")], axis="x", lab=Lab())
-    fault = timestamp_fault.EFFECT.fault(view)
+    fault = timestamp_fault.EFFECT.fault.find(view)
     assert fault is None if is_driven else within(fault, 10)
 
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 import numpy as np
 
 from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
@@ -194,7 +194,6 @@ EFFECT = Effect(
     "contact.",
     shows=OVER_TIME,
     tangent="its remedy is the wiring, not another drive",
-    fault=_fault,
-    bound=_bound,
+    fault=FaultTest(find=_fault, bound=_bound),
     inject=inject,
 )

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
@@ -257,7 +257,6 @@ EFFECT = Effect(
     control="The loop hunts between steps; a finer converter range helps, filters do not.",
     shows=OVER_TIME,
     tangent="its remedy is a finer converter range, not another drive",
-    fault=_fault,
-    bound=_bound,
+    fault=FaultTest(find=_fault, bound=_bound),
     inject=inject,
 )

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.appearance import OVER_TIME
-from piezoid.diagnosis.effect import Effect, Fault
+from piezoid.diagnosis.effect import Effect, Fault, FaultTest
 from piezoid.diagnosis.effects.outliers import without_spikes
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.signals import with_displacement
@@ -306,8 +306,7 @@ EFFECT = Effect(
     shows=OVER_TIME,
     tangent="its remedy is the acquisition's own counter in a column",
     confounded=("delay",),
-    fault=_fault,
-    bound=hidden,
+    fault=FaultTest(find=_fault, bound=hidden),
     detectable_share=1.2e-2,
     inject=inject,
 )
