@@ -19,7 +19,7 @@ from piezoid.identification.extensions import (
     ThermalDrift,
 )
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.forward import Forward, Run
+from piezoid.identification.forward import LARGEST, Forward, Run
 from piezoid.identification.hysteresis.coordinates import Scaled
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Scales
@@ -350,3 +350,54 @@ def test_the_columns_of_the_hysteresis_are_its_derivatives(
         numeric = (ahead_run.reading - back_run.reading)[PLACE] / (2.0 * step)
         apart = np.linalg.norm(found[:, column] - numeric)
         assert apart <= within * np.linalg.norm(numeric), column
+
+
+def slow_run(extensions: tuple[Extension, ...], **chosen: float | str) -> Run:
+    """One long swing behind filters that it hardly feels."""
+    asked = np.sin(np.linspace(0.3, 6.0, SAMPLES))
+    forward = replace(forward_of(*extensions), **chosen)
+    return replace(run_of(forward), asked=np.ascontiguousarray(asked))
+
+
+def test_where_motion_is_slow_filters_are_taken_for_a_delay_and_creep_is_left_out() -> None:
+    creep, lag = CreepLadder(time_s=(0.1, 1.0), share=(0.2, 0.2)), FirstOrderLag(lag_s=2.4e-3)
+    late = slow_run((), lag="delay", lag_s=3.7e-3)
+    pole_Hz = 1.0 / (2.0 * np.pi * 1.3e-3)
+    found = slow_run((creep, lag), sensor_Hz=pole_Hz).by_hysteresis(PLACE)
+    np.testing.assert_allclose(found, late.by_hysteresis(PLACE), atol=ROUNDING)
+    passed = slow_run((lag,), sensor_Hz=pole_Hz).forward.behind(late.static, HERE)
+    assert np.abs(passed - late.forward.behind(late.static, HERE))[PLACE].max() > 1e-6
+
+
+def test_where_motion_is_quick_filters_are_passed_and_creep_is_left_out() -> None:
+    creep, mode = (
+        CreepLadder(time_s=(0.1,), share=(0.2,)),
+        LinearMode(frequency_Hz=60.0, quality=8),
+    )
+    found = run_of(forward_of(creep, mode)).by_hysteresis(PLACE)
+    np.testing.assert_array_equal(found, run_of(forward_of(mode)).by_hysteresis(PLACE))
+
+
+def test_too_many_numbers_for_one_array_are_taken_for_delayed() -> None:
+    """Behind a lag that a short piece would pass: 14 columns of 1.3 million samples."""
+    asked = np.tile(drive(), LARGEST // 12 // len(drive()) + 1)
+    here = where(len(asked))
+    lag, late = (
+        replace(run_of(forward), asked=asked, where=here)
+        for forward in (
+            forward_of(FirstOrderLag(lag_s=3.4e-3)),
+            forward_of(Delay(delay_s=3.4e-3)),
+        )
+    )
+    np.testing.assert_allclose(lag.by_hysteresis(PLACE), late.by_hysteresis(PLACE), atol=ROUNDING)
+
+
+def test_without_scales_a_number_is_a_volt_or_a_metre() -> None:
+    forward = Forward(operator=OPERATOR, extensions=(AmplifierLimits(high_V=0.5),))
+    np.testing.assert_array_equal(
+        forward.driven(np.array([0.1, 0.6, 0.3]), RATE_Hz), [0.1, 0.5, 0.3]
+    )
+    here = where(3)
+    np.testing.assert_array_equal(
+        forward.position(np.array([0.2, 0.3, 0.1]), here), [0.2, 0.3, 0.1]
+    )
