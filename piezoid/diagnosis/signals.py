@@ -32,12 +32,6 @@ def laddered(
     return first * float(np.sum(each)) + ladder(signal - first, filters)
 
 
-def delayed(signal: Array, time_s: float, rate_Hz: float) -> Array:
-    """Return a signal that much later, straight between samples."""
-    place = np.arange(len(signal), dtype=np.float64)
-    return np.asarray(np.interp(place - time_s * rate_Hz, place, signal))
-
-
 def rate_of(signal: Array, rate_Hz: float) -> Array:
     """Return the derivative of a signal by central differences."""
     return np.asarray(np.gradient(signal) * rate_Hz)

@@ -9,36 +9,27 @@ what they vary are the numbers of the parts. Numbers are volts and metres, or th
 of lag and sensor come from ``operators.chain``, which a streamed pass follows chunk by chunk.
 """
 
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Samples, Where
-from piezoid.identification.hysteresis.filters import lagged, relaxed
+from piezoid.identification.hysteresis.coordinates import Scaled
+from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Scales, behind_pole
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Chain, FirstOrder, Following
-from piezoid.operators.dead_zone import LINEAR, DeadZones
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 
 SLOW = 0.004  # of the motion: what a delay may miss of the filters
 LARGEST = 16_000_000  # numbers in one array of columns
 LAG_STEP = 1e-3  # samples
 
 
-class Operator(Protocol):
-    """Dead zones behind plays behind an envelope; ``gap`` lies between neighbouring plays."""
-
-    @property
-    def gap(self) -> Array: ...  # noqa: D102
-    @property
-    def plays(self) -> PrandtlIshlinskii: ...  # noqa: D102
-    @property
-    def dead_zones(self) -> DeadZones: ...  # noqa: D102
-    @property
-    def envelope(self) -> DeadZones: ...  # noqa: D102
+Operator = Scaled | ModifiedPrandtlIshlinskii
+PLAIN = Scales(voltage_V=1.0, voltage_offset_V=0.0, displacement_m=1.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,9 +51,7 @@ class Forward:
     amplifier_Hz: float | None = None
     sensor_Hz: float | None = None
     extensions: tuple[Extension, ...] = ()
-    scales: Scales = field(
-        default_factory=lambda: Scales(voltage_V=1.0, voltage_offset_V=0.0, displacement_m=1.0)
-    )
+    scales: Scales = PLAIN
 
     def driven_V(self, voltage_V: Array, rate_Hz: float) -> Array:
         """Return the voltage that reaches the ceramic, (samples,)."""
@@ -123,10 +112,7 @@ class Forward:
 
     def filtered(self, moved: Array, rate_Hz: float) -> Array:
         """Return a signal, or columns, behind the own lag and the declared sensor."""
-        moved = lagged(moved, self.lag, self.lag_s, rate_Hz)
-        if self.sensor_Hz is None:
-            return moved
-        return relaxed(moved, 1.0 / (2.0 * np.pi * self.sensor_Hz), rate_Hz)
+        return behind_pole(lagged(moved, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
 
     def late_s(self, rate_Hz: float) -> float:
         """Return by how much the filters make slow motion late."""

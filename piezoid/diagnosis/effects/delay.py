@@ -16,10 +16,11 @@ Source
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import delayed, filtered_change, with_displacement
+from piezoid.diagnosis.signals import filtered_change, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -32,7 +33,7 @@ SPEED = 50.0  # the same time in every recording of a stage: slow ones hardly sh
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
-    return delayed(response, time_s, rate_Hz)
+    return later(response, time_s * rate_Hz)
 
 
 def _columns(view: View, parameters: Parameters) -> Array:
@@ -67,9 +68,7 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
 def inject(recording: Recording, share: float) -> Recording:
     """Let the displacement come late: by the share of the stroke at SPEED strokes a second."""
     rate_Hz = recording.sampling_rate_Hz
-    return with_displacement(
-        recording, delayed(recording.displacement_m(), share / SPEED, rate_Hz)
-    )
+    return with_displacement(recording, later(recording.displacement_m(), share / SPEED * rate_Hz))
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import delayed, mode, rate_of
-from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.diagnosis.signals import mode, rate_of
+from piezoid.identification.hysteresis.filters import later, relaxed
 from piezoid.numerics.arrays import Array
 
 PER_DECADE = 2
@@ -60,7 +60,7 @@ def _drift(drive: Driven, _: float) -> Array:
 
 
 def _delay(drive: Driven, time_s: float) -> Array:
-    late_m = delayed(drive.static_m, time_s, drive.rate_Hz)
+    late_m = later(drive.static_m, time_s * drive.rate_Hz)
     return np.asarray((late_m - drive.static_m)[:, None] / time_s)
 
 
