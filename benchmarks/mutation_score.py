@@ -54,6 +54,10 @@ RUNTIME_TESTS = ("tests/runtime/test_source.py",)
 KERNEL_TESTS = ("tests/operators/test_sanitised_kernels.py",)
 PARTS = {
     "numerics": Part(sources=("piezoid/numerics/*.py",), tests=("tests/numerics",)),
+    "optimiser": Part(
+        sources=("piezoid/numerics/levenberg_marquardt.py",),
+        tests=("tests/numerics/test_levenberg_marquardt.py",),
+    ),
     "operators": Part(
         sources=("piezoid/operators/*.py",), tests=("tests/operators",), without=KERNEL_TESTS
     ),
@@ -62,6 +66,14 @@ PARTS = {
         # The derivatives of the chain are promised where a fit takes them.
         tests=("tests/operators", "tests/identification/hysteresis/test_rows.py"),
         without=KERNEL_TESTS,
+    ),
+    "forward": Part(
+        sources=("piezoid/identification/forward.py",),
+        tests=(
+            "tests/identification/test_forward.py",
+            "tests/identification/joint/test_tangents.py",
+        ),
+        loaded=(*LIGHT, *HEAVY),
     ),
     "identification": Part(
         sources=("piezoid/identification/**/*.py",),

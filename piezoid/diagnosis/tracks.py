@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.identification.hysteresis.filters import later
 from piezoid.identification.hysteresis.pieces import (
     Piece,
     Rig,
@@ -174,12 +175,6 @@ def _reaching(piece: Piece, asked: Piece, rig: Rig, clock_Hz: float | None) -> t
     delay = 0.0 if clock_Hz is None else 0.5 * rate_Hz / clock_Hz
     command = later(piece.drive, delay) if delay else piece.drive
     return command, behind_pole(command, sensor_Hz, rate_Hz)
-
-
-def later(signal: Array, samples: float) -> Array:
-    """Return a signal that many samples later, straight between samples."""
-    place = np.arange(len(signal), dtype=np.float64)
-    return np.asarray(np.interp(place - samples, place, signal))
 
 
 def rows_between(samples: int, share: int) -> Places:

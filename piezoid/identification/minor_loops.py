@@ -372,17 +372,17 @@ def _rows(axis: AxisModel, recording: Recording, lattice: Lattice) -> Iterator[R
     left_m = recording.displacement_m(axis.axis) - simulated_m
     for part, start in zip(parts, starts_of(axis, recording), strict=True):
         where = where_of(recording, axis.axis, part)
-        driven_V = axis.driven(voltage_V[part], where.rate_Hz)
+        forward = axis.forward
+        driven_V = forward.driven_V(voltage_V[part], where.rate_Hz)
         inner_V = np.ascontiguousarray(driven_V - lattice.centre_V)
-        plain_m = axis.hysteresis_of(driven_V, start.memory_V, where.rate_Hz)
-        plain_m = plain_m - axis.hysteresis.displacement_offset_m
+        plain_m = axis.static_m(driven_V, start.memory_V, where.rate_Hz)
         sample = np.arange(0, len(inner_V), max(len(inner_V) // ROWS, 1))
-        followed = axis.behind(plain_m, where)[sample]
+        followed = forward.behind(plain_m, where)[sample]
         memory_V = axis.memory_at(lattice.threshold_V, start.memory_V)
         states, _ = play_columns(inner_V, lattice.threshold_V, memory_V)
         columns = np.empty((len(sample), len(lattice.cells)), order="F")
         for column, risen in enumerate(lattice.risen(states)):
-            columns[:, column] = axis.behind(risen, where)[sample]
+            columns[:, column] = forward.behind(risen, where)[sample]
         yield Rows(
             recording=recording.name,
             columns=columns,

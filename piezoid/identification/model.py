@@ -13,8 +13,8 @@ from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
-from piezoid.identification.hysteresis.filters import lagged, relaxed
-from piezoid.identification.hysteresis.pieces import Rig, behind_pole
+from piezoid.identification.forward import Forward
+from piezoid.identification.hysteresis.pieces import Rig, Scales
 from piezoid.identification.minor_loops_known import FunctionOrder, MinorLoops
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
@@ -405,40 +405,30 @@ class AxisModel:
         >>> model["x"].moved(np.array([0.0, 5.0, 10.0]), model["x"].virgin_memory_V, where).shape
         (3,)
         """
-        driven_V = self.driven(voltage_V, where.rate_Hz)
-        output_m = self.hysteresis_of(driven_V, memory_V, where.rate_Hz)
-        offset_m = self.hysteresis.displacement_offset_m
-        total_m = self.behind(self.polarity * (output_m - offset_m), where)
-        for extension in self.extensions:
-            total_m = total_m + extension.added(where)
-        return total_m
+        forward = self.forward
+        driven_V = forward.driven_V(voltage_V, where.rate_Hz)
+        return forward.position(self.static_m(driven_V, memory_V, where.rate_Hz), where)
 
-    def driven(self, voltage_V: Array, rate_Hz: float) -> Array:
-        """Return the voltage that reaches the ceramic, (samples,).
+    @property
+    def forward(self) -> Forward:
+        """The parts between drive and reading, in volts and metres about the hysteresis' offsets.
 
-        >>> model["x"].driven(np.array([0.0, 5.0]), 1000.0).shape
-        (2,)
+        >>> model["x"].forward.lag == model["x"].lag.kind
+        True
         """
-        driven_V = behind_pole(voltage_V, self.rig.amplifier_bandwidth_Hz, rate_Hz)
-        for extension in self.extensions:
-            driven_V = extension.drive(driven_V, rate_Hz)
-        return driven_V
-
-    def behind(self, moved_m: Array, where: Where) -> Array:
-        """Return what all that is linear makes of a hysteresis' output, (samples,).
-
-        >>> from piezoid.identification.extensions.extension import Where
-        >>> where = Where(recording="", rate_Hz=1000.0, samples=3)
-        >>> model["x"].behind(np.zeros(3), where).tolist()
-        [0.0, 0.0, 0.0]
-        """
-        for extension in self.extensions:
-            moved_m = extension.response(moved_m, where)
-        total_m = lagged(moved_m, self.lag.kind, self.lag.time_s, where.rate_Hz)
-        if self.rig.sensor_bandwidth_Hz is not None:
-            time_s = 1.0 / (2 * np.pi * self.rig.sensor_bandwidth_Hz)
-            total_m = relaxed(total_m, time_s, where.rate_Hz)
-        return total_m
+        return Forward(
+            operator=self.hysteresis,
+            lag=self.lag.kind,
+            lag_s=self.lag.time_s,
+            amplifier_Hz=self.rig.amplifier_bandwidth_Hz,
+            sensor_Hz=self.rig.sensor_bandwidth_Hz,
+            extensions=self.extensions,
+            scales=Scales(
+                voltage_V=1.0,
+                voltage_offset_V=self.hysteresis.voltage_offset_V,
+                displacement_m=float(self.polarity),
+            ),
+        )
 
     def read(self, position_m: Array) -> Array:
         """Return what the sensor says of a position.
@@ -446,28 +436,20 @@ class AxisModel:
         >>> model["x"].read(np.array([0.0, 1e-6])).shape
         (2,)
         """
-        for extension in self.extensions:
-            position_m = extension.reading(position_m)
-        return position_m
+        return self.forward.read(position_m)
 
-    def hysteresis_of(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
-        """Return y_off + Psi(H[gamma(u - u_off)]), with what delays the irreversible part.
+    def static_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
+        """Return Psi(H[gamma(u - u_off)]), with what delays the irreversible part.
 
         >>> u, memory = np.array([0.0, 5.0]), model["x"].virgin_memory_V
-        >>> model["x"].hysteresis_of(u, memory, 1000.0).shape
+        >>> model["x"].static_m(u, memory, 1000.0).shape
         (2,)
         """
         if self.minor_loops is not None:
-            return self.operator.run(driven_V, self._states_V(memory_V))[0]
-        operator = self.hysteresis
-        inner_V = operator.envelope.run(driven_V - operator.voltage_offset_V)
-        h_m, _ = operator.plays.run(inner_V, memory_V)
-        reversible_m = operator.plays.weight[0] * inner_V
-        for extension in self.extensions:
-            walls_m = h_m - reversible_m
-            later_m = extension.irreversible(walls_m, rate_Hz)
-            h_m = h_m if later_m is walls_m else reversible_m + later_m
-        return operator.dead_zones.run(h_m) + operator.displacement_offset_m
+            moved_m, _ = self.operator.run(driven_V, self._states_V(memory_V))
+            return moved_m - self.hysteresis.displacement_offset_m
+        drive_V = driven_V - self.hysteresis.voltage_offset_V
+        return self.forward.static(drive_V, memory_V, rate_Hz)[0]
 
 
 def _drive(given: ArrayLike, place: str, unit: str) -> Array:

@@ -159,27 +159,25 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
 
     v is the drive behind envelope and declared amplifier; every such memory is admissible.
     """
-    gap_V = np.diff(model.hysteresis.plays.threshold)
-    inner_V = _first_inner(model, voltage_V[:1], where.rate_Hz)
+    forward, gaps = model.forward, len(model.hysteresis.gap)
+    driven_V = forward.driven_V(voltage_V[:1], where.rate_Hz)
+    first = float(driven_V[0]) - model.hysteresis.voltage_offset_V
     every = max(1, len(voltage_V) // ROWS)
     scale_m = max(float(np.ptp(measured_m)), np.finfo(float).tiny)
 
-    def memory(slope: Array) -> Array:
-        return inner_V + np.concatenate([[0.0], np.cumsum(gap_V * slope)])
-
     def moved(slope: Array) -> Array:
-        return model.moved(voltage_V, memory(slope), where)
+        return model.moved(voltage_V, forward.memory(first, slope), where)
 
     def left(numbers: Array) -> Array:
         made = model.read(numbers[-1] * scale_m + moved(numbers[:-1]))
         return np.asarray((made - measured_m)[::every] / scale_m)
 
     def begun(slope: float) -> Array:
-        slopes = np.full(len(gap_V), slope)
+        slopes = np.full(gaps, slope)
         return np.append(slopes, float(np.mean(measured_m - moved(slopes))) / scale_m)
 
     best = min(map(begun, BEGINNINGS), key=lambda numbers: float(np.sum(left(numbers) ** 2)))
-    ends = np.append(np.ones(len(gap_V)), np.inf)
+    ends = np.append(np.ones(gaps), np.inf)
     found = least_squares(
         left,
         np.clip(best, -0.99 * ends, 0.99 * ends),
@@ -188,11 +186,3 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
         max_nfev=STEPS,
     )
     return model.read(found.x[-1] * scale_m + moved(found.x[:-1]))
-
-
-def _first_inner(model: AxisModel, first_V: Array, rate_Hz: float) -> float:
-    driven = first_V
-    for extension in model.extensions:
-        driven = extension.drive(driven, rate_Hz)
-    operator = model.hysteresis
-    return float(operator.envelope.run(driven - operator.voltage_offset_V)[0])

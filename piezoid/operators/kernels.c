@@ -4,9 +4,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Samples and plays of a tile of tangents: small enough to stay in the first cache. */
-#define TILE 32
-#define GROUP 32
 /* Plays followed side by side: enough independent chains of min and max to keep a core busy, few
  * enough for their states to stay in registers. */
 #define LANES 8
@@ -65,53 +62,6 @@ void pk_play_columns(size_t samples, const double *input_V, size_t plays,
             run_of_lanes(count, input_V + start, threshold, state, column);
         }
         memcpy(state_V + first, state, group * sizeof(double));
-    }
-}
-
-static void transpose(size_t samples, size_t plays, const double *tile, size_t stride,
-                      double *column) {
-    for (size_t i = 0; i < plays; ++i) {
-        for (size_t k = 0; k < samples; ++k) {
-            column[i * stride + k] = tile[k * GROUP + i];
-        }
-    }
-}
-
-void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
-                      const double *threshold_V, double *state_V, double *slope, double *alive,
-                      size_t stride, double *column_V, double *slope_column,
-                      double *alive_column) {
-    double tile_z[TILE * GROUP];
-    double tile_s[TILE * GROUP];
-    double tile_a[TILE * GROUP];
-    for (size_t first = 0; first < plays; first += GROUP) {
-        const size_t group = plays - first < GROUP ? plays - first : GROUP;
-        const double *r = threshold_V + first;
-        double *z = state_V + first;
-        double *s = slope + first;
-        double *a = alive + first;
-        for (size_t start = 0; start < samples; start += TILE) {
-            const size_t count = samples - start < TILE ? samples - start : TILE;
-            for (size_t k = 0; k < count; ++k) {
-                const double u = input_V[start + k];
-                for (size_t i = 0; i < group; ++i) {
-                    const double low = u - r[i];
-                    const double high = u + r[i];
-                    const int below = z[i] < low;
-                    const int above = z[i] > high;
-                    s[i] = below ? -1.0 : (above ? 1.0 : s[i]);
-                    a[i] = below || above ? 0.0 : a[i];
-                    z[i] = below ? low : (above ? high : z[i]);
-                    tile_z[k * GROUP + i] = z[i];
-                    tile_s[k * GROUP + i] = s[i];
-                    tile_a[k * GROUP + i] = a[i];
-                }
-            }
-            const size_t place = first * stride + start;
-            transpose(count, group, tile_z, stride, column_V + place);
-            transpose(count, group, tile_s, stride, slope_column + place);
-            transpose(count, group, tile_a, stride, alive_column + place);
-        }
     }
 }
 

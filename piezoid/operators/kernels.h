@@ -18,15 +18,6 @@
 void pk_play_columns(size_t samples, const double *input_V, size_t plays,
                      const double *threshold_V, double *state_V, size_t stride, double *column_V);
 
-/* Play states with their tangents.
- *   slope        (plays,)         in/out: dz/dr carried along, -1, 0 or +1 once moved
- *   alive        (plays,)         in/out: dz/dz(0), 1 until the operator first moves, then 0
- *   slope_column, alive_column    (plays, stride) out
- */
-void pk_play_tangents(size_t samples, const double *input_V, size_t plays,
-                      const double *threshold_V, double *state_V, double *slope, double *alive,
-                      size_t stride, double *column_V, double *slope_column, double *alive_column);
-
 /* Weighted sum of plays, without writing the columns: output[k] = sum_i weight[i] z_i[k].
  * The output may be the input. */
 void pk_play_sum(size_t samples, const double *input_V, size_t plays, const double *threshold_V,

@@ -14,7 +14,6 @@ _POINTER = ctypes.c_void_p
 
 _SIGNATURES: dict[str, tuple[type, ...]] = {
     "pk_play_columns": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, _POINTER),
-    "pk_play_tangents": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, *[_POINTER] * 3),
     "pk_play_sum": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4),
     "pk_piecewise_linear": (_SIZE, _POINTER, _SIZE, _POINTER, _POINTER, _SIZE, *[_POINTER] * 2),
     "pk_mapped_plays": (

@@ -39,6 +39,11 @@ class ModifiedPrandtlIshlinskii:
     envelope: DeadZones = LINEAR
 
     @property
+    def gap(self) -> Array:
+        """Gaps between the thresholds of the plays, (plays - 1,)."""
+        return np.diff(self.plays.threshold)
+
+    @property
     def is_invertible(self) -> bool:
         """Whether all parts have an inverse."""
         return (

@@ -1,8 +1,7 @@
-"""The play operator: the elementary memory, its bank, its tangents and its admissible states."""
+"""The play operator: the elementary memory, its bank and its admissible states."""
 
 import ctypes
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,58 +127,6 @@ class LastingExtremes:
         wanted = self._count.value + samples
         if wanted > len(self._held):
             self._held = np.concatenate([self._held, np.empty(wanted)])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PlayTangents:
-    """States of a bank and their derivatives, with what the next chunk needs.
-
-    state      (samples, plays)  V   z
-    threshold  (samples, plays)  1   dz/dr: -1, 0 or +1
-    memory     (samples, plays)  1   dz/dz(0): 1 until the operator first moves, 0 ever after
-    carry      (3, plays)            z, dz/dr and dz/dz(0) after the last sample
-    """
-
-    state: Array
-    threshold: Array
-    memory: Array
-    carry: Array
-
-
-def first_carry(memory_V: Array) -> Array:
-    """Return the carry with which ``play_tangents`` begins a piece."""
-    return np.stack([memory_V, np.zeros_like(memory_V), np.ones_like(memory_V)])
-
-
-def play_tangents(voltage_V: Array, threshold_V: Array, carry: Array) -> PlayTangents:
-    """Follow a voltage through a bank together with the derivatives of its states.
-
-        moved up:    z = u - r,  dz/dr = -1,  dz/dz(0) = 0
-        moved down:  z = u + r,  dz/dr = +1,  dz/dz(0) = 0
-        at rest:     all three keep their values
-
-    voltage_V    (samples,)  V
-    threshold_V  (plays,)    V
-    carry        (3, plays)  from ``first_carry`` or the chunk before
-    """
-    u = contiguous(voltage_V)
-    after = np.array(carry, dtype=np.float64, order="C")
-    plays = after.shape[1]
-    state, slope, alive = (np.empty((len(u), plays), order="F") for _ in range(3))
-    KERNELS.pk_play_tangents(
-        len(u),
-        address(u),
-        plays,
-        address(contiguous(threshold_V)),
-        address(after[0]),
-        address(after[1]),
-        address(after[2]),
-        len(u),
-        address(state),
-        address(slope),
-        address(alive),
-    )
-    return PlayTangents(state=state, threshold=slope, memory=alive, carry=after)
 
 
 def is_admissible(memory_V: Array, voltage_V: float, threshold_V: Array) -> bool:

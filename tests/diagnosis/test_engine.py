@@ -19,8 +19,8 @@ from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import with_displacement
-from piezoid.diagnosis.tracks import later
 from piezoid.diagnosis.view import View, cycled
+from piezoid.identification.hysteresis.filters import later
 from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign

@@ -11,7 +11,7 @@ from piezoid.diagnosis.nuisance import MEMORY, NuisanceClass
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape_columns, states_under
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import with_commands, with_free_memory, with_reversals, with_tracks
-from piezoid.operators.play import first_carry, play_columns, play_tangents, way_to
+from piezoid.operators.play import play_columns, way_to
 
 from .bench import healthy_view
 
@@ -69,8 +69,9 @@ def test_the_bouc_wen_state_at_rows_is_that_of_every_sample() -> None:
 def test_first_states_are_kept_until_a_play_moves(reversals) -> None:
     history = History(track=track(drive_with_holds()), reversals=reversals)
     drive, place = history.track.drive, history.track.place
-    carry = first_carry(memory_after(drive, reversals))
-    memory = play_tangents(drive, THRESHOLD, carry).memory[place]
+    first = memory_after(drive, reversals)
+    states, _ = play_columns(drive, THRESHOLD, first)
+    memory = np.logical_and.accumulate(states == first, axis=0)[place].astype(float)
     groups = np.array_split(np.arange(6, 18), 4)
     expected = np.column_stack([memory[:, group].mean(axis=1) for group in groups])
     np.testing.assert_array_equal(history.kept(4), expected)

@@ -358,3 +358,99 @@ def test_a_search_that_no_step_helps_ends_where_it_stands(worse: float) -> None:
     assert (found.reason, found.iterations, found.point.cost) == ("stationary", 1, 1.0)
     assert found.evaluations == 1 + RULE.tries
     np.testing.assert_array_equal(found.x, [0.0])
+
+
+def both_forms(J: Array, r: Array) -> tuple[Rows, NormalEquations]:
+    return Rows(factor=J, residual=r), NormalEquations(gram=J.T @ J, slope=J.T @ r, cost=r @ r)
+
+
+def test_a_damped_step_is_the_least_squares_of_its_rows_within_bounds(
+    rng: np.random.Generator,
+) -> None:
+    """Columns of any size are damped alike, one of zeros not at all moved."""
+    J, r = rng.normal(size=(9, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=9)
+    J = np.column_stack([J, np.zeros(9)])
+    norms = np.linalg.norm(J, axis=0)
+    for damping in (1e-6, 0.3):
+        damped = np.vstack([J, np.sqrt(damping) * np.diag(norms)])[:, :3]
+        free = np.linalg.lstsq(damped, np.concatenate([-r, np.zeros(4)]))[0]
+        far, half = np.full(4, np.inf), 0.5 * free
+        for model in both_forms(J, r):
+            np.testing.assert_allclose(model.step(-far, far, damping)[:3], free, rtol=1e-5)
+            assert model.step(-far, far, damping)[3] == 0.0
+            # Each number by itself held at half its way: the others go where that sends them.
+            for k in range(3):
+                low, high = -far, far.copy()
+                (low if free[k] < 0.0 else high)[k] = half[k]
+                others = [j for j in range(3) if j != k]
+                moved = np.concatenate([-r, np.zeros(4)]) - damped[:, k] * half[k]
+                rest = np.linalg.lstsq(damped[:, others], moved)[0]
+                step = model.step(low, high, damping)
+                assert step[k] == pytest.approx(half[k], rel=1e-9)
+                np.testing.assert_allclose(step[others], rest, rtol=1e-5)
+
+
+def test_the_gradient_is_the_steepest_cosine_that_no_bound_holds(rng: np.random.Generator) -> None:
+    J, r = rng.normal(size=(9, 3)) * [1e-3, 1.0, 1e3], rng.normal(size=9)
+    cosine = J.T @ r / np.linalg.norm(J, axis=0) / np.linalg.norm(r)
+    order = np.argsort(-np.abs(cosine))
+    far = np.full(3, np.inf)
+    for model in both_forms(J, r):
+        assert model.gradient(-far, far) == pytest.approx(np.abs(cosine).max())
+        lower, upper = -far, far.copy()
+        for held, steepest in zip(order, [*np.abs(cosine[order[1:]]), 0.0], strict=True):
+            # A bound on the side to which the cost falls holds a number, one behind it does not.
+            ahead, behind = (lower, upper) if cosine[held] > 0.0 else (upper, lower)
+            behind[held] = 0.0
+            assert model.gradient(lower, upper) == pytest.approx(abs(cosine[held]))
+            behind[held] = -np.inf if behind is lower else np.inf
+            ahead[held] = 0.0
+            assert model.gradient(lower, upper) == pytest.approx(steepest)
+
+
+def test_the_end_of_a_search_away_from_zero_knows_which_bounds_hold_it() -> None:
+    J = np.array([[1.0, 0.9], [0.0, 0.4], [0.3, 0.0]])
+    for sign in (1.0, -1.0):
+        target = sign * (J @ np.array([6.0, 3.0]))
+        ends = np.array([-9.0, 2.0]) * sign, np.array([9.0, 2.5]) * sign
+        bounds = (np.minimum(*ends), np.maximum(*ends))
+        found = searched(
+            lambda x, target=target: J @ x - target,
+            (4.0 * sign, 2.2 * sign),
+            bounds=bounds,
+            rule=Rule(tolerance=1e-12, iterations=4, damping=1e-9),
+        )
+        best = J[:, 0] @ (sign * target - 2.5 * J[:, 1]) / (J[:, 0] @ J[:, 0])
+        np.testing.assert_allclose(found.x, [sign * best, sign * 2.5], rtol=1e-7)
+        assert found.gradient < 1e-6
+
+
+def test_damping_falls_with_every_step_taken_and_grows_with_every_other() -> None:
+    asked = []
+
+    class Listening(Rows):
+        def step(self, lower: Array, upper: Array, damping: float) -> Array:
+            asked.append(damping)
+            return super().step(lower, upper, damping)
+
+    @dataclass(frozen=True, eq=False)
+    class Told:
+        cost: float
+
+        def linearised(self) -> Rows:
+            return Listening(factor=np.eye(1), residual=np.ones(1))
+
+    costs = iter([9.0, 8.0, 7.0, 7.5, 7.5, 6.0, *[6.0] * 9])
+    free = np.full(1, -np.inf), np.full(1, np.inf)
+    rule = Rule(tolerance=0.0, tries=3, damping=1e-2, easier=4.0, harder=5.0)
+    found = minimise(lambda _: Told(next(costs)), np.zeros(1), free, rule=rule)
+    shares = [1, 1 / 4, 1 / 16, 5 / 16, 25 / 16, 25 / 64, 125 / 64, 625 / 64]
+    np.testing.assert_allclose(asked, 1e-2 * np.array(shares))
+    assert (found.reason, found.point.cost) == ("stationary", 6.0)
+
+
+def test_columns_that_are_nearly_dependent_are_solved_for(rng: np.random.Generator) -> None:
+    columns = rng.normal(size=(30, 2))
+    columns = np.column_stack([columns, columns[:, 0] + 1e-10 * rng.normal(size=30)])
+    target = columns @ np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(eliminated(columns, target).residual, 0.0, atol=1e-12)

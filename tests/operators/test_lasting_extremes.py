@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from piezoid.operators.play import LastingExtremes, first_carry, play_tangents
+from piezoid.operators.chain import Chain, Following
+from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.play import LastingExtremes
 
 
 def drives(seed: int) -> np.ndarray:
@@ -27,15 +29,27 @@ def extremes_of(parts: list[np.ndarray]) -> np.ndarray:
     return found.values
 
 
+def last_row(chain: Chain, first: float, drive: np.ndarray) -> np.ndarray:
+    """Return states and derivatives by every number at the end of a drive, begun at the first."""
+    found = np.empty((1, chain.plays + chain.columns), order="F")
+    Following(chain, first).rows(drive, np.array([len(drive) - 1]), found)
+    return found
+
+
 @pytest.mark.parametrize("seed", range(40))
 def test_states_and_derivatives_at_the_end_are_those_of_the_whole_input(seed: int) -> None:
     rng, drive = np.random.default_rng([seed, 1]), drives(seed)
     threshold = np.sort(np.abs(rng.standard_normal(12)))
-    carry = first_carry(drive[0] + threshold * rng.uniform(-1.0, 1.0, 12))
-    whole = play_tangents(drive, threshold, carry).carry
+    chain = Chain(
+        gap=np.diff(threshold, prepend=0.0),
+        weight=rng.uniform(0.1, 1.0, 13),
+        memory_slope=rng.uniform(-1.0, 1.0, 12),
+        zones=LINEAR,
+    )
     short = extremes_of([drive])
     assert short[-1] == drive[-1]
-    np.testing.assert_array_equal(play_tangents(short, threshold, carry).carry, whole)
+    ends = [last_row(chain, float(drive[0]), way) for way in (short, drive)]
+    np.testing.assert_array_equal(*ends)
     cuts = np.sort(rng.integers(0, len(drive), 3))
     np.testing.assert_array_equal(extremes_of(np.split(drive, cuts)), short)
     # Of two parts the extremes of each suffice.

@@ -8,12 +8,10 @@ from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import (
-    first_carry,
     forgetting_sample,
     is_admissible,
     play_blocks,
     play_columns,
-    play_tangents,
     project_memory,
 )
 from tests.operators.strategies import GRID, REACH, banks, drives, gaps, memories
@@ -120,13 +118,11 @@ def test_a_drive_in_parts_is_the_drive_as_a_whole(
 ) -> None:
     cut = data.draw(st.integers(0, len(drive)))
     memory = data.draw(memories(threshold))
-    whole = play_tangents(drive, threshold, first_carry(memory))
-    first = play_tangents(drive[:cut], threshold, first_carry(memory))
-    second = play_tangents(drive[cut:], threshold, first.carry)
-    for name in ("state", "threshold", "memory"):
-        parts = np.vstack([getattr(first, name), getattr(second, name)])
-        np.testing.assert_array_equal(parts, getattr(whole, name))
-    np.testing.assert_array_equal(second.carry, whole.carry)
+    whole, end = play_columns(drive, threshold, memory)
+    first, between = play_columns(drive[:cut], threshold, memory)
+    second, after = play_columns(drive[cut:], threshold, between)
+    np.testing.assert_array_equal(np.vstack([first, second]), whole)
+    np.testing.assert_array_equal(after, end)
 
 
 @given(st.data(), gaps(3), gaps(3), drives())

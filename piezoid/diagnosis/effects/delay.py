@@ -18,10 +18,10 @@ import numpy as np
 from piezoid.diagnosis.appearance import OVER_SPEED
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
 from piezoid.diagnosis.signals import filtered_change, through
-from piezoid.diagnosis.tracks import later
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
 
 SHORTEST = 0.5  # samples of the fastest recording

@@ -18,10 +18,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.identification.hysteresis.pieces import behind_pole
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
-from piezoid.operators.play import PlayTangents, first_carry, play_tangents
+from piezoid.operators.chain import Chain, Following
+from piezoid.operators.dead_zone import LINEAR
 
 BENT = (0, 2, 3)  # powers of the input that the model might have bent
 BEND = 1e-3  # of half the range, for the difference that stands for a derivative
@@ -63,10 +63,9 @@ class Driven:
     @cached_property
     def drive_V(self) -> Array:
         """Return the drive behind the declared amplifier, about the model's offset, bent."""
-        bandwidth_Hz = self.model.rig.amplifier_bandwidth_Hz
-        driven_V = behind_pole(self.voltage_V, bandwidth_Hz, self.rate_Hz)
-        hysteresis = self.model.hysteresis
-        return np.asarray(hysteresis.envelope.run(driven_V - hysteresis.voltage_offset_V))
+        forward = replace(self.model.forward, extensions=())
+        reached_V = forward.driven_V(self.voltage_V, self.rate_Hz)
+        return forward.inner(reached_V - self.model.hysteresis.voltage_offset_V)
 
     @cached_property
     def past_V(self) -> Array:
@@ -97,17 +96,18 @@ class Driven:
     @cached_property
     def state(self) -> Array:
         """Return the memory at the rows over half the range, (rows, plays)."""
-        return np.asarray(self._tangents.state / self.half_range_V)
+        return self._states[0] / self.half_range_V
 
     @cached_property
     def shared(self) -> Array:
         """Return the columns of the model's own parameters at the rows, (rows, columns)."""
         plays, zones = self.model.hysteresis.plays, self.model.hysteresis.dead_zones
         h, slope = self.output_m[self.rows, None], self.slope[self.rows, None]
+        state, by_threshold = self._states
         beyond = np.where(zones.threshold >= 0, h > zones.threshold, h < zones.threshold)
         parts = [
-            slope * self._tangents.state,
-            slope * self._tangents.threshold * plays.weight,
+            slope * state,
+            slope * by_threshold * plays.weight,
             beyond * (h - zones.threshold),
             beyond[:, zones.threshold != 0].astype(float),
             np.column_stack([self._bent(power) for power in BENT])[self.rows],
@@ -130,11 +130,20 @@ class Driven:
         return np.column_stack(parts)
 
     @cached_property
-    def _tangents(self) -> PlayTangents:
-        """Return states and their derivatives at the rows."""
-        plays = self.model.hysteresis.plays
-        found = play_tangents(self.drive_V, plays.threshold, first_carry(self.past_V))
-        return replace(found, state=found.state[self.rows], threshold=found.threshold[self.rows])
+    def _states(self) -> tuple[Array, Array]:
+        """Return the states z_i at the rows, and dz_i/dr_i, (rows, plays) each.
+
+        The derivative by a gap moves all plays behind it: the differences are those of single
+        thresholds, the first of a play that has some width.
+        """
+        gap = np.diff(self.model.hysteresis.plays.threshold, prepend=0.0)
+        per_gap, count = np.append(0.0, 1.0 / gap[1:]), len(gap)
+        slope = per_gap * np.diff(self.past_V, prepend=self.drive_V[:1])
+        chain = Chain(gap=gap, weight=np.ones(count + 1), memory_slope=slope, zones=LINEAR)
+        rows = np.empty((len(self.rows), count + chain.columns), order="F")
+        Following(chain, float(self.drive_V[0])).rows(self.drive_V, self.rows, rows)
+        by_gap = rows[:, count : 2 * count] - rows[:, :count] * (slope * per_gap)
+        return rows[:, -count - 2 : -2], -np.diff(by_gap, axis=1, append=0.0)
 
     def _plays(self, drive_V: Array, memory_V: Array) -> Array:
         return self.model.hysteresis.plays.run(drive_V, memory_V)[0]

@@ -20,7 +20,9 @@ from functools import cached_property
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import Once
 from piezoid.operators.dead_zone import LINEAR, DeadZones, from_slopes
+from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 LEAST_GAP = 2e-3
 GREATEST_GAP = 0.5
@@ -200,6 +202,18 @@ class Scaled:
     zero: int
     lag_s: float
     envelope: DeadZones = LINEAR
+
+    @Once
+    def plays(self) -> PrandtlIshlinskii:
+        """All plays, that of threshold 0 first."""
+        return PrandtlIshlinskii(
+            threshold=np.concatenate([[0.0], self.threshold]), weight=self.weight
+        )
+
+    @Once
+    def dead_zones(self) -> DeadZones:
+        """Psi."""
+        return from_slopes(self.knot, self.slope)
 
 
 def operator_of(theta: Array, coordinates: Coordinates) -> Scaled:

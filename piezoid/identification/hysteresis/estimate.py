@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
     WIDE,
@@ -32,10 +33,9 @@ from piezoid.identification.hysteresis.order import (
     without_bends,
 )
 from piezoid.identification.hysteresis.outlying import left_out_of, without_outliers
-from piezoid.identification.hysteresis.physical import envelope_stretch, physical
+from piezoid.identification.hysteresis.physical import physical, piece_start
 from piezoid.identification.hysteresis.pieces import Piece, Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.remarks import remarks_on
-from piezoid.identification.hysteresis.rows import starting_memory
 from piezoid.identification.hysteresis.scope import limits_as_recorded, limits_of_cycles, scope_of
 from piezoid.identification.hysteresis.search import (
     Fitted,
@@ -301,21 +301,17 @@ def _axis_model(
 def starts_of(fitted: Fitted, scales: Scales) -> tuple[PieceStart, ...]:
     """Return where every piece began: its memory and its zero."""
     coordinates, theta = fitted.task.coordinates, fitted.minimum.theta
-    starts = []
-    for index, piece in enumerate(fitted.task.pieces):
-        first = fitted.operator.envelope.run(piece.drive[:1])
-        memory = np.concatenate([first, starting_memory(theta, coordinates, index, piece)])
-        zero = theta[coordinates.offset_slice(index)]
-        starts.append(
-            PieceStart(
-                recording=piece.name,
-                memory_V=memory * (envelope_stretch(fitted.operator) * scales.voltage_V),
-                zero_m=piece.centre_m + scales.displacement_m * zero,
-                first=piece.first,
-                last=piece.last,
-            )
+    forward = Forward(operator=fitted.operator)
+    return tuple(
+        piece_start(
+            piece,
+            forward.memory(piece.drive[0], theta[coordinates.memory_slice(index)]),
+            theta[coordinates.offset_slice(index)],
+            fitted.operator,
+            scales,
         )
-    return tuple(starts)
+        for index, piece in enumerate(fitted.task.pieces)
+    )
 
 
 def _pooled(noise: Sequence[float], rows: Sequence[int]) -> float:

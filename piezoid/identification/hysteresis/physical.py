@@ -3,7 +3,8 @@
 import numpy as np
 
 from piezoid.identification.hysteresis.coordinates import Coordinates, Scaled, operator_of
-from piezoid.identification.hysteresis.pieces import Scales
+from piezoid.identification.hysteresis.pieces import Piece, Scales
+from piezoid.identification.piece_start import PieceStart
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import from_slopes
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
@@ -28,6 +29,19 @@ def physical(operator: Scaled, scales: Scales, offset_m: float = 0.0) -> Modifie
         envelope=from_slopes(
             operator.envelope.threshold * scales.voltage_V, operator.envelope.slope * stretch
         ),
+    )
+
+
+def piece_start(
+    piece: Piece, memory: Array, zero: Array, operator: Scaled, scales: Scales
+) -> PieceStart:
+    """Return where a piece began: its memory before the first sample, and its zero."""
+    return PieceStart(
+        recording=piece.name,
+        memory_V=memory * (envelope_stretch(operator) * scales.voltage_V),
+        zero_m=piece.centre_m + scales.displacement_m * zero,
+        first=piece.first,
+        last=piece.last,
     )
 
 

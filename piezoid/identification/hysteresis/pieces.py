@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.errors import ExcitationError
-from piezoid.identification.hysteresis.filters import filter_columns, first_order
+from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.executor import Once
 from piezoid.operators.chain import Samples
@@ -167,15 +167,12 @@ def _piece(
     )
 
 
-def behind_pole(drive: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:
-    """Return a drive behind a first-order pole, taken as straight between its samples.
+def behind_pole(signal: Array, bandwidth_Hz: float | None, sampling_rate_Hz: float) -> Array:
+    """Return a signal, or columns, behind a declared pole, straight between samples; None: as is.
 
     A recording slower than the converter holds samples of a smooth drive; at the converter's own
     rate the hold's half sample is left to the fitted lag.
     """
     if bandwidth_Hz is None:
-        return drive
-    column = drive[:, None]
-    state = np.repeat(column[:1], 2, axis=0)
-    time_s = 1.0 / (2 * np.pi * bandwidth_Hz)
-    return filter_columns(column, first_order(time_s, sampling_rate_Hz), state)[:, 0]
+        return signal
+    return relaxed(signal, 1.0 / (2 * np.pi * bandwidth_Hz), sampling_rate_Hz)

@@ -7,18 +7,16 @@ may be thinned.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.identification.hysteresis.coordinates import Coordinates, Scaled, operator_of
-from piezoid.identification.hysteresis.filters import lagged, relaxed
+from piezoid.identification.forward import Forward
+from piezoid.identification.hysteresis.coordinates import Coordinates, operator_of
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
-from piezoid.operators.chain import Chain, FirstOrder, Following, Samples
-from piezoid.operators.dead_zone import LINEAR, from_slopes
+from piezoid.operators.chain import Chain, Following, Samples
 from piezoid.operators.play import way_to
-from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 
 CHUNK = 1024  # rows written together: about what the second cache holds
 
@@ -58,11 +56,21 @@ def column_places(coordinates: Coordinates, index: int) -> Samples:
     return np.asarray(np.r_[memory, offsets, 0 : coordinates.shared])
 
 
-def starting_memory(theta: Array, coordinates: Coordinates, index: int, piece: Piece) -> Array:
-    """Return the memory of the moving plays before a piece's first sample, (plays,)."""
-    operator = operator_of(theta, coordinates)
-    slopes = theta[coordinates.memory_slice(index)]
-    return np.asarray(operator.envelope.run(piece.drive[:1]) + np.cumsum(operator.gap * slopes))
+def forward_of(
+    theta: Array, coordinates: Coordinates, rate_Hz: float, sensor_Hz: float | None
+) -> Forward:
+    """Return what a vector says of a piece of this rate.
+
+    A declared pole far above the sampling rate is a part of a delay.
+    """
+    operator, lag = operator_of(theta, coordinates), coordinates.shape.lag
+    forward = Forward(operator=operator, lag=lag, lag_s=operator.lag_s, sensor_Hz=sensor_Hz)
+    if sensor_Hz is None or lag != "delay":
+        return forward
+    time_s = 1.0 / (2 * np.pi * sensor_Hz)
+    if time_s * rate_Hz < QUICK:
+        return replace(forward, lag_s=operator.lag_s + time_s, sensor_Hz=None)
+    return forward
 
 
 def simulate(
@@ -77,55 +85,26 @@ def simulate(
 
     at  (rows,)  samples in rising order that alone are asked for
     """
-    operator = operator_of(theta, coordinates)
-    lag_s, pole_Hz = _declared(coordinates, operator, piece, rig_pole)
-    kind, rate_Hz = coordinates.shape.lag, piece.sampling_rate_Hz
-    slopes = theta[coordinates.memory_slice(index)]
+    rate_Hz = piece.sampling_rate_Hz
+    forward = forward_of(theta, coordinates, rate_Hz, rig_pole)
+    memory = forward.memory(piece.drive[0], theta[coordinates.memory_slice(index)])
     sample = np.arange(len(piece.drive)) if at is None else at
-    if kind == "delay" and pole_Hz is None and SPARSE * len(sample) < len(piece.drive):
-        whole = int(np.floor(lag_s * rate_Hz))
-        part = lag_s * rate_Hz - whole
+    is_sparse = SPARSE * len(sample) < len(piece.drive)
+    if forward.lag == "delay" and forward.sensor_Hz is None and is_sparse:
+        whole = int(np.floor(forward.lag_s * rate_Hz))
+        part = forward.lag_s * rate_Hz - whole
         drive, place = _way(piece, np.maximum(sample - whole, 0))
-        moved = _moved(operator, slopes, drive)
+        moved, _ = forward.static(drive, memory, rate_Hz)
         moved = (1.0 - part) * moved[place] + part * moved[np.maximum(place - 1, 0)]
     else:
-        moved = lagged(_moved(operator, slopes, piece.drive), kind, lag_s, rate_Hz)
-        if pole_Hz is not None:
-            moved = relaxed(moved, 1.0 / (2 * np.pi * pole_Hz), rate_Hz)
-        moved = moved[sample]
+        moved, _ = forward.static(piece.drive, memory, rate_Hz)
+        moved = forward.filtered(moved, rate_Hz)[sample]
     return np.asarray(moved + zero_at(sample, piece, theta[coordinates.offset_slice(index)]))
-
-
-def _moved(operator: Scaled, slopes: Array, drive: Array) -> Array:
-    """Return what the hysteresis makes of a drive, (samples,)."""
-    bent = _bent(operator, drive)
-    memory = np.concatenate([bent[:1], bent[0] + np.cumsum(operator.gap * slopes)])
-    plays = PrandtlIshlinskii(
-        threshold=np.concatenate([[0.0], operator.threshold]), weight=operator.weight
-    )
-    h, _ = plays.run(bent, memory)
-    return from_slopes(operator.knot, operator.slope).run(h)
 
 
 def _way(piece: Piece, place: Samples) -> tuple[Array, Samples]:
     """Return the drive where it says all of its way to some samples and to those before them."""
     return way_to(piece.drive, place, before=True, turns=piece.turns)
-
-
-def _bent(operator: Scaled, drive: Array) -> Array:
-    return drive if operator.envelope is LINEAR else operator.envelope.run(drive)
-
-
-def _declared(
-    coordinates: Coordinates, operator: Scaled, piece: Piece, pole_Hz: float | None
-) -> tuple[float, float | None]:
-    """Return the lag and the declared pole; a pole far above the sampling rate is a delay."""
-    if pole_Hz is None or coordinates.shape.lag != "delay":
-        return operator.lag_s, pole_Hz
-    time_s = 1.0 / (2 * np.pi * pole_Hz)
-    if time_s * piece.sampling_rate_Hz < QUICK:
-        return operator.lag_s + time_s, None
-    return operator.lag_s, pole_Hz
 
 
 def zero_at(sample: Samples, piece: Piece, knots: Array) -> Array:
@@ -185,26 +164,9 @@ def chain_of(
     theta: Array, coordinates: Coordinates, index: int, piece: Piece, sensor_Hz: float | None
 ) -> tuple[Chain, int]:
     """Return what stands between drive and reading, and by how many whole samples it is late."""
-    operator, rate_Hz = operator_of(theta, coordinates), piece.sampling_rate_Hz
-    lag_s, pole_Hz = _declared(coordinates, operator, piece, sensor_Hz)
-    kind = coordinates.shape.lag
-    late = int(np.floor(lag_s * rate_Hz)) if kind == "delay" else 0
-    chain = Chain(
-        gap=operator.gap,
-        weight=operator.weight,
-        memory_slope=theta[coordinates.memory_slice(index)],
-        zones=from_slopes(operator.knot, operator.slope),
-        envelope=operator.envelope,
-        share=lag_s * rate_Hz - late if kind == "delay" else None,
-        lag=FirstOrder(time_s=lag_s, rate_Hz=rate_Hz) if kind == "first_order" else None,
-        sensor=None if pole_Hz is None else _pole(pole_Hz, rate_Hz),
-        rate_Hz=rate_Hz,
-    )
-    return chain, late
-
-
-def _pole(frequency_Hz: float, rate_Hz: float) -> FirstOrder:
-    return FirstOrder(time_s=1.0 / (2 * np.pi * frequency_Hz), rate_Hz=rate_Hz)
+    rate_Hz = piece.sampling_rate_Hz
+    forward = forward_of(theta, coordinates, rate_Hz, sensor_Hz)
+    return forward.filtered_chain(theta[coordinates.memory_slice(index)], rate_Hz)
 
 
 def empty_block(chain: Chain, rows: int, knots: int) -> Array:

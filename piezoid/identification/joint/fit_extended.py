@@ -3,13 +3,6 @@
 The rows are many and the numbers few, so normal equations are formed once for every step. On a
 fold the columns of the whole search serve again: only the error is new (a chord step), and what is
 left out has no say.
-
-Derivatives of the reading by all numbers, at the rows that count.
-
-The columns of the hysteresis pass what follows within samples (delays, lags, modes) exactly where
-that matters; where motion is slow, the filters are a delay and two rows are enough for each that
-counts. Creep is left out of them: it is a part in a hundred of a column, and the search is judged
-by the true error anyway. What extensions add enters exactly, their other numbers by differences.
 """
 
 from collections.abc import Sequence
@@ -18,30 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.identification.extensions.extension import Extension, Samples
+from piezoid.identification.forward import Run
 from piezoid.identification.hysteresis.estimate import longest_lag_s
-from piezoid.identification.hysteresis.physical import envelope_stretch, physical
-from piezoid.identification.joint.chain import (
-    Followed,
-    first_memory,
-    follow,
-    late_s,
-    passed,
-    residual,
-)
+from piezoid.identification.hysteresis.physical import physical, piece_start
 from piezoid.identification.joint.vector import FOLDS, Part, State, Structure, parts_of, state_of
 from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import BLOCKS, IN_SAMPLE, Uncertainty
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
 from piezoid.numerics.levenberg_marquardt import Minimum, NormalEquations, Rule, minimise
-from piezoid.operators.chain import Chain, Following
-from piezoid.operators.dead_zone import from_slopes
 from piezoid.records.recording import Recording
-
-SLOW = 0.004  # of the motion: what a delay may miss of the filters
-LARGEST = 16_000_000  # numbers in one array of columns
-LAG_STEP = 1e-3  # samples
 
 STEPS = 10  # at most
 CONVERGED = 1e-4
@@ -135,7 +114,7 @@ def fit_extended(
     stroke_m = abs(reached.state.scales.displacement_m)
     held_m = reached.held * stroke_m
     return Extended(
-        model=_model(begun, end.parts, reached, held_m),
+        model=_model(begun, end, reached, held_m),
         rms_m=reached.rms * stroke_m,
         held_out_rms_m=reached.held_out_rms * stroke_m,
         held_m=held_m,
@@ -168,10 +147,19 @@ def _uncertainty(model: AxisModel, reached: _Reached) -> Uncertainty:
     return model.uncertainty.known_anew("lag_s", reached.state.operator.lag_s, float(standard))
 
 
-def _model(model: AxisModel, parts: Sequence[Part], reached: _Reached, held_m: Array) -> AxisModel:
-    state = reached.state
+def _model(model: AxisModel, end: "_Point", reached: _Reached, held_m: Array) -> AxisModel:
+    state = end.state
     stroke_m = abs(state.scales.displacement_m)
-    starts = tuple(_start(state, index, part) for index, part in enumerate(parts))
+    starts = tuple(
+        piece_start(
+            part.piece,
+            run.forward.memory(run.drive[0], run.memory_slope),
+            state.theta[state.coordinates.offset_slice(index)],
+            state.operator,
+            state.scales,
+        )
+        for index, (part, run) in enumerate(zip(end.parts, end.runs, strict=True))
+    )
     zero_m = float(np.mean([start.zero_m.mean() for start in starts]))
     kind, tested = state.coordinates.shape.lag, model.quality.is_tested
     return replace(
@@ -198,20 +186,6 @@ def _model(model: AxisModel, parts: Sequence[Part], reached: _Reached, held_m: A
     )
 
 
-def _start(state: State, index: int, part: Part) -> PieceStart:
-    drive = follow(state, index, part).drive
-    inner = state.operator.envelope.run(drive[:1])
-    memory = np.concatenate([inner, first_memory(state, index, drive)])
-    zero = state.theta[state.coordinates.offset_slice(index)]
-    return PieceStart(
-        recording=part.piece.name,
-        memory_V=memory * (envelope_stretch(state.operator) * state.scales.voltage_V),
-        zero_m=part.piece.centre_m + state.scales.displacement_m * zero,
-        first=part.piece.first,
-        last=part.piece.last,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class _Point:
     """A state, and the residual of every part there."""
@@ -220,13 +194,18 @@ class _Point:
     parts: Sequence[Part]
 
     @Once
+    def runs(self) -> list[Run]:
+        return [self.state.run(k, part) for k, part in enumerate(self.parts)]
+
+    @Once
     def errors(self) -> list[Array]:
-        return [residual(self.state, k, part) for k, part in enumerate(self.parts)]
+        pairs = zip(self.runs, self.parts, strict=True)
+        return [np.asarray(run.reading - part.piece.response)[part.place] for run, part in pairs]
 
     @Once
     def tangents(self) -> list[Array]:
-        state = self.state
-        return [tangents_of(state, k, p, follow(state, k, p)) for k, p in enumerate(self.parts)]
+        pairs = enumerate(zip(self.parts, self.runs, strict=True))
+        return [tangents_of(self.state, k, part, run) for k, (part, run) in pairs]
 
     @Once
     def squares(self) -> float:
@@ -349,96 +328,17 @@ def _prior_cost(state: State) -> float:
     return sum(float(np.sum((rows @ value) ** 2)) for rows, value, _ in _priors(state))
 
 
-def tangents_of(state: State, index: int, part: Part, followed: Followed) -> Array:
+def tangents_of(state: State, index: int, part: Part, run: Run) -> Array:
     """Return d reading / d vector, (rows, numbers)."""
-    coordinates = state.coordinates
-    rows = np.zeros((len(part.place), len(state.vector)), order="F")
-    static, gain = _behind(state, index, part, followed)
+    coordinates, place = state.coordinates, part.place
+    rows = np.zeros((len(place), len(state.vector)), order="F")
     plays, lag = coordinates.shape.plays, coordinates.slices["lag"]
-    shared = static[:, plays : plays + lag.start]
-    np.multiply(shared, gain, out=rows[:, : lag.start])
-    np.multiply(static[:, :plays], gain, out=rows[:, coordinates.memory_slice(index)])
+    columns = run.by_hysteresis(place)
+    rows[:, : lag.start] = columns[:, plays:]
+    rows[:, coordinates.memory_slice(index)] = columns[:, :plays]
     rows[:, coordinates.offset_slice(index)] = 1.0
     if lag.stop > lag.start:
-        rows[:, lag] = _by_lag(state, index, part, followed)[:, None]
-    for number, place in enumerate(state.slices):
-        rows[:, place] = _by_extension(state, number, index, part, followed)
+        rows[:, lag] = run.by_lag(place)[:, None]
+    for number, own in enumerate(state.slices):
+        rows[:, own] = run.by_extension(number, place)
     return rows
-
-
-def _behind(state: State, index: int, part: Part, followed: Followed) -> tuple[Array, Array]:
-    """Return the columns of the hysteresis behind the filters, at the rows that count, memory
-    first; and by how much the extensions scale each row, (rows, 1).
-    """
-    rate_Hz = part.where.rate_Hz
-    late = late_s(state, rate_Hz) * rate_Hz
-    whole = int(np.floor(late))
-    share = late - whole
-    source = np.maximum(part.place - whole, 0)
-    newer, older = followed.static[source], followed.static[np.maximum(source - 1, 0)]
-    shifted = (1.0 - share) * newer + share * older
-    true = passed(state, part, followed.static, instant=True)[part.place]
-    width = state.coordinates.slices["lag"].start + state.coordinates.shape.plays
-    wide = len(followed.drive) * (width + 1) > LARGEST
-    if wide or np.std(true - shifted) < SLOW * np.std(true):
-        columns = _columns(state, index, part, followed.drive, source, share)
-    else:
-        every = np.arange(int(part.place[-1]) + 1)
-        columns = _columns(state, index, part, followed.drive, every, None)
-        columns = passed(state, part, columns, instant=True)[part.place]
-    gain = np.ones(len(followed.drive))
-    for extension in state.extensions:
-        gain = gain * extension.gain(part.where)
-    return columns, gain[part.place, None]
-
-
-def _columns(
-    state: State, index: int, part: Part, drive: Array, source: Samples, share: float | None
-) -> Array:
-    """Return the static columns at some samples, memory first, then in the vector's order."""
-    operator = state.operator
-    chain = Chain(
-        gap=operator.gap,
-        weight=operator.weight,
-        memory_slope=state.theta[state.coordinates.memory_slice(index)],
-        zones=from_slopes(operator.knot, operator.slope),
-        envelope=operator.envelope,
-        share=share,
-        rate_Hz=part.where.rate_Hz,
-    )
-    following = Following(chain, float(drive[0]))
-    rows = np.empty((len(source), chain.plays + chain.columns), order="F")
-    following.rows(drive[: int(source[-1]) + 1], source, rows)
-    return rows[:, :-2]
-
-
-def _by_lag(state: State, index: int, part: Part, followed: Followed) -> Array:
-    step_s = LAG_STEP / part.where.rate_Hz
-    theta = state.theta.copy()
-    theta[state.coordinates.slices["lag"]] += step_s
-    moved = State(
-        coordinates=state.coordinates,
-        theta=theta,
-        extensions=state.extensions,
-        scales=state.scales,
-        rig=state.rig,
-    )
-    again = follow(moved, index, part).reading
-    return np.asarray((again - followed.reading)[part.place] / step_s)
-
-
-def _by_extension(state: State, number: int, index: int, part: Part, followed: Followed) -> Array:
-    extension = state.extensions[number]
-    columns = extension.columns(part.where)
-    if columns is not None:
-        return np.asarray(columns[part.place] / state.scales.displacement_m)
-    free = extension.free()
-    found = np.zeros((len(part.place), len(free.value)))
-    for j, step in enumerate(free.step):
-        # A step that would leave the range goes the other way.
-        signed = step if free.value[j] + step <= free.upper[j] else -step
-        value = free.value.copy()
-        value[j] += signed
-        again = follow(state.with_extension(number, extension.moved_to(value)), index, part)
-        found[:, j] = (again.reading - followed.reading)[part.place] / signed
-    return found

@@ -16,6 +16,7 @@ import numpy as np
 
 from piezoid.identification.extensions import in_order
 from piezoid.identification.extensions.extension import Extension, Samples, Where
+from piezoid.identification.forward import Forward, Run
 from piezoid.identification.hysteresis.coordinates import (
     Coordinates,
     Scaled,
@@ -166,6 +167,30 @@ class State:
         return operator_of(self.theta, self.coordinates)
 
     @cached_property
+    def forward(self) -> Forward:
+        """Return the model."""
+        return Forward(
+            operator=self.operator,
+            lag=self.coordinates.shape.lag,
+            lag_s=self.operator.lag_s,
+            sensor_Hz=self.rig.sensor_bandwidth_Hz,
+            extensions=self.extensions,
+            scales=self.scales,
+        )
+
+    def run(self, index: int, part: Part) -> Run:
+        """Return one part from end to end."""
+        zero = float(self.theta[self.coordinates.offset_slice(index)][0])
+        return Run(
+            forward=self.forward,
+            asked=part.piece.drive,
+            memory_slope=self.theta[self.coordinates.memory_slice(index)],
+            zero_m=part.piece.centre_m + self.scales.displacement_m * zero,
+            centre_m=part.piece.centre_m,
+            where=part.where,
+        )
+
+    @cached_property
     def slices(self) -> tuple[slice, ...]:
         """Return where the numbers of each extension stand in the whole vector."""
         edges = [len(self.theta)]
@@ -200,12 +225,6 @@ class State:
             for extension, place in zip(self.extensions, self.slices, strict=True)
         )
         return replace(self, theta=theta, extensions=extensions)
-
-    def with_extension(self, index: int, extension: Extension) -> "State":
-        """Return the point with one extension otherwise."""
-        extensions = list(self.extensions)
-        extensions[index] = extension
-        return replace(self, extensions=tuple(extensions))
 
 
 @dataclass(frozen=True, kw_only=True)

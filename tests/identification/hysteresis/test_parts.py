@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.certificate import (
     adversarial_drives,
     apart,
@@ -16,7 +17,7 @@ from piezoid.identification.hysteresis.jackknife import block_edges, jackknife
 from piezoid.identification.hysteresis.physical import envelope_stretch, physical
 from piezoid.identification.hysteresis.pieces import Rig, Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.placement import gathered_thresholds, group_centres
-from piezoid.identification.hysteresis.rows import simulate, starting_memory
+from piezoid.identification.hysteresis.rows import simulate
 from piezoid.identification.hysteresis.search import Fitted, Settings, search, transferred
 from piezoid.identification.hysteresis.simplify import simplified
 from piezoid.identification.hysteresis.summary import loop_width_m
@@ -54,8 +55,8 @@ def test_volts_and_metres_describe_the_same_operator(rng: np.random.Generator, b
     model = physical(operator, scales)
     low, high = model.envelope.run(np.array([-40.0, 40.0]))
     assert high - low == pytest.approx(80.0)
-    first = operator.envelope.run(piece.drive[:1])
-    memory = np.concatenate([first, starting_memory(theta, coordinates, 0, piece)])
+    slopes = theta[coordinates.memory_slice(0)]
+    memory = Forward(operator=operator).memory(piece.drive[0], slopes)
     memory_V = memory * envelope_stretch(operator) * scales.voltage_V
     output, _ = model.run(25.0 + 40.0 * piece.drive, memory_V)
     zero = theta[coordinates.offset_slice(0)][0]

@@ -11,7 +11,6 @@ from piezoid.identification.extensions import (
     GainChange,
 )
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.joint.chain import follow
 from piezoid.identification.joint.fit_extended import tangents_of
 from piezoid.identification.joint.vector import Part, State, Structure, parts_of, state_of
 from piezoid.numerics.arrays import Array
@@ -30,7 +29,7 @@ def differences(state: State, index: int, part: Part) -> Array:
     for place in range(len(state.theta)):
         step = np.zeros(len(state.vector))
         step[place] = STEP
-        ahead, back = (follow(state.at(state.vector + s * step), index, part) for s in (1, -1))
+        ahead, back = (state.at(state.vector + s * step).run(index, part) for s in (1, -1))
         found[:, place] = (ahead.reading - back.reading)[part.place] / (2.0 * STEP)
     return found
 
@@ -53,7 +52,7 @@ def test_every_column_of_the_hysteresis_is_the_derivative_of_the_reading(
     parts = parts_of(model, recordings_of(*extensions))
     state = state_of(model, parts, extensions, Structure(lag=False))
     for index, part in enumerate(parts):
-        found = tangents_of(state, index, part, follow(state, index, part))
+        found = tangents_of(state, index, part, state.run(index, part))
         numeric = differences(state, index, part)
         apart = np.linalg.norm(found[:, : len(state.theta)] - numeric, axis=0)
         assert (apart <= within * np.linalg.norm(numeric, axis=0)).all()

@@ -1,0 +1,266 @@
+"""The forward model: from a drive to a reading, part by part, in the order in which a stage acts.
+
+    u -> declared amplifier, drive extensions -> gamma, plays -> irreversible extensions -> Psi
+      -> response extensions -> own lag -> declared sensor -> + zero + what is added -> reading
+
+Simulation, prediction, the fit of the hysteresis and the joint fit run these parts and no others;
+what they vary are the numbers of the parts. Numbers are volts and metres, or those of a fit:
+``Scales`` says what one of them is. The derivatives stand here as well. Those of the hysteresis,
+of lag and sensor come from ``operators.chain``, which a streamed pass follows chunk by chunk.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from piezoid.identification.extensions.extension import Extension, Samples, Where
+from piezoid.identification.hysteresis.coordinates import Scaled
+from piezoid.identification.hysteresis.filters import lagged
+from piezoid.identification.hysteresis.pieces import Scales, behind_pole
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import Once
+from piezoid.operators.chain import Chain, FirstOrder, Following
+from piezoid.operators.dead_zone import LINEAR
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+
+SLOW = 0.004  # of the motion: what a delay may miss of the filters
+LARGEST = 16_000_000  # numbers in one array of columns
+LAG_STEP = 1e-3  # samples
+
+
+Operator = Scaled | ModifiedPrandtlIshlinskii
+PLAIN = Scales(voltage_V=1.0, voltage_offset_V=0.0, displacement_m=1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Forward:
+    """Everything between a drive and a reading but the zero, memory and place of one piece.
+
+    operator      y = Psi(H[gamma(u)]), u and y in the numbers of ``scales``
+    lag           ``none``, ``delay`` or ``first_order``
+    lag_s         s, >= 0
+    amplifier_Hz  declared pole of the drive; None: none, or the drive is behind it already
+    sensor_Hz     declared pole of the reading, or None
+    extensions    in the order in which they act
+    scales        of drive and displacement; one is 1 V and 1 m where nothing is said
+    """
+
+    operator: Operator
+    lag: str = "none"
+    lag_s: float = 0.0
+    amplifier_Hz: float | None = None
+    sensor_Hz: float | None = None
+    extensions: tuple[Extension, ...] = ()
+    scales: Scales = PLAIN
+
+    def driven_V(self, voltage_V: Array, rate_Hz: float) -> Array:
+        """Return the voltage that reaches the ceramic, (samples,)."""
+        reached_V = behind_pole(voltage_V, self.amplifier_Hz, rate_Hz)
+        for extension in self.extensions:
+            reached_V = extension.drive(reached_V, rate_Hz)
+        return reached_V
+
+    def driven(self, drive: Array, rate_Hz: float) -> Array:
+        """Return the same of a scaled drive, scaled, (samples,); itself where nothing acts."""
+        scales = self.scales
+        voltage_V = scales.voltage_offset_V + scales.voltage_V * drive
+        reached_V = self.driven_V(voltage_V, rate_Hz)
+        if reached_V is voltage_V:
+            return drive
+        return np.ascontiguousarray((reached_V - scales.voltage_offset_V) / scales.voltage_V)
+
+    def inner(self, drive: Array) -> Array:
+        """Return gamma(u), which the plays follow, (samples,)."""
+        envelope = self.operator.envelope
+        return drive if envelope is LINEAR else envelope.run(drive)
+
+    def memory(self, first: float, slope: Array) -> Array:
+        """Return the states of all plays before a sample, z_i = gamma(u) + sum_(j<=i) d_j s_j.
+
+        first  u of that sample
+        slope  (plays - 1,)  s, -1 to 1: every such memory is admissible
+        """
+        inner = self.inner(np.array([first]))
+        return np.concatenate([inner, inner + np.cumsum(self.operator.gap * slope)])
+
+    def static(self, drive: Array, memory: Array, rate_Hz: float) -> tuple[Array, Array]:
+        """Return Psi(H[gamma(u)]), its irreversible part as late as it comes, (samples,).
+
+        memory    (plays,)  before the first sample; of a chunk what the one before returned
+        returned  besides, the memory after the last sample
+        """
+        operator, inner = self.operator, self.inner(drive)
+        h, after = operator.plays.run(inner, memory)
+        stroke_m = abs(self.scales.displacement_m)
+        for extension in self.extensions:
+            reversible = operator.plays.weight[0] * inner
+            walls_m = (h - reversible) * stroke_m
+            later_m = extension.irreversible(walls_m, rate_Hz)
+            h = h if later_m is walls_m else reversible + later_m / stroke_m
+        return operator.dead_zones.run(h), after
+
+    def behind(self, moved: Array, where: Where, *, instant: bool = False) -> Array:
+        """Return what all that is linear makes of a hysteresis' output, or of columns of it.
+
+        moved    (samples,) or (samples, columns)
+        instant  of the extensions those alone that follow within samples
+        """
+        for extension in self.extensions:
+            if extension.instant or not instant:
+                moved = extension.response(moved, where)
+        return self.filtered(moved, where.rate_Hz)
+
+    def filtered(self, moved: Array, rate_Hz: float) -> Array:
+        """Return a signal, or columns, behind the own lag and the declared sensor."""
+        return behind_pole(lagged(moved, self.lag, self.lag_s, rate_Hz), self.sensor_Hz, rate_Hz)
+
+    def late_s(self, rate_Hz: float) -> float:
+        """Return by how much the filters make slow motion late."""
+        declared_s = 0.0 if self.sensor_Hz is None else 1.0 / (2.0 * np.pi * self.sensor_Hz)
+        return declared_s + self.lag_s + sum(e.late_s(rate_Hz) for e in self.extensions)
+
+    def position(self, static: Array, where: Where, zero_m: Array | float = 0.0) -> Array:
+        """Return the position that the sensor reads, (samples,) m, from a static response."""
+        position_m = zero_m + self.behind(static * self.scales.displacement_m, where)
+        for extension in self.extensions:
+            position_m = position_m + extension.added(where)
+        return np.asarray(position_m)
+
+    def read(self, position_m: Array) -> Array:
+        """Return what the sensor says of a position, (samples,) m."""
+        for extension in self.extensions:
+            position_m = extension.reading(position_m)
+        return position_m
+
+    def chain(self, memory_slope: Array, rate_Hz: float, share: float | None) -> Chain:
+        """Return the hysteresis as the kernel of all its derivatives takes it.
+
+        share  of the sample before, in every row: what is left of a delay; None: no delay
+        """
+        operator = self.operator
+        return Chain(
+            gap=operator.gap,
+            weight=operator.plays.weight,
+            memory_slope=memory_slope,
+            zones=operator.dead_zones,
+            envelope=operator.envelope,
+            share=share,
+            rate_Hz=rate_Hz,
+        )
+
+    def filtered_chain(self, memory_slope: Array, rate_Hz: float) -> tuple[Chain, int]:
+        """Return the same with lag and sensor behind it, and by how many whole samples it is late.
+
+        Followed chunk by chunk, it is ``static`` and ``filtered`` with the derivatives by all
+        their numbers, and its state is all that a pass over a stream carries along.
+        """
+        late = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
+        share = self.lag_s * rate_Hz - late if self.lag == "delay" else None
+        lag_s = self.lag_s if self.lag == "first_order" else None
+        pole_s = None if self.sensor_Hz is None else 1.0 / (2 * np.pi * self.sensor_Hz)
+        lag, sensor = (
+            None if time_s is None else FirstOrder(time_s=time_s, rate_Hz=rate_Hz)
+            for time_s in (lag_s, pole_s)
+        )
+        return replace(self.chain(memory_slope, rate_Hz, share), lag=lag, sensor=sensor), late
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One piece from end to end, and how its reading changes with every number of the model.
+
+    forward       the model
+    asked         (samples,)  scaled drive
+    memory_slope  (plays - 1,)  of the states before the first sample
+    zero_m        m, of the piece
+    centre_m      m, subtracted from readings before they are scaled
+    where         the same piece for extensions
+    """
+
+    forward: Forward
+    asked: Array
+    memory_slope: Array
+    zero_m: float
+    centre_m: float
+    where: Where
+
+    @Once
+    def drive(self) -> Array:
+        """What reaches the ceramic, scaled, (samples,)."""
+        return self.forward.driven(self.asked, self.where.rate_Hz)
+
+    @Once
+    def static(self) -> Array:
+        """What the hysteresis makes of it, scaled, (samples,)."""
+        memory = self.forward.memory(self.drive[0], self.memory_slope)
+        return self.forward.static(self.drive, memory, self.where.rate_Hz)[0]
+
+    @Once
+    def reading(self) -> Array:
+        """What the sensor says, scaled, (samples,)."""
+        position_m = self.forward.position(self.static, self.where, self.zero_m)
+        away_m = self.forward.read(position_m) - self.centre_m
+        return np.asarray(away_m / self.forward.scales.displacement_m)
+
+    def by_hysteresis(self, place: Samples) -> Array:
+        """Return d reading / d [memory slopes, gaps, weights, zones, envelope], (rows, numbers).
+
+        The columns pass what follows within samples (delays, lags, modes) exactly where that
+        matters; where motion is slow, the filters are a delay and two rows are enough for each
+        that counts. Creep is left out of them: it is a part in a hundred of a column, and a search
+        is judged by the true error anyway.
+        """
+        forward, where = self.forward, self.where
+        late = forward.late_s(where.rate_Hz) * where.rate_Hz
+        whole = int(np.floor(late))
+        share = late - whole
+        source = np.maximum(place - whole, 0)
+        newer, older = self.static[source], self.static[np.maximum(source - 1, 0)]
+        shifted = (1.0 - share) * newer + share * older
+        true = forward.behind(self.static, where, instant=True)[place]
+        chain = forward.chain(self.memory_slope, where.rate_Hz, None)
+        wide = len(self.drive) * (chain.plays + chain.columns - 1) > LARGEST
+        if wide or np.std(true - shifted) < SLOW * np.std(true):
+            columns = self._columns(replace(chain, share=share), source)
+        else:
+            columns = self._columns(chain, np.arange(int(place[-1]) + 1))
+            columns = forward.behind(columns, where, instant=True)[place]
+        gain: Array | float = 1.0
+        for extension in forward.extensions:
+            gain = gain * extension.gain(where)
+        return columns if isinstance(gain, float) else columns * gain[place, None]
+
+    def _columns(self, chain: Chain, source: Samples) -> Array:
+        rows = np.empty((len(source), chain.plays + chain.columns), order="F")
+        drive = self.drive[: int(source[-1]) + 1]
+        Following(chain, float(drive[0])).rows(drive, source, rows)
+        return rows[:, :-2]
+
+    def by_lag(self, place: Samples) -> Array:
+        """Return d reading / d lag, (rows,), by a difference."""
+        forward, step_s = self.forward, LAG_STEP / self.where.rate_Hz
+        return self._change(replace(forward, lag_s=forward.lag_s + step_s), place, step_s)
+
+    def by_extension(self, number: int, place: Samples) -> Array:
+        """Return d reading / d numbers of an extension, (rows, numbers).
+
+        What is added enters exactly, other numbers by differences.
+        """
+        forward, extension = self.forward, self.forward.extensions[number]
+        columns = extension.columns(self.where)
+        if columns is not None:
+            return np.asarray(columns[place] / forward.scales.displacement_m)
+        free, found = extension.free(), []
+        for j, step in enumerate(free.step.tolist()):
+            # A step that would leave the range goes the other way.
+            signed = step if free.value[j] + step <= free.upper[j] else -step
+            value = free.value.copy()
+            value[j] += signed
+            changed = list(forward.extensions)
+            changed[number] = extension.moved_to(value)
+            found.append(self._change(replace(forward, extensions=(*changed,)), place, signed))
+        return np.stack(found, axis=1) if found else np.zeros((len(place), 0))
+
+    def _change(self, forward: Forward, place: Samples, step: float) -> Array:
+        again = replace(self, forward=forward).reading
+        return np.asarray((again - self.reading)[place] / step)
