@@ -26,11 +26,13 @@ from itertools import product
 import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import laddered, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
+from piezoid.operators.ladder import ladder
 from piezoid.records.recording import Recording
 
 RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
@@ -65,7 +67,8 @@ def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> A
     times_s, share = (10.0**decade).tolist(), np.maximum(share, 0.0) / PER_DECADE
 
     def crept(signal: Array, rate_Hz: float) -> Array:
-        total = laddered(signal[::-1] if backwards else signal, times_s, rate_Hz, share)
+        rungs = [first_order(time_s, rate_Hz) for time_s in times_s]
+        total = ladder(signal[::-1] if backwards else signal, rungs, share)
         return total[::-1] if backwards else total
 
     return view.of(lambda k, track: crept(view.static[k], track.rate_Hz))[:, None]
@@ -108,7 +111,7 @@ def inject(recording: Recording, share: float) -> Recording:
     """Let a recording creep."""
     moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
     times_s = np.geomspace(0.03, 3.0 * float(seconds_of(recording)[-1]) + 0.1, 9)
-    crept_m = laddered(moved_m, times_s.tolist(), rate_Hz)
+    crept_m = ladder(moved_m, [first_order(time_s, rate_Hz) for time_s in times_s])
     return with_displacement(
         recording, moved_m + scaled_to(crept_m - crept_m.mean(), share, recording)
     )

@@ -12,8 +12,10 @@ import numpy as np
 
 from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import mode, rate_of
-from piezoid.identification.hysteresis.filters import later, relaxed
+from piezoid.identification.extensions.slew_limit import SlewLimit
+from piezoid.identification.hysteresis.filters import first_order, later, relaxed
 from piezoid.numerics.arrays import Array
+from piezoid.operators.ladder import ladder
 
 PER_DECADE = 2
 CREEP_s = (0.03, 3000.0)
@@ -50,8 +52,8 @@ class Tangent:
 def _creep(drive: Driven, _: float) -> Array:
     first, last = np.log10(CREEP_s)
     times_s = np.logspace(first, last, round((last - first) * PER_DECADE))
-    parts = [relaxed(drive.static_m, t, drive.rate_Hz) for t in times_s]
-    return np.asarray(np.sum(parts, axis=0) / PER_DECADE)[:, None]
+    rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
+    return ladder(drive.static_m, rungs, 1.0 / PER_DECADE)[:, None]
 
 
 def _drift(drive: Driven, _: float) -> Array:
@@ -94,15 +96,10 @@ def _saturation(drive: Driven, _: float) -> Array:
 
 def _slew(drive: Driven, _: float) -> Array:
     """Return what a drive misses that gets no faster than a share of the fastest so far."""
-    most_V = SLOWS_AT * drive.model.certificate.slew_V_per_s / drive.rate_Hz
-    if np.abs(np.diff(drive.voltage_V)).max() <= most_V:
-        return np.zeros((len(drive.voltage_V), 1))
-    followed, now_V = [], float(drive.voltage_V[0])
-    for wanted_V in drive.voltage_V.tolist():
-        now_V += min(max(wanted_V - now_V, -most_V), most_V)
-        followed.append(now_V)
+    limit = SlewLimit(limit_V_per_s=SLOWS_AT * drive.model.certificate.slew_V_per_s)
+    missed_V = limit.drive(drive.voltage_V, drive.rate_Hz) - drive.voltage_V
     gain = float(np.sum(drive.model.hysteresis.plays.weight))
-    return np.asarray(gain * (np.array(followed) - drive.voltage_V)[:, None])
+    return np.asarray(gain * missed_V[:, None])
 
 
 def _gain(drive: Driven, _: float) -> Array:
