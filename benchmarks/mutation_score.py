@@ -83,6 +83,11 @@ PARTS = {
     "design": Part(
         sources=("piezoid/design/*.py",), tests=("tests/design",), loaded=(*LIGHT, *HEAVY)
     ),
+    "diagnosis": Part(
+        sources=("piezoid/diagnosis/**/*.py",),
+        tests=("tests/diagnosis",),
+        loaded=(*LIGHT, *HEAVY),
+    ),
     "runtime": Part(
         sources=("piezoid/runtime/*.py",), tests=("tests/runtime",), without=RUNTIME_TESTS
     ),

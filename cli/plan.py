@@ -135,7 +135,7 @@ def _read(stage: Path, axis: str | None) -> _Known:
 def _show(found: "Plan", drive: Path) -> None:
     from rich.console import Console
 
-    from piezoid.diagnosis.planning.plan_words import sentences
+    from piezoid.diagnosis.planning.plan_file import sentences
 
     console = Console()
     for sentence in sentences(found):

@@ -19,7 +19,7 @@ from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
 from piezoid.identification.prediction import Comparison
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
+from piezoid.readable import told, words
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.verification import Verification
@@ -204,7 +204,7 @@ def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     for value_m, (label, style, shade) in zip(marks_m, lines, strict=True):
         axes.axvline(scale * value_m, linestyle=style, color=shade, linewidth=1.0, label=label)
     axes.set_xscale("log")
-    axes.set_yticks(range(len(rows)), [effect.replace("_", " ") for effect, _ in rows])
+    axes.set_yticks(range(len(rows)), [words(effect) for effect, _ in rows])
     axes.invert_yaxis()
     axes.set(xlabel=f"contribution to the displacement of {held.axis}, rms ({unit})")
     axes.legend(

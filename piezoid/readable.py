@@ -38,6 +38,11 @@ def scale_for(largest: float, unit: str) -> Scale:
     return Scale(factor=factor, unit=prefix + unit)
 
 
+def words(name: str) -> str:
+    """Return the name of an effect, or of a coordinate, as a sentence says it."""
+    return name.replace("_", " ")
+
+
 def told(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit, for example ``66.0 nm``."""
     if not math.isfinite(value):

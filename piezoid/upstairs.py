@@ -1,7 +1,8 @@
-"""The one way up: methods of records that a floor above them carries out, loaded when called.
+"""The one way up: what a record needs of a floor above it, loaded when called.
 
 ``model.plot()`` belongs to a model for whoever uses it, and matplotlib to a floor that no
-computation may know. Only methods of that kind ask here; whatever computes imports downwards.
+computation may know; a model's file may hold an extension that the file of an effect defines. Only
+records and their files ask here; whatever computes imports downwards.
 """
 
 from importlib import import_module

@@ -12,38 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.planning.driven import Driven, null_columns, rows_of
 from piezoid.diagnosis.planning.playing import driven_recording
 from piezoid.diagnosis.planning.question import suspect_of
 from piezoid.diagnosis.planning.separation import basis_of, block_of, scale_of
-from piezoid.diagnosis.planning.tangents import Tangent
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
-from piezoid.identification.model import AxisModel, Lag
-from piezoid.identification.piece_start import PieceStart
-from piezoid.identification.simulation import simulate_recording, starts_of
+from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Channel, Quantity, Recording
-from piezoid_reports.effect_coordinates import coordinate_of
+from piezoid.records.recording import Channel, Quantity
 from piezoid_reports.traces import Trace, rms
-
-MEMORY = "initial_state"
-LAGS = ("delay", "lag")
-KINDS: Mapping[str, tuple[str, ...]] = {
-    "creep": ("creep_ladder",),
-    "thermal_drift": ("thermal_drift",),
-    "rate_dependence": ("rate_dependence",),
-    "resonance": ("linear_mode",),
-    "delay": ("delay",),
-    "lag": ("first_order_lag",),
-    "cross_coupling": ("cross_axis",),
-    "mains_interference": ("mains_lines",),
-    "sensor_periodic_error": ("periodic_error",),
-    "amplifier_saturation": ("amplifier_limits",),
-    "slew_limit": ("slew_limit",),
-    "gain_change": ("gain_change",),
-}
 
 ROWS = 3000  # of each recording
 LEAST_SHARE = 1e-6  # of a recording's stroke, below which nothing is put in
@@ -75,7 +55,7 @@ def compared(
     if not used:
         return {}
     drawn = [f for f in diagnosis.findings if f.effect != SOMETHING_ELSE]  # has its own picture
-    missing = [f for f in drawn if not is_carried(axis, f.effect)]
+    missing = [f for f in drawn if effect_named(f.effect).without(axis, used[0].recording) is None]
     fitted = _linearised(axis, used, missing, diagnosis.stroke_m)
     return {
         finding.effect: _turned(
@@ -86,7 +66,7 @@ def compared(
 
 
 def _one(axis: AxisModel, finding: Finding, trace: Trace, fitted: "Fitted") -> Compared:
-    if coordinate_of(finding.effect).kind == "spectrum":
+    if effect_named(finding.effect).shows.kind == "spectrum":
         rows = np.flatnonzero(np.isfinite(trace.modelled_m))
         whole_m = fitted.whole_m.get(finding.effect)
         linear_m = np.zeros(len(rows)) if whole_m is None else whole_m[rows]
@@ -214,45 +194,10 @@ def _injected(name: str, axis: AxisModel, trace: Trace, size_m: float) -> Array:
     return np.asarray(change_m - change_m.mean() + axis.quality.noise_rms_m * noise)
 
 
-def is_carried(axis: AxisModel, effect: str) -> bool:
-    """Say whether the model has the effect in it, so that it can be taken out."""
-    if effect == MEMORY:
-        return True
-    if effect in LAGS and axis.lag.time_s > 0.0:
-        return True
-    kinds = KINDS.get(effect, ())
-    return any(e.kind in kinds for e in axis.extensions)
-
-
 def carried_part(axis: AxisModel, effect: str, trace: Trace) -> Array:
     """Return what the effect adds in the model, about its mean; nothing where it has none."""
-    if not is_carried(axis, effect):
+    without = effect_named(effect).without(axis, trace.recording)
+    if without is None:
         return np.zeros(len(trace.time_s))
-    without_m = simulate_recording(_without(axis, effect, trace.recording), trace.recording)
-    part_m = trace.modelled_m - without_m
+    part_m = trace.modelled_m - simulate_recording(without, trace.recording)
     return np.asarray(part_m - np.nanmean(part_m))
-
-
-def _without(axis: AxisModel, effect: str, recording: Recording) -> AxisModel:
-    if effect == MEMORY:
-        return replace(axis, starts=_cycled(axis, recording))
-    others = tuple(e for e in axis.extensions if e.kind not in KINDS[effect])
-    lag = Lag(kind="none", time_s=0.0) if effect in LAGS else axis.lag
-    return replace(axis, extensions=others, lag=lag)
-
-
-def _cycled(axis: AxisModel, recording: Recording) -> tuple[PieceStart, ...]:
-    """Return the pieces' starts with the memory of a drive that went down, up, and to its start.
-
-    That is what one assumes of a stage about which nothing is known.
-    """
-    voltage_V, (low_V, high_V) = recording.voltage_V(axis.axis), axis.voltage_V
-    fitted = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
-    own = starts_of(axis, recording)
-    others = [start for start in axis.starts if start.recording != recording.name]
-    cycled = []
-    for start, first in zip(own, fitted, strict=True):
-        way_V = np.array([low_V, high_V, voltage_V[first]])
-        _, memory_V = axis.hysteresis.run(way_V, axis.virgin_memory_V)
-        cycled.append(replace(start, memory_V=memory_V))
-    return (*others, *cycled)

@@ -4,12 +4,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import Appearance, over_time
 from piezoid.diagnosis.diagnosis import Finding
+from piezoid.diagnosis.effects import effect_named
 from piezoid.numerics.arrays import Array
-from piezoid_reports.chart import Canvas, Layer, axis_over, decades_over
+from piezoid.readable import words
+from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
 from piezoid_reports.compared import Compared
-from piezoid_reports.effect_coordinates import Coordinate, coordinate_of, over_time
-from piezoid_reports.effect_words import words
 from piezoid_reports.page import Figure
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.traces import rms
@@ -31,7 +32,7 @@ ALIKE = (
 
 def figure_of(finding: Finding, pictures: tuple[Compared, ...]) -> Figure | None:
     """Return what is seen of a finding, or None where no recording shows it."""
-    where = coordinate_of(finding.effect)
+    where = effect_named(finding.effect).shows
     if not pictures:
         return None
     if where.kind == "spectrum":
@@ -54,9 +55,9 @@ def _shows(one: Compared) -> bool:
     return abs(before - after) > SHOWS * before
 
 
-def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
-    place, sign = (values[one.rows] for values in where.along(one.trace))
-    x = where.axis(place)
+def _over_time(finding: Finding, where: Appearance, one: Compared) -> Figure:
+    place, sign = (values[one.rows] for values in where.along(one.trace.recording))
+    x = _axis(where, place)
     curves = [sign * values for values in (one.before_m, one.after_m, one.injected_m)]
     y = axis_over("residual", curves, "m", even=True)
     canvas = Canvas(x=x, y=y, height=HEIGHT)
@@ -76,6 +77,11 @@ def _over_time(finding: Finding, where: Coordinate, one: Compared) -> Figure:
     )
 
 
+def _axis(where: Appearance, place: Array) -> Axis:
+    over = decades_over if where.decades else axis_over
+    return over(where.label, [place], where.unit)
+
+
 def _running(values: Array) -> Array:
     """Return a running mean, so that a slow curve is seen through the noise."""
     width = max(len(values) // 150, 1)
@@ -84,9 +90,9 @@ def _running(values: Array) -> Array:
 
 
 def _in_classes(
-    finding: Finding, where: Coordinate, pictures: tuple[Compared, ...]
+    finding: Finding, where: Appearance, pictures: tuple[Compared, ...]
 ) -> Figure | None:
-    places, signs = zip(*(where.along(one.trace) for one in pictures), strict=True)
+    places, signs = zip(*(where.along(one.trace.recording) for one in pictures), strict=True)
     place = np.concatenate([p[one.rows] for p, one in zip(places, pictures, strict=True)])
     sign = np.concatenate([s[one.rows] for s, one in zip(signs, pictures, strict=True)])
     before, after, injected = (
@@ -96,7 +102,7 @@ def _in_classes(
     classes = [_classes(place, values) for values in (before, after, injected)]
     if any(len(one) < 2 for one in classes):
         return None
-    x = where.axis(place)
+    x = _axis(where, place)
     y = axis_over(
         "residual", [classes[0][:, 1:], classes[1][:, 1:], classes[2][:, 2]], "m", even=True
     )
@@ -137,12 +143,12 @@ def _classes(place: Array, values: Array) -> Array:
     return np.array(rows).reshape(-1, 4)
 
 
-def _spectrum(finding: Finding, where: Coordinate, one: Compared) -> Figure | None:
+def _spectrum(finding: Finding, where: Appearance, one: Compared) -> Figure | None:
     rate_Hz = one.trace.recording.sampling_rate_Hz
     curves = [_density(values, rate_Hz) for values in (one.before_m, one.after_m, one.injected_m)]
     if len(curves[0]) < 2:
         return None
-    x = where.axis(curves[0][:, 0])
+    x = _axis(where, curves[0][:, 0])
     y = decades_over("amplitude density", [c[:, 1] for c in curves], "nm/√Hz")
     canvas = Canvas(x=x, y=y, height=HEIGHT)
     drawn = (
@@ -173,7 +179,7 @@ def _density(values: Array, rate_Hz: float) -> Array:
 
 def _titled(
     finding: Finding,
-    where: Coordinate,
+    where: Appearance,
     canvas: Canvas,
     recording: str,
     layers: tuple[Layer, ...],
@@ -201,7 +207,7 @@ def unnamed_figure(finding: Finding) -> Figure | None:
     seen = finding.seen
     if seen is None or len(seen.place) < 2:
         return None
-    label = PHASES if not seen.unit else finding.coordinate.replace("_", " ")
+    label = PHASES if not seen.unit else words(finding.coordinate)
     place = np.array(seen.place)
     low, median, high, fitted = (
         np.array(one) for one in (seen.low_m, seen.median_m, seen.high_m, seen.fitted_m)
@@ -235,7 +241,7 @@ def _against(finding: Finding) -> str:
         name, value = next(iter(finding.parameters.items()))
         quantity, _, unit = name.rpartition("_")
         return f"the {PHASES} ({quantity} {told(value, unit)})"
-    return finding.coordinate.replace("_", " ")
+    return words(finding.coordinate)
 
 
 def _explained(finding: Finding) -> str:

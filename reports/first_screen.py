@@ -129,7 +129,8 @@ def tip_cards(page: Page) -> tuple[Card, ...]:
         return ()
     known = junction.gap_law or junction.loop_plant
     assert known is not None
-    loop = _tip_loop(page)
+    found = ((a, a.recommended) for a in _axes(page) if a.recommended.method == "rst")
+    loop = next(found, None)
     name = "z" if loop is None else loop[0].axis
     tone, said = tunnelling.CONFIDENCE[known.confidence]
     barrier = [
@@ -162,11 +163,6 @@ def _loop(page: Page, name: str) -> LoopDesign | None:
 
 def _axes(page: Page) -> tuple[AxisDesign, ...]:
     return () if page.design is None else page.design.axes
-
-
-def _tip_loop(page: Page) -> tuple[AxisDesign, LoopDesign] | None:
-    found = ((a, a.recommended) for a in _axes(page) if a.recommended.method == "rst")
-    return next(found, None)
 
 
 def _guarantee(page: Page, loop: LoopDesign | None, range_m: float) -> str:

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 from piezoid import readable
+from piezoid.diagnosis.diagnosis import Finding
 from piezoid.readable import UNKNOWN, Scale
 
 NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
@@ -50,3 +51,18 @@ def percent(share: float) -> str:
 
 def _joined(number: str, unit: str) -> str:
     return f"{number}{NARROW}{unit}" if unit else number
+
+
+def size_of(finding: Finding) -> str:
+    """Return the one size of a finding, with the interval that its acceptance allows.
+
+    A cause that was accepted is there: an interval of its size that reaches down to zero bounds it
+    from above alone, and is told so.
+    """
+    size = finding.size
+    low, high = size.ci95
+    if low <= 0.0 < high:
+        return f"{significant(size.value)} {size.unit} (95 %: at most {significant(high)})"
+    return (
+        f"{significant(size.value)} {size.unit} (95 %: {significant(low)} to {significant(high)})"
+    )

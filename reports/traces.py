@@ -1,7 +1,7 @@
 """What every chapter looks at: drive, measurement and model of each recording, side by side."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from piezoid.records.recording import Recording
 class Trace:
     """One recording of one axis beside the model's simulation of it.
 
-    recording   as it was ingested
+    recording   as it was ingested, of this axis
     time_s      (samples,)  s, from its first sample
     voltage_V   (samples,)  V
     measured_m  (samples,)  m; NaN where nothing was measured: a gap in every curve
@@ -67,7 +67,9 @@ def traces_of(axis_model: AxisModel, recordings: Sequence[Recording]) -> tuple[T
         (r.voltage_V(axis)[np.isfinite(m)], r.displacement_m(axis)[np.isfinite(m)])
         for r, m in zip(fitted, modelled, strict=True)
     ]
-    slope = _common_slope(compared)
+    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in compared)
+    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in compared)
+    slope = covariance / variance if variance > 0.0 else 0.0
     found = [
         _trace(recording, axis, model_m, slope)
         for recording, model_m in zip(fitted, modelled, strict=True)
@@ -94,12 +96,6 @@ def _counted(axis_model: AxisModel, recording: Recording) -> Array:
     return modelled_m
 
 
-def _common_slope(pairs: Sequence[tuple[Array, Array]]) -> float:
-    covariance = sum(float(np.sum((u - u.mean()) * (y - y.mean()))) for u, y in pairs)
-    variance = sum(float(np.sum((u - u.mean()) ** 2)) for u, _ in pairs)
-    return covariance / variance if variance > 0.0 else 0.0
-
-
 def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: float) -> Trace:
     voltage_V, measured_m = recording.voltage_V(axis), recording.displacement_m(axis).copy()
     measured_m[list(recording.bridged)] = np.nan
@@ -107,7 +103,7 @@ def _trace(recording: Recording, axis: str, modelled_m: Array, slope_m_per_V: fl
     zero_m = float(np.nanmean((measured_m - slope_m_per_V * voltage_V)[counts]))
     line_m = np.where(counts, zero_m + slope_m_per_V * voltage_V, np.nan)
     return Trace(
-        recording=recording,
+        recording=replace(recording, axis=axis),
         time_s=np.arange(recording.samples) / recording.sampling_rate_Hz,
         voltage_V=voltage_V,
         measured_m=measured_m,

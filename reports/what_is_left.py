@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
 from piezoid.identification.model import AxisModel
-from piezoid.readable import told
-from piezoid_reports.effect_words import words
+from piezoid.readable import told, words
 
 CHANCE = 0.05  # p-value: what more healthy stages leave is told to be usual
 LEAST = 0.01  # part of the power: less is told as living nowhere
-SLOW = frozenset({"creep", "thermal_drift", "gain_change", "initial_state"})  # they move a zero
 
 SPEEDS = (
     "Repeat the same drive at three speeds a decade apart: what grows with speed is dynamics, "
@@ -75,7 +74,8 @@ def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
             why=", and the diagnosis finds no cause for it.",
             remedy=SHAPE,
         )
-    leading = _leading(found)
+    # what cannot be told apart comes first, then the largest
+    leading = next((one for one in found.findings if one.not_separable_from), found.findings[0])
     rest = f"; {shape or 'no other cause is visible in what is left'}"
     rest = _or_rival(leading) or rest
     most = "; most of it lies in the shape of its loops" if shape else ""
@@ -146,21 +146,17 @@ def _lives(rest: Unexplained) -> str:
 
 def mover_of(found: Diagnosis | None) -> Mover | None:
     """Return the largest cause found that moves a zero, or None."""
-    slow = [one for one in found.findings if one.effect in SLOW] if found is not None else []
-    if not slow:
+    named = () if found is None else (one for one in found.findings if one.effect != NAME)
+    slow = next((one for one in named if effect_named(one.effect).moves_zero), None)
+    if slow is None:
         return None
-    return Mover(name=words(slow[0].effect), experiment=slow[0].next_experiment)
+    return Mover(name=words(slow.effect), experiment=slow.next_experiment)
 
 
 def named(found: Diagnosis) -> str:
     """Return the causes found as a reader says them, the largest first."""
     *others, last = map(words, found.names)
     return f"{', '.join(others)} and {last}" if others else last
-
-
-def _leading(found: Diagnosis) -> Finding:
-    """Return whose experiment comes next: what cannot be told apart first, then the largest."""
-    return next((one for one in found.findings if one.not_separable_from), found.findings[0])
 
 
 def _or_rival(finding: Finding) -> str:

@@ -18,14 +18,12 @@ from sphinx.application import Sphinx
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.numerics.arrays import Array
+from piezoid.readable import words
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.write import write_campaign
-from piezoid_reports.effect_coordinates import coordinate_of
-from piezoid_reports.effect_words import CONTROL, words
-from piezoid_reports.traces import Trace
 
 SEED = 20
 SHARE = 0.02  # of the stroke: large, so that the loops show it as well
@@ -45,7 +43,7 @@ def _write(app: Sphinx) -> None:
     recordings = _healthy()
     written = {"index.md": _index().encode()}
     for effect in EFFECTS:
-        played = PLAYED.get(coordinate_of(effect.name).label, "sweep")
+        played = PLAYED.get(effect.shows.label, "sweep")
         written[f"{effect.name}.md"] = _page(effect).encode()
         written[f"{effect.name}.svg"] = _picture(effect, recordings[played])
     made_pages.write(app, "effects", written)
@@ -98,12 +96,11 @@ def _markdown(text: str) -> str:
 
 def _page(effect: Effect) -> str:
     said = _sections(effect)
-    where = coordinate_of(effect.name)
     rivals = ", ".join(f"[{words(name)}]({name}.md)" for name in effect.confounded)
     picture = (
         f"A healthy recording of the virtual laboratory, and the same recording with this effect "
         f"injected at {100 * SHARE:g} % of the stroke. Left: the loops. Right: what the effect "
-        f"adds, against the {where.label}."
+        f"adds, against the {effect.shows.label}."
     )
     blocks = [
         f"# {words(effect.name).capitalize()}",
@@ -115,7 +112,7 @@ def _page(effect: Effect) -> str:
         f"## How large it is\n\nThe diagnosis states the size in {effect.unit}, with a 95 % "
         "interval where the data give one.",
         f"## How it is detected\n\n{said['How it is detected']}",
-        f"## What it means for control\n\n{CONTROL[effect.name]}",
+        f"## What it means for control\n\n{effect.control}",
         f"## What the model takes in\n\n{said['What the extension adds']}",
         f"## What to record\n\n{effect.experiment}",
         *([f"## What it is confused with\n\n{rivals}"] if rivals else []),
@@ -128,7 +125,6 @@ def _page(effect: Effect) -> str:
 
 def _picture(effect: Effect, recording: Recording) -> bytes:
     changed = effect.inject(recording, SHARE)
-    drive_V = recording.voltage_V()
     figure = Figure(figsize=(7.6, 3.0), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.4))
     added_m = changed.displacement_m() - recording.displacement_m()
@@ -138,19 +134,11 @@ def _picture(effect: Effect, recording: Recording) -> bytes:
         left.plot(*drawn, color=colour, lw=0.6, label=name)
     left.set(xlabel="drive [V]", ylabel="displacement [µm]")
     left.legend(frameon=False, fontsize=8)
-    trace = Trace(
-        recording=recording,
-        time_s=np.arange(len(drive_V)) / recording.sampling_rate_Hz,
-        voltage_V=drive_V,
-        measured_m=recording.displacement_m(),
-        modelled_m=recording.displacement_m(),
-        line_m=recording.displacement_m(),
-    )
-    where = coordinate_of(effect.name)
+    where = effect.shows
     if where.kind == "spectrum":
         _draw_spectrum(right, added_m, recording.sampling_rate_Hz)
     else:
-        place, sign = where.along(trace)
+        place, sign = where.along(recording)
         scaled = 1e6 * place if where.unit == "m" else place
         _draw_along(right, scaled, 1e9 * sign * added_m, in_time=where.kind == "time")
         right.set(ylabel="what it adds [nm]")

@@ -7,7 +7,7 @@ from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.search import Outcome
-from piezoid.readable import told
+from piezoid.readable import told, words
 
 SPEEDS = (
     "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "
@@ -63,7 +63,7 @@ def _sought(effect: Effect, outcome: Outcome) -> ScoreTest | None:
 def _width(effect: Effect, outcome: Outcome) -> str:
     """Say what an effect is not separable from where the drive has one speed."""
     alike = [
-        name.replace("_", " ")
+        words(name)
         for name, found in outcome.screened.items()
         if name in effect.confounded and not found.separable
     ]
@@ -108,7 +108,7 @@ def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
         return ": not named, because physics allows it no such size"
     if not exceeds_structure(found.share, outcome.final.rms, outcome.final.noise):
         return ": not named, because it is no larger than what no hysteresis here follows"
-    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
+    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
     rest = f", or may be what {causes} leave over" if causes else ""
     return f": not named, because refitted with everything else it is no better than others{rest}"
 
@@ -116,6 +116,6 @@ def _in_spite_of(found: ScoreTest, outcome: Outcome) -> str:
 def _held_back(found: ScoreTest, outcome: Outcome) -> str:
     if found.effect.name not in outcome.held_back:
         return ""
-    causes = ", ".join(cause.effect.name.replace("_", " ") for cause in outcome.causes)
+    causes = ", ".join(words(cause.effect.name) for cause in outcome.causes)
     beside = f"what {causes} may leave over" if causes else "what else no hysteresis here follows"
     return f": not named, because these recordings do not tell it from {beside}"

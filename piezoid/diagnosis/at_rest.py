@@ -29,16 +29,14 @@ from piezoid.diagnosis.diagnosis import (
 )
 from piezoid.diagnosis.discovery import highest
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import EFFECTS, effect_named
+from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import (
     BLOCKS,
     DRIFT,
     FOLDS,
-    HUM,
     JUMP,
     LINE,
-    OTHERS,
     Columns,
     Rest,
     held,
@@ -77,7 +75,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     time_s = keep / recording.sampling_rate_Hz
     y = reading_m[keep] - reading_m[keep].mean()
     block = np.arange(len(y)) * BLOCKS // len(y)
-    rest = rest_columns(recording, axis, keep, time_s, y)
+    rest = rest_columns(recording, axis, keep, time_s, y, every_effect())
     chosen = _chosen(rest.columns, y, block)
     final = held(y, [rest.columns[name] for name in chosen], block)
     line_Hz = line_in(final, time_s, CHANCE)
@@ -102,9 +100,7 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
         unexplained=_unexplained(final, noise_m),
         findings=tuple(findings),
         not_detected=tuple(
-            _absent(effect, rest.columns, final, recording)
-            for effect in EFFECTS
-            if effect.name not in chosen
+            _absent(effect, rest, final) for effect in every_effect() if effect.name not in chosen
         ),
     )
 
@@ -266,7 +262,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
         "on slowing down, thermal drift does not."
         if creeps
         else effect.experiment,
-        confounded=("creep",) if creeps else (),
+        confounded=effect.confounded if creeps else (),
     )
 
 
@@ -280,25 +276,19 @@ def _size(design: Array, y: Array, width: int) -> float:
     return float(np.std(part))
 
 
-def _absent(effect: Effect, columns: Columns, final: Array, recording: Recording) -> NotDetected:
-    if effect.name not in columns:
-        why = {
-            HUM: f"at {significant(recording.sampling_rate_Hz)} Hz for "
-            f"{told(recording.duration_s, 's')} no line of the grid can be told",
-            OTHERS: "the drive of no other axis moves in it",
-        }
+def _absent(effect: Effect, rest: Rest, final: Array) -> NotDetected:
+    if effect.name not in rest.columns:
         return NotDetected(
             effect=effect.name,
             upper_bound_m=None,
             detection_limit_m=None,
-            reason=why.get(effect.name, RESTS),
+            reason=rest.unseen.get(effect.name, RESTS),
             next_experiment=effect.experiment,
         )
     # a sum of so many columns within the noise of all rows, one-sided 95 %
     rms_m = float(np.sqrt(np.mean(final**2)))
-    bound_m = max(
-        rms_m * sqrt(2.0 * WORTH), 3.0 * rms_m * sqrt(columns[effect.name].shape[1] / len(final))
-    )
+    width = rest.columns[effect.name].shape[1]
+    bound_m = max(rms_m * sqrt(2.0 * WORTH), 3.0 * rms_m * sqrt(width / len(final)))
     return NotDetected(
         effect=effect.name,
         upper_bound_m=bound_m,

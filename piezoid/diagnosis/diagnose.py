@@ -20,7 +20,7 @@ from piezoid.diagnosis.diagnosis import (
     fraction_explained,
 )
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import EFFECTS, effect_named
+from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.forward_selection import SLIP
 from piezoid.diagnosis.healthy import chance_of, strengths_of_healthy
 from piezoid.diagnosis.held_sensor import with_creep_of_holds
@@ -40,6 +40,7 @@ from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_o
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
+from piezoid.readable import words
 from piezoid.records.comparison import counted_in
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
@@ -130,7 +131,9 @@ def _diagnosed(
     diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, wanted), gain_m_per_V)
-    return diagnosis if model is None else with_modes(diagnosis, model, shaped, len(EFFECTS))
+    return (
+        diagnosis if model is None else with_modes(diagnosis, model, shaped, len(every_effect()))
+    )
 
 
 def _worth_most(
@@ -221,7 +224,7 @@ def _diagnosis(
     named = {finding.effect for finding in findings}
     unseen = [
         not_sought(effect, outcome.against) if outcome.against else absent(effect, outcome)
-        for effect in EFFECTS
+        for effect in every_effect()
         if effect.name not in named
     ]
     return Diagnosis(
@@ -269,7 +272,7 @@ def _of_fault(name: str, fault: Fault, numbers: Simulated, stroke_m: float) -> F
         held_out_gain=_gain(before, after),
         held_out_rms_before_m=before * stroke_m,
         held_out_rms_after_m=after * stroke_m,
-        p_value=min(1.0, fault.p_value * len(EFFECTS)),
+        p_value=min(1.0, fault.p_value * len(every_effect())),
         rms_percent=50.0 * _gain(before, after) * before,
         size=Size(
             value=fault.value, unit=effect.unit, ci95=(fault.value - reach, fault.value + reach)
@@ -333,7 +336,7 @@ def _or_none_at_all(size: Size) -> Size:
 def _or_a_part(structure: Sequence[Effect]) -> str:
     if not structure:
         return ""
-    names = " or ".join(one.name.replace("_", " ") for one in structure)
+    names = " or ".join(words(one.name) for one in structure)
     return f" A part of it, or all, may be {names}: hence an interval that holds zero."
 
 

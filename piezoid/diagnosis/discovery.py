@@ -21,7 +21,7 @@ on p-values that count permutations.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import exp, log, sqrt
+from math import ceil, exp, floor, log, sqrt
 
 import numpy as np
 from scipy.special import chdtrc
@@ -50,6 +50,7 @@ LEFT = 1e-3  # of its length: what the null must leave of a column
 PERIODS = 4.0  # that a recording must show of a line
 LINES = 3  # of each recording that are tried in all, at most
 DRIVEN = 4.0  # times what is around it: a line of the stage's own motion
+RESOLVED = 0.9  # periods in a recording between it and a line; 1 separates two waves
 AROUND = 12  # frequencies on either side that a line is compared with
 LONGEST_PERIOD = 128  # samples
 ROWS_A_CELL = 6
@@ -268,17 +269,22 @@ def _line(remainder: Remainder) -> CoordinateScore | None:
     view = remainder.view
     seconds = tuple(track.time_s for track in view.tracks)
     samples = tuple(np.arange(len(track.drive), dtype=np.float64) for track in view.tracks)
-    peaks = []
+    peaks, driven = [], []
     for k, track in enumerate(view.tracks):
         step_Hz = track.rate_Hz / len(track.drive)
-        spectrum = _spectrum(remainder, k)
-        spectrum[_driven(view.static[k], view.noise)[: len(spectrum)]] = 0.0
+        spectrum, lines = _spectrum(remainder, k), _driven(view.static[k], view.noise)
+        for line in lines:
+            spectrum[ceil(line - RESOLVED) : floor(line + RESOLVED) + 1] = 0.0
         spectrum[: int(PERIODS)] = 0.0
         peaks += [(x, p, j * step_Hz, k) for x, p, j in highest(spectrum)]
+        driven.append(lines * step_Hz)
     best: CoordinateScore | None = None
     for _, p_value, near_Hz, k in sorted(peaks, reverse=True)[: 2 * LINES]:
         p_value = min(1.0, p_value * len(view.tracks))
         found = _wave(remainder, "frequency", seconds, "s", near_Hz, k, p_value)
+        off_Hz = np.abs(driven[k] - found.basis.per_unit)
+        if off_Hz.min(initial=np.inf) * float(seconds[k][-1]) < RESOLVED:
+            continue
         near = near_Hz / view.tracks[k].rate_Hz
         other = _wave(remainder, "sample_index", samples, "samples", near, k, p_value)
         if other.gain > BY_HARMONICS * found.gain:
@@ -335,14 +341,20 @@ def _spectrum(remainder: Remainder, k: int) -> Array:
 
 
 def _driven(static: Array, noise: float) -> Array:
-    """Return at which frequencies the stage's own motion has lines."""
-    from scipy.ndimage import maximum_filter1d, median_filter
+    """Return where the stage's own motion has lines, in periods of the recording.
+
+    The place of a line is that of the vertex through the three highest values of its lobe.
+    """
+    from scipy.ndimage import median_filter
 
     count = len(static)
     lines = 4.0 * np.abs(np.fft.rfft((static - static.mean()) * np.hanning(count))) / count
-    floor = 2.0 * noise / sqrt(count)
-    around = np.maximum(median_filter(lines, 2 * AROUND + 1, mode="nearest"), floor)
-    return np.asarray(maximum_filter1d((lines > DRIVEN * around).astype(int), 7) > 0)
+    least = 2.0 * noise / sqrt(count)
+    around = np.maximum(median_filter(lines, 2 * AROUND + 1, mode="nearest"), least)
+    top = np.flatnonzero(lines[1:-1] >= np.maximum(lines[:-2], lines[2:])) + 1
+    top = top[lines[top] > DRIVEN * around[top]]
+    below, here, above = (np.log(np.maximum(lines[top + j], 1e-300)) for j in (-1, 0, 1))
+    return np.asarray(top + 0.5 * (below - above) / np.minimum(below - 2.0 * here + above, -1e-9))
 
 
 def highest(spectrum: Array) -> list[tuple[float, float, float]]:

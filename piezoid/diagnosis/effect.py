@@ -9,12 +9,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import Appearance
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.tracks import Track
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.tracks import Places, Track
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension, Where
-from piezoid.identification.joint.vector import parts_of
-from piezoid.identification.model import AxisModel
+from piezoid.identification.joint.vector import Structure, parts_of
+from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
@@ -89,6 +91,7 @@ def setting_of(
 
 
 Parameters = Mapping[str, float]
+Filter = Callable[[Array, float, Parameters], Array]  # (signal, rate_Hz, parameters) -> signal
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,6 +155,73 @@ class Fault:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Tangent:
+    """What an effect would add along a drive that has not been played yet, for ``piezoid plan``.
+
+    columns  (drive, scale) -> (samples, columns), m for a strength of one, made from the fitted
+             model alone
+    own      whether every drive has coefficients of its own
+    lags     whether it is a lag itself, so that a fitted lag must not take it away
+    scale    in s or Hz: for effects whose shape depends on their size; 0: it does not
+    found    name of a finding's parameter that is this scale, or empty
+    """
+
+    columns: Callable[[Driven, float], Array]
+    own: bool = False
+    lags: bool = False
+    scale: float = 0.0
+    found: str = ""
+
+
+def late(response_filter: Filter, name: str) -> Tangent:
+    """Return the tangent of a filter that is late by its one parameter, a time in s."""
+
+    def columns(drive: Driven, time_s: float) -> Array:
+        read_m = response_filter(drive.static_m, drive.rate_Hz, {name: time_s})
+        return np.asarray((read_m - drive.static_m)[:, None] / time_s)
+
+    return Tangent(columns=columns, lags=True, scale=1e-4)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Standing:
+    """Readings of a stage whose drive rests, for causes that need no drive.
+
+    recording  whose they are
+    axis       of the stage
+    keep       (rows,)  samples that are used
+    time_s     (rows,)
+    calm_m     (rows,)  readings less what drifts
+    """
+
+    recording: Recording
+    axis: str
+    keep: Places
+    time_s: Array
+    calm_m: Array
+
+
+Without = Callable[[AxisModel, Recording], AxisModel | None]
+
+
+def without_part(kind: type[Extension], *, lag: bool = False) -> Without:
+    """Return what takes the extensions of a kind out of a model; it returns None where none is.
+
+    lag  whether the model's own lag stands for the effect as well
+    """
+
+    def taken_out(axis: AxisModel, _: Recording) -> AxisModel | None:
+        others = tuple(e for e in axis.extensions if not isinstance(e, kind))
+        late = lag and axis.lag.time_s > 0.0
+        if len(others) == len(axis.extensions) and not late:
+            return None
+        kept = Lag(kind="none", time_s=0.0) if lag else axis.lag
+        return replace(axis, extensions=others, lag=kept)
+
+    return taken_out
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effect:
     """What one effect provides.
@@ -161,6 +231,9 @@ class Effect:
     unit                      of its size
     experiment                what to record to see it better, or to separate it from its
                               confounded effects
+    control                   what it means for who controls the stage
+    shows                     the coordinate in which it is seen
+    tangent                   what it would add along a drive; or why no drive exposes it better
     confounded                names of the effects that look alike
     untestable                (view) -> why these recordings cannot show it; empty where they can
     trials                    (view) -> physical trials and placebos
@@ -175,6 +248,8 @@ class Effect:
     fault                     (view) -> Fault or None, for faults of the data
     size                      (view, parameters, coefficients) -> size in ``unit``; None: rms in
                               percent
+    at_rest                   (standing) -> what it adds while the drive rests, (rows, columns), or
+                              why these readings cannot show it; None: it needs a drive
     null_without              (view) -> the null to beat where that is not the view's own: a part
                               of the nuisance class, judged last
     model_error               part of the size that the law itself may be wrong by (a spectrum
@@ -186,6 +261,10 @@ class Effect:
                               columns are made from a response without it
     inject                    (recording, share) -> the recording with it, share of the stroke
     extend                    (found, setting) -> the model's extension to refit from there
+    structure                 (structure, model, found) -> the static structure to refit with it,
+                              or without it, for what the static model has itself
+    without                   (model, recording) -> the model without it, None where the model
+                              does not have it
     largest_noise_ratio       residual over noise above which its null counts as misspecified
     minimum_gain              part of the held-out error that it must take off
     detectable_share          share of the stroke from which it is found at 0.05 % of noise
@@ -196,21 +275,27 @@ class Effect:
     explanation: str
     unit: str
     experiment: str
+    control: str
+    shows: Appearance
+    tangent: Tangent | str
     inject: Callable[[Recording, float], Recording]
     confounded: tuple[str, ...] = ()
     untestable: Callable[[View], str] = lambda _: ""
     trials: Callable[[View], Sequence[Trial]] | None = None
     columns: Callable[[View, Parameters], Array] | None = None
     covariates: Callable[[View], Array] | None = None
-    drive_filter: Callable[[Array, float, Parameters], Array] | None = None
-    response_filter: Callable[[Array, float, Parameters], Array] | None = None
+    drive_filter: Filter | None = None
+    response_filter: Filter | None = None
     other_side: "Effect | None" = None
     between_recordings: "Effect | None" = None
     fault: Callable[[View], Fault | None] | None = None
     bound: Callable[[View], float] | None = None
     size: Callable[[View, Parameters, Array], float] | None = None
+    at_rest: Callable[[Standing], Array | str] | None = None
     null_without: Callable[[View], Null] | None = None
     extend: Callable[[Found, Setting], tuple[Extension, ...]] | None = None
+    structure: Callable[[Structure, AxisModel, bool], Structure] | None = None
+    without: Without = lambda *_: None
     model_error: float = 0.02
     largest_noise_ratio: float = float("inf")
     minimum_gain: float = 0.05
@@ -222,6 +307,11 @@ class Effect:
     def summary(self) -> str:
         """Return the first paragraph of the explanation, on one line."""
         return " ".join(self.explanation.partition("\n\n")[0].split())
+
+    @property
+    def moves_zero(self) -> bool:
+        """Whether it moves a zero: what shows over time and is no fault of the data."""
+        return self.shows.unit == "s" and self.fault is None
 
     def resembles(self, other: "Effect") -> bool:
         """Tell whether one of the two may stand in the place of the other."""

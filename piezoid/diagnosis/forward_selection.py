@@ -14,7 +14,7 @@ import numpy as np
 from piezoid.diagnosis.bouc_wen_search import with_best_bouc_wen
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import BETWEEN, Effect, Fault
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.initial_state_search import (
     OTHER_INITIAL_STATES,
@@ -25,7 +25,7 @@ from piezoid.diagnosis.initial_state_search import (
 from piezoid.diagnosis.jumps import modes_behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
 from piezoid.diagnosis.score_test import ScoreTest, score_test
-from piezoid.diagnosis.slip_alternative import slips_in_place
+from piezoid.diagnosis.slips import slips_in_place
 from piezoid.diagnosis.view import (
     View,
     with_bouc_wen,
@@ -33,6 +33,7 @@ from piezoid.diagnosis.view import (
     with_reversals,
 )
 from piezoid.numerics.executor import Executor
+from piezoid.readable import words
 
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
 LEAST_GAIN = 0.012  # of the error: tangents err by factors
@@ -88,7 +89,7 @@ def _refined(
 
     def refit(begin: tuple[SelectedEffect, ScoreTest]) -> Candidate:
         one, found = begin
-        executor.report(f"refitting with {one.effect.name.replace('_', ' ')}")
+        executor.report(f"refitting with {words(one.effect.name)}")
         better, view = refined(one, beside.clean, beside.selected)
         return _refined_together(judged(better, view, beside.view, seen=found), beside, found)
 
@@ -254,10 +255,10 @@ def _with_slips_in_place(state: SelectionState, view: View) -> SelectionState | 
 
 def _score_all(view: View, named: set[str], executor: Executor) -> dict[str, ScoreTest]:
     def screened(effect: Effect) -> ScoreTest | None:
-        executor.report(f"testing {effect.name.replace('_', ' ')}")
+        executor.report(f"testing {words(effect.name)}")
         return score_test(effect, view)
 
-    others = [e for e in EFFECTS if e.null_without is None and e.name not in named]
+    others = [e for e in every_effect() if e.null_without is None and e.name not in named]
     others = [effect for effect in others if not effect.untestable(view)]
     between = {
         f"{e.name} {BETWEEN}": e.between_recordings

@@ -18,7 +18,7 @@ from math import erfc, log, sqrt
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Seen, Size, with_finding
-from piezoid.diagnosis.effects import EFFECTS, effect_named
+from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import seen_in_classes
@@ -27,7 +27,7 @@ from piezoid.readable import significant, told
 from piezoid.records.plausibility import held_stretch, is_held_throughout
 from piezoid.records.recording import Recording
 
-NAME, RIVAL = "creep", "thermal_drift"
+NAME = "creep"
 SURE = 3.3  # standard errors of blocks: as every effect asks for
 WORTH = 0.1  # of what the drive does in the hold: loops under feedback wander by themselves
 SCALES = 12  # of the logarithm, from one sample to a third of the hold
@@ -150,10 +150,10 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         held_out_gain=float(np.clip(gain, 0.0, 1.0)),
         held_out_rms_before_m=before * abs(gain_m_per_V),
         held_out_rms_after_m=after * abs(gain_m_per_V),
-        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(EFFECTS)),
+        p_value=min(1.0, max(0.5 * erfc(z / sqrt(2.0)), 1e-12) * len(every_effect())),
         rms_percent=100.0 * curve_m / diagnosis.stroke_m,
         size=Size(value=percent, unit=effect.unit, ci95=((1.0 - SLOPE) * percent, 1.05 * percent)),
-        not_separable_from=(RIVAL,) if after > fit.cubic_V / SLOWS else (),
+        not_separable_from=effect.confounded if after > fit.cubic_V / SLOWS else (),
         explanation=f"{effect.summary} In "
         f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
         f"{told(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / {told(fit.scale_s, 's', 2)}): "

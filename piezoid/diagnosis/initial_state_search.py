@@ -57,7 +57,7 @@ the same whatever initial states the view had."""
 
 def with_shared_initial_state(view: View, executor: Executor = SERIAL) -> View:
     """Return the view with the shared hypothesis that leaves the smallest error."""
-    ways = shared_hypotheses(_drives(view), view.rest)
+    ways = shared_hypotheses([track.drive for track in view.tracks], view.rest)
     # a view holds columns for all rows: the best is made again, sooner than that all are kept
     left = executor.map(lambda reversals: with_shared_reversals(view, reversals).rms, ways)
     return with_shared_reversals(view, ways[left.index(min(left))])
@@ -110,10 +110,6 @@ def shared_does_as_well(shared: View, own: View, first: View) -> bool:
     """
     least, excess = own.rms**2, shared.rms**2 - own.rms**2
     return excess < min((AS_GOOD - 1.0) * least, NEARLY * (first.rms**2 - least))
-
-
-def _drives(view: View) -> list[Array]:
-    return [track.drive for track in view.tracks]
 
 
 def _error(view: View) -> float:

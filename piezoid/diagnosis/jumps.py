@@ -15,7 +15,7 @@ import numpy as np
 
 from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effect import Effect, Parameters, Trial
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.extended import SelectedEffect
 from piezoid.diagnosis.history import History
 from piezoid.diagnosis.nuisance import NuisanceClass
@@ -66,7 +66,9 @@ def modes_behind_jumps(view: View) -> tuple[SelectedEffect, ...]:
     scope = behind_jumps(view)
     if scope is None:
         return ()
-    found = [_struck(in_any_phase(effect), scope) for effect in EFFECTS if effect.may_be_absorbed]
+    found = [
+        _struck(in_any_phase(effect), scope) for effect in every_effect() if effect.may_be_absorbed
+    ]
     return tuple(one for one in found if one is not None)
 
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from piezoid.diagnosis.candidate import Candidate, judged
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import paired_z
 from piezoid.diagnosis.jumps import behind_jumps
@@ -20,6 +20,7 @@ from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import View
 from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.readable import words
 
 NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart
@@ -52,10 +53,15 @@ def _compare_each(
 ) -> tuple[list[Candidate], Confounded]:
     causes, near = [], {}
     for k, one in enumerate(selected):
-        executor.report(f"telling {one.effect.name.replace('_', ' ')} from its rivals")
+        executor.report(f"telling {words(one.effect.name)} from its rivals")
         others = [other for n, other in enumerate(selected) if n != k]
         there, beside = _where_seen(one, clean, others)
-        cause = _cause(there, beside, one)
+        # judged once more, refined beside all others
+        better, view = refined(one, there, beside, finer=1)
+        without = extended(there, beside)
+        seen = score_test(one.effect, without)
+        assert seen is not None
+        cause = judged(better, view, without, seen=seen)
         confounded = confounded_with(cause, there, beside, executor)
         causes.append(cause)
         near[cause.effect.name] = tuple(alternative.effect.name for alternative in confounded)
@@ -72,21 +78,14 @@ def _where_seen(
     return jumps, [other for other in others if other.effect.drive_filter is None]
 
 
-def _cause(clean: View, others: Sequence[SelectedEffect], one: SelectedEffect) -> Candidate:
-    """Judge a selected effect once more, refined beside all others."""
-    better, view = refined(one, clean, others, finer=1)
-    without = extended(clean, others)
-    seen = score_test(one.effect, without)
-    assert seen is not None
-    return judged(better, view, without, seen=seen)
-
-
 def confounded_with(
     cause: Candidate, clean: View, others: Sequence[SelectedEffect], executor: Executor = SERIAL
 ) -> tuple[Candidate, ...]:
     """Return the effects that these recordings do not separate from a cause, the best first."""
     taken = {one.effect.name for one in others}
-    asked = [e for e in EFFECTS if e.name in cause.effect.confounded and e.name not in taken]
+    asked = [
+        e for e in every_effect() if e.name in cause.effect.confounded and e.name not in taken
+    ]
     tried = executor.map(lambda effect: _in_place(effect, cause, clean, others), asked)
     near = [
         alternative

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from piezoid.diagnosis.effect import Found, setting_of
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.something_else import NAME
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
@@ -21,10 +21,10 @@ from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
+from piezoid.readable import words
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-BENDS = 3
 LOOSE = 0.85  # of the error: what shares of its own for every rung of creep must leave
 LEFT_OF_LAG = 0.1  # of it, beside the mode that it had stood for
 STATIC = Structure(lag=False)
@@ -49,13 +49,6 @@ class Refitted:
     extensions: Mapping[str, tuple[Extension, ...]]
     spread: Mapping[str, tuple[Array, ...]]
     model: AxisModel
-
-
-WITHOUT: Mapping[str, Structure] = {
-    "initial_state": replace(STATIC, memory=False),
-    "asymmetry": replace(STATIC, zones=False),
-    "non_congruence": replace(STATIC, bends=0),
-}
 
 
 def refitted(
@@ -88,9 +81,14 @@ def refitted(
     """
     setting = setting_of(model, recordings, scales)
     declared = _declared(lab)
-    extend = {effect.name: effect.extend for effect in EFFECTS if effect.extend is not None}
-    given = {one.effect: extend[one.effect](one, setting) for one in found if one.effect in extend}
-    structure = _structure_of(model, found)
+    effects = {effect.name: effect for effect in every_effect()}
+    given, structure = {}, STATIC
+    for one in found:
+        effect = effects[one.effect]
+        if effect.extend is not None:
+            given[one.effect] = effect.extend(one, setting)
+        if effect.structure is not None:
+            structure = effect.structure(structure, model, True)
     every = [*declared, *(part for parts in given.values() for part in parts)]
     progress("refitting the simulation")
     baseline = fit_extended(model, raw or recordings, declared, structure=STATIC)
@@ -102,10 +100,11 @@ def refitted(
     again = partial(fit_extended, final.model, others=(baseline.model,))
     without = {}
     for one in found:
-        progress(f"refitting without {one.effect.replace('_', ' ')}")
+        progress(f"refitting without {words(one.effect)}")
         mine = fitted.get(one.effect, ())
         rest = [part for part in final.model.extensions if not any(part is own for own in mine)]
-        bare = WITHOUT.get(one.effect, structure)
+        itself = effects[one.effect].structure
+        bare = structure if itself is None else itself(structure, model, False)
         without[one.effect] = again(recordings, rest, structure=bare, places=places)
     if faults:
         broken = again(raw or recordings, final.model.extensions, structure=structure)
@@ -151,12 +150,6 @@ def _loosened(
 def _declared(lab: Lab) -> tuple[Extension, ...]:
     clock_Hz = lab.acquisition.sampling_rate_Hz
     return () if clock_Hz is None else (ConverterHold(hold_s=0.5 / clock_Hz),)
-
-
-def _structure_of(model: AxisModel, found: Sequence[Found]) -> Structure:
-    """Return the static structure, with an envelope where minor loops asked for one."""
-    bent = any(one.effect == "non_congruence" for one in found)
-    return replace(STATIC, bends=BENDS) if bent and not model.hysteresis.envelope.zero else STATIC
 
 
 def _fitted(

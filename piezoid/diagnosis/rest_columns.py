@@ -2,26 +2,24 @@
 
 drift   t, t^2, t^3, and where they do better ln(1 + t / s) of three scales s
 jump    0 before an instant and 1 after it, where that leaves least beside drift
-hum     the grid's line and two harmonics, at its own frequency
 line    one frequency besides
-others  the drives of other axes
+
+and what the effects say that they add while the drive rests (hum, other axes).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from piezoid.diagnosis.discovery import highest
-from piezoid.diagnosis.signals import GRIDS_Hz
+from piezoid.diagnosis.effect import Effect, Standing
 from piezoid.diagnosis.tracks import Places
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.noise import white_noise_rms
-from piezoid.records.recording import Quantity, Recording
+from piezoid.records.recording import Recording
 
-DRIFT, HUM, OTHERS = "thermal_drift", "mains_interference", "cross_coupling"
+DRIFT = "thermal_drift"  # the trend that everything else stands beside
 JUMP, LINE = "jump", "line"  # of no effect that needs no drive: told as something else
-OFF_Hz, HARMONICS = 0.5, 3  # how far a grid is off its nominal frequency
 BLOCKS, FOLDS = 40, 5  # blocks of time, each fold every fifth of them
 SLOW = (0.003, 0.03, 0.1)  # of the recording: scales of a logarithm of time
 SLOWS = 1.02  # times what a cubic leaves: a logarithm of time that leaves no more does as well
@@ -41,6 +39,7 @@ class Rest:
     is_creep  whether a logarithm of time does as well as a cubic
     jump_s    instant of the jump, since the recording began
     line_Hz   of the line, where one was asked for
+    unseen    why an effect cannot be seen here, by its name
     """
 
     recording: str
@@ -49,6 +48,7 @@ class Rest:
     is_creep: bool
     jump_s: float
     line_Hz: float = 0.0
+    unseen: Mapping[str, str] = field(default_factory=dict)
 
     def with_line(self, frequency_Hz: float) -> "Rest":
         """Return the same with a line of its own."""
@@ -56,12 +56,20 @@ class Rest:
         return replace(self, columns=columns, line_Hz=frequency_Hz)
 
 
-def rest_columns(recording: Recording, axis: str, keep: Places, time_s: Array, y: Array) -> Rest:
+def rest_columns(
+    recording: Recording,
+    axis: str,
+    keep: Places,
+    time_s: Array,
+    y: Array,
+    effects: Iterable[Effect],
+) -> Rest:
     """Return the columns of every cause that these rows can show.
 
-    keep    (rows,)  samples that are used
-    time_s  (rows,)  of them
-    y       (rows,)  their readings, m
+    keep     (rows,)  samples that are used
+    time_s   (rows,)  of them
+    y        (rows,)  their readings, m
+    effects  of which those are asked that need no drive
     """
     smooth, slow = cubic(time_s), _logarithms(time_s)
     jump, jump_s = _jump(time_s, y, (smooth, slow))
@@ -69,18 +77,12 @@ def rest_columns(recording: Recording, axis: str, keep: Places, time_s: Array, y
     left, slower = _left(y, smooth, block), _left(y, slow, block)
     found = {DRIFT: slow if slower < left else smooth, JUMP: jump}
     least = min(_left(y, slow[:, k : k + 1], block) for k in range(len(SLOW)))
-    lines = _grid(recording.sampling_rate_Hz, time_s, y, found[DRIFT])
-    if lines is not None:
-        found[HUM] = lines
-    others = [
-        channel.values[keep]
-        for channel in recording.channels
-        if channel.quantity is Quantity.VOLTAGE
-        and channel.axis != axis
-        and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
-    ]
-    if others:
-        found[OTHERS] = np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in others])
+    drift = found[DRIFT]
+    calm_m = y - drift @ np.linalg.lstsq(drift, y, rcond=None)[0]
+    standing = Standing(recording=recording, axis=axis, keep=keep, time_s=time_s, calm_m=calm_m)
+    said = {one.name: one.at_rest(standing) for one in effects if one.at_rest is not None}
+    unseen = {name: why for name, why in said.items() if isinstance(why, str)}
+    found |= {name: added for name, added in said.items() if not isinstance(added, str)}
     columns = {name: values - values.mean(axis=0) for name, values in found.items()}
     return Rest(
         recording=recording.name,
@@ -88,6 +90,7 @@ def rest_columns(recording: Recording, axis: str, keep: Places, time_s: Array, y
         columns=columns,
         is_creep=least <= SLOWS**2 * left,
         jump_s=jump_s,
+        unseen=unseen,
     )
 
 
@@ -129,10 +132,10 @@ def line_in(left: Array, time_s: Array, chance: float) -> float | None:
     if not lines or lines[0][1] > chance:
         return None
     per_s = (len(left) - 1) / (len(left) * float(np.ptp(time_s)))
-    return _peak_Hz(left, time_s, per_s * lines[0][2], per_s)
+    return peak_Hz(left, time_s, per_s * lines[0][2], per_s)
 
 
-def _peak_Hz(signal: Array, time_s: Array, near_Hz: float, reach_Hz: float) -> float:
+def peak_Hz(signal: Array, time_s: Array, near_Hz: float, reach_Hz: float) -> float:
     """Return the frequency of a signal's line, at the vertex of its power.
 
     A line that is off by an eighth of one period in the record leaves a fifth of itself, which is
@@ -185,16 +188,3 @@ def _refined(y: Array, near: int, size: int) -> int:
     part = y[low:high]
     sums, count = np.cumsum(part - part.mean())[:-1], np.arange(1, len(part))
     return low + 1 + int(np.argmax(np.abs(sums) / np.sqrt(count * (len(part) - count))))
-
-
-def _grid(rate_Hz: float, time_s: Array, y: Array, drift: Array) -> Array | None:
-    """Return the lines of the grid that fits best, at its own frequency."""
-    span_s = float(np.ptp(time_s))
-    if rate_Hz <= 2.0 * GRIDS_Hz[0] or span_s * OFF_Hz < 1.0:
-        return None
-    calm = y - drift @ np.linalg.lstsq(drift, y, rcond=None)[0]
-    steps = np.arange(-OFF_Hz, OFF_Hz, 0.25 / span_s)
-    tried = [f + step for f in GRIDS_Hz if rate_Hz > 2.0 * f for step in steps.tolist()]
-    power = [abs(np.exp(-2j * np.pi * f * time_s) @ calm) for f in tried[:4000]]
-    best = _peak_Hz(calm, time_s, tried[int(np.argmax(power))], 0.25 / span_s)
-    return waves(time_s, [h * best for h in range(1, HARMONICS + 1) if 2 * h * best < rate_Hz])

@@ -5,7 +5,7 @@ from typing import Any
 
 from piezoid.counts import in_counts
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Unexplained
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.something_else import NAME
 from piezoid.provenance import seal, unseal
 from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json, refusing, to_json
@@ -13,7 +13,6 @@ from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json,
 SCHEMA = "piezoid.diagnosis/1"
 REMEDY = "Diagnose the recordings again with this version."
 BESIDE = ("schema", "digest", "axes", "since_model")  # the diagnosis at the top of the file
-KNOWN = {NAME, *(effect.name for effect in EFFECTS)}
 NOT_WRITTEN = ("strengths", "model")
 # field -> entry, where they differ
 HELD_OUT = {"rms_m": "held_out_rms_m", "rms_percent": "held_out_rms_percent"}
@@ -76,7 +75,7 @@ def _read_absent(table: Mapping[str, Any]) -> NotDetected:
 
 
 def _of_known(table: Mapping[str, Any]) -> Mapping[str, Any]:
-    if table["effect"] not in KNOWN:
+    if table["effect"] not in {NAME, *(effect.name for effect in every_effect())}:
         raise ValueError(f"effect {table['effect']!r}, which this version does not know")
     return table
 

@@ -16,7 +16,7 @@ from piezoid.diagnosis.candidate import (
     structural_candidate,
 )
 from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.extended import extended
 from piezoid.diagnosis.forward_selection import SLIP, select_forward
 from piezoid.diagnosis.initial_state_search import (
@@ -30,6 +30,7 @@ from piezoid.diagnosis.model_comparison import Confounded, compare_models
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.numerics.executor import SERIAL, Executor
+from piezoid.readable import words
 
 CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
 MOST = 0.65  # and of what is no noise, in power
@@ -110,7 +111,7 @@ def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
     """Return the last word on effects that were selected once and are not any more."""
     screenings = [
         score_test(effect, final)
-        for effect in EFFECTS
+        for effect in every_effect()
         if effect.null_without is None
         and effect.name not in known
         and not effect.untestable(final)
@@ -121,10 +122,10 @@ def _dropped(final: View, known: Collection[str]) -> dict[str, ScoreTest]:
 def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     """Judge the nuisance class's own structure, with all causes at work."""
     final = outcome.final
-    for effect in EFFECTS:
+    for effect in every_effect():
         if effect.null_without is None or effect.untestable(final):
             continue
-        executor.report(f"testing {effect.name.replace('_', ' ')}")
+        executor.report(f"testing {words(effect.name)}")
         judgement = structural_candidate(effect, final)
         if judgement is None:
             continue
@@ -175,11 +176,11 @@ def repaired(
     believed = shared if evident else view
     # a wrong initial state looks like readings that are lost
     view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
-    for effect in EFFECTS:
+    for effect in every_effect():
         if effect.fault is None or effect.name == but:
             continue
         for _ in range(MOST_REPAIRS):
-            executor.report(f"looking for {effect.name.replace('_', ' ')}")
+            executor.report(f"looking for {words(effect.name)}")
             fault = effect.fault(view)
             if fault is None:
                 break

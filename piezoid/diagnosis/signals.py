@@ -5,8 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Parameters
+from piezoid.diagnosis.effect import Filter, Parameters
 from piezoid.diagnosis.view import View
+from piezoid.identification.extensions.extension import Extension
+from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns
@@ -57,16 +59,18 @@ def added_percent(
     return size
 
 
-def filtered_change(view: View, change: Callable[[Array, float], Array]) -> Array:
-    """Return what a filter of (response, rate_Hz) changes at the rows, (rows, 1)."""
-    return view.of(lambda k, t: change(view.static[k], t.rate_Hz) - view.static[k])[:, None]
+def filtered_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+    """Return what a filter of the response changes at the rows, (rows, 1)."""
+    return view.of(lambda k, t: passed(view.static[k], t.rate_Hz, parameters) - view.static[k])[
+        :, None
+    ]
 
 
-def drive_change(view: View, change: Callable[[Array, float], Array]) -> Array:
-    """Return what a changed command (command, rate_Hz) changes at the rows, (rows, 1)."""
+def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
+    """Return what a filter of the command changes at the rows, (rows, 1)."""
     parts = []
     for k, track in enumerate(view.tracks):
-        command = change(track.command, track.rate_Hz)
+        command = passed(track.command, track.rate_Hz, parameters)
         if command is track.command or np.array_equal(command, track.command):
             parts.append(np.zeros(len(track.place)))
             continue
@@ -86,6 +90,16 @@ def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
     return replace(recording, channels=channels)
 
 
+def through(recording: Recording, part: Extension) -> Recording:
+    """Return a recording of which the displacement came about with this part of a model.
+
+    Parts in front of the hysteresis have nothing to act on: a recording knows no ceramic.
+    """
+    where = where_of(recording, recording.axis, slice(0, recording.samples))
+    moved_m = part.response(recording.displacement_m(), where)
+    return with_displacement(recording, part.reading(moved_m + part.added(where)))
+
+
 def stroke_of(recording: Recording) -> float:
     """Return the range of a recording's displacement in m."""
     return float(np.ptp(recording.displacement_m()))
@@ -96,10 +110,11 @@ def seconds_of(recording: Recording) -> Array:
     return np.arange(recording.samples) / recording.sampling_rate_Hz
 
 
-def scaled_to(change_m: Array, share: float, recording: Recording) -> Array:
-    """Return a change whose rms is a share of the stroke."""
+def with_added(recording: Recording, change_m: Array, share: float) -> Recording:
+    """Return a recording with a change added, of which the rms is a share of the stroke."""
     rms_m = float(np.sqrt(np.mean(change_m**2)))
-    return change_m * (share * stroke_of(recording) / rms_m) if rms_m > 0 else change_m
+    scale = share * stroke_of(recording) / rms_m if rms_m > 0 else 1.0
+    return with_displacement(recording, recording.displacement_m() + change_m * scale)
 
 
 def answers_of_others(view: View, *, backwards: bool = False) -> Array:

@@ -66,15 +66,10 @@ def _spread(cause: Candidate, value: float) -> float:
             gradient.append((effect.size(view, one.parameters, more) - value) / step)
     # a parameter that moves nothing here is in no reading, nor in what the cause adds to them
     moving = [k for k, column in enumerate(columns) if np.any(column)]
-    null = replace(view, selected=_others(cause)).null
+    null = replace(view, selected=cause.without.selected).null
     cov = null.doubt(np.column_stack([columns[k] for k in moving]))
     slope = np.array([gradient[k] for k in moving])
     return sqrt(max(float(slope @ cov @ slope), 0.0))
-
-
-def _others(cause: Candidate) -> Array:
-    """Return the selected columns of all other effects."""
-    return cause.without.selected
 
 
 def _nudged(cause: Candidate, name: str) -> Array:

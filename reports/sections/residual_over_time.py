@@ -107,7 +107,10 @@ def _histogram(trace: Trace, axis: AxisModel) -> Figure:
     widest_m = REACH * max(rms(there), noise_m, LEAST_m)
     edges = np.linspace(-widest_m, widest_m, CLASSES + 1)
     share = 100.0 * np.histogram(there, edges)[0] / len(there)
-    noise = _expected(edges, max(noise_m, LEAST_m))
+    # the percentage of normal noise that falls into every class
+    sigma = max(noise_m, LEAST_m)
+    below = np.array([math.erf(edge / (math.sqrt(2.0) * sigma)) for edge in edges])
+    noise = np.asarray(50.0 * np.diff(below))
     x = axis_over("residual", [edges], "m")
     y = axis_over("share of the samples", [share, noise, np.zeros(1)], "%")
     canvas = Canvas(x=x, y=y, height=HEIGHT)
@@ -125,12 +128,6 @@ def _histogram(trace: Trace, axis: AxisModel) -> Figure:
             canvas.line("model", "noise alone", middle, noise),
         ),
     )
-
-
-def _expected(edges: Array, sigma: float) -> Array:
-    """Return the percentage of normal noise that falls into every class."""
-    below = np.array([math.erf(edge / (math.sqrt(2.0) * sigma)) for edge in edges])
-    return np.asarray(50.0 * np.diff(below))
 
 
 def after(trace: Trace, axis: AxisModel, *, size: tuple[int, int] | None = None) -> Figure:

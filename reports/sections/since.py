@@ -4,10 +4,10 @@ import numpy as np
 
 from piezoid.calibration.since import Cause, Curves, Moved, Since
 from piezoid.numerics.arrays import Array
+from piezoid.readable import words
 from piezoid_reports.chart import Canvas, Layer, axis_over
-from piezoid_reports.effect_words import size_of, words
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
-from piezoid_reports.quantities import MINUS, percent, significant, told, told_between
+from piezoid_reports.quantities import MINUS, percent, significant, size_of, told, told_between
 
 LOOK = (
     "Good: the line stays inside the band, so that both calibrations agree. Bad: it leaves the "

@@ -1,13 +1,16 @@
 """A drive at rest is a recording: drift, hum, other axes and noise are told of it."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from piezoid.diagnosis import effects
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.rest_columns import waves
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest
 from piezoid_datasets.virtual_lab.signals import coloured_noise
@@ -57,6 +60,20 @@ def test_what_moves_a_stage_at_rest_is_named_and_sized(
     assert {*found.names, *(one.effect for one in found.not_detected)} == {
         effect.name for effect in EFFECTS
     }
+
+
+def test_an_effect_that_needs_no_drive_is_asked_while_it_rests(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pump = replace(
+        effects.effect_named("mains_interference"),
+        name="pump",
+        at_rest=lambda standing: waves(standing.time_s, [31.3]),
+    )
+    monkeypatch.setattr(effects, "EFFECTS", (*EFFECTS, pump))
+    (finding,) = diagnosed(tmp_path, 0.004 * np.sin(2.0 * np.pi * 31.3 * TIME_s)).findings
+    assert finding.effect == "pump"
+    assert finding.size.value == pytest.approx(4.0 / np.sqrt(2.0), rel=0.1)
 
 
 def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ from piezoid.diagnosis.initial_state_search import (
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
-from piezoid.diagnosis.signals import delayed, with_displacement
+from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.view import View, cycled
+from piezoid.identification.hysteresis.filters import later
 from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
@@ -33,7 +34,7 @@ LATE_s = 3e-4
 def late_view() -> View:
     recordings, lab = healthy()
     late = [
-        with_displacement(r, delayed(r.displacement_m(), LATE_s, r.sampling_rate_Hz))
+        with_displacement(r, later(r.displacement_m(), LATE_s * r.sampling_rate_Hz))
         for r in recordings
     ]
     return view_of_recordings(tuple(late), lab)
@@ -127,7 +128,7 @@ def test_errors_of_coefficients_know_that_rows_of_a_block_are_not_independent():
 def test_a_reading_that_is_late_in_one_recording_is_no_delay_of_the_stage():
     recordings, lab = healthy()
     one_late = [
-        with_displacement(r, delayed(r.displacement_m(), 4e-4, r.sampling_rate_Hz))
+        with_displacement(r, later(r.displacement_m(), 4e-4 * r.sampling_rate_Hz))
         if "rates" in r.name
         else r
         for r in recordings

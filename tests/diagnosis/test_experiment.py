@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
 from piezoid.diagnosis.planning.bench import Bench
 from piezoid.diagnosis.planning.menu import MENU, Experiment, played
-from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files
-from piezoid.diagnosis.planning.plan_words import sentences
-from piezoid.diagnosis.planning.tangents import TANGENTS, WITHOUT
+from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
 from piezoid.provenance import unseal
@@ -51,11 +48,6 @@ def _planned() -> Plan:
     case, diagnosis = _slow()
     before = recordings_of(case.played(None)[0])
     return plan(model_of(case), diagnosis, recordings=before, clock_Hz=CLOCK_Hz)
-
-
-def test_every_effect_has_a_tangent_or_a_reason_to_have_none() -> None:
-    assert {one.name for one in TANGENTS} | set(WITHOUT) == {effect.name for effect in EFFECTS}
-    assert not {one.name for one in TANGENTS} & set(WITHOUT)
 
 
 def test_creep_and_drift_after_one_hold_are_sent_to_levels_of_random_sign() -> None:

@@ -88,7 +88,7 @@ def test_faults_are_looked_for_beside_the_memory_that_leaves_least(
         seen.append(view.nuisance.reversals)
 
     effect = SimpleNamespace(name="timestamp_fault", fault=fault)
-    monkeypatch.setattr(search, "EFFECTS", (effect,))
+    monkeypatch.setattr(search, "every_effect", lambda: (effect,))
     monkeypatch.setattr(search, "with_shared_initial_state", lambda *_: of_memory(HABIT, shared))
     monkeypatch.setattr(search, "with_own_initial_states", lambda *_: of_memory(OWN, own))
     monkeypatch.setattr(search, "with_shared_reversals", lambda _, reversals: reversals)

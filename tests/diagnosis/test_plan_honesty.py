@@ -10,16 +10,21 @@ import pytest
 
 from piezoid.diagnosis.candidate import MINIMUM_SHARE
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effect import Tangent
+from piezoid.diagnosis.effects import EFFECTS
 from piezoid.diagnosis.experiment import Plan, plan
-from piezoid.diagnosis.planning.answer import answers, expected_limit_m, left_open
 from piezoid.diagnosis.planning.bench import Bench, bench_of
 from piezoid.diagnosis.planning.menu import MENU, played
-from piezoid.diagnosis.planning.plan_file import plan_json
-from piezoid.diagnosis.planning.plan_words import sentences
-from piezoid.diagnosis.planning.question import Question, questions_of
+from piezoid.diagnosis.planning.plan_file import plan_json, sentences
+from piezoid.diagnosis.planning.question import (
+    Question,
+    answers,
+    expected_limit_m,
+    left_open,
+    questions_of,
+)
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.table import Table, table_of
-from piezoid.diagnosis.planning.tangents import TANGENTS
 from piezoid.errors import ExcitationError
 from piezoid.records.excitation import DriveLimits
 from piezoid.records.lab import Amplifier, Lab
@@ -58,7 +63,9 @@ def _table() -> Table:
     return table_of(axis, bench, diagnosed(), (), 0)
 
 
-@pytest.mark.parametrize("effect", [one.name for one in TANGENTS])
+@pytest.mark.parametrize(
+    "effect", [one.name for one in EFFECTS if isinstance(one.tangent, Tangent)]
+)
 def test_nothing_is_promised_to_show_below_what_the_diagnosis_names(effect: str) -> None:
     diagnosis = _open(**{effect: HIGH_m})
     (asked,) = questions_of(diagnosis, effect)

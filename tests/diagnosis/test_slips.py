@@ -11,9 +11,9 @@ from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.diagnose import _seen_in, diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import timestamp_fault
+from piezoid.diagnosis.effects.timestamp_fault import evidence_of
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.search import Outcome
-from piezoid.diagnosis.slip_evidence import evidence_of
 from piezoid.diagnosis.slips import Slip, beside, places_of, strongest
 from piezoid.diagnosis.view import with_tracks
 from piezoid.records.lab import Lab

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from piezoid.numerics.arrays import Array
 from piezoid_datasets.virtual_lab.signals import first_order
@@ -233,3 +234,21 @@ def test_a_lag_of_first_order_leaves_hysteresis_the_plays_it_asks_for(tmp_path: 
 
 def joined(done: subprocess.CompletedProcess[str]) -> str:
     return " ".join(done.stdout.split())
+
+
+@pytest.mark.parametrize("law", ["wall_pinning", "duhem"])
+def test_another_machine_beside_the_loop_is_no_lag_and_told_by_its_frequency(
+    law: str, tmp_path: Path
+) -> None:
+    """Its tone is one period of the recording from the drive's third harmonic."""
+    field = triangles(6, 500)
+    turns = np.arange(len(field)) / 500
+    reading_um = 10 * LAWS[law](field) + 0.2 * np.sin(2 * np.pi * 2.83 * turns)
+    sweep = write(tmp_path / "sweep.csv", field, reading_um + noise_um(len(field)))
+    piezoid("fit", sweep, "--out", tmp_path / "stage")
+    assert "phase lag" not in verdict_of(tmp_path / "stage/report.html")[0]
+    (finding,) = json.loads((tmp_path / "stage/diagnosis.json").read_text())["findings"]
+    assert finding["effect"] == "something_else"
+    assert finding["coordinate"] == "frequency"
+    assert finding["parameters"]["frequency_Hz"] == pytest.approx(2.83 * RATE_Hz / 500, rel=0.02)
+    assert finding["size"]["value"] == pytest.approx(200 / np.sqrt(2), rel=0.15)

@@ -6,18 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
-from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import Lag
+from piezoid.readable import words
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
-from piezoid_reports.effect_coordinates import COORDINATES, coordinate_of
-from piezoid_reports.effect_words import CONTROL, words
-from piezoid_reports.not_found import FAULTS, last_sentences
 from piezoid_reports.render import render, render_diagnosis
-from piezoid_reports.sections.diagnosis import NO_PICTURE
+from piezoid_reports.sections.diagnosis import NO_PICTURE, last_sentences
 from piezoid_reports.traces import rms, traces_of
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_diagnosis import NAMES, diagnosed, finding
@@ -44,18 +42,14 @@ def _with(added_m: np.ndarray) -> Recording:
     )
 
 
-def test_every_effect_has_a_coordinate_and_a_word_for_who_controls() -> None:
-    held = [name for one in COORDINATES for name in one.effects]
-    assert sorted(held) == sorted(NAMES)
-    assert sorted(CONTROL) == sorted((*NAMES, SOMETHING_ELSE))
-
-
 @pytest.mark.parametrize("effect", NAMES)
 def test_every_effect_can_be_told_with_its_size_gain_and_meaning(effect: str) -> None:
     wave_m = 5e-8 * np.sin(np.arange(recording().samples) / 30.0)
     found = diagnosed(finding(effect))
     page = Anatomy(render_diagnosis(stage_model(axis_model()), [_with(wave_m)], found))
-    assert f"For control: {CONTROL[effect]}" in [e.text for e in page.all("p", "prose")]
+    assert f"For control: {effect_named(effect).control}" in [
+        e.text for e in page.all("p", "prose")
+    ]
     assert any("<b>percent</b> (95 %: 0.400 to 0.600)" in e.text for e in page.all("td"))
     assert not page.all("b") or all("percent" not in e.text for e in page.all("b"))
 
@@ -94,7 +88,7 @@ def test_the_last_sentence_says_what_is_explained_and_how_small_the_rest_is() ->
     found = diagnosed(finding("delay"))
     said = last_sentences(found).replace("\u202f", " ")
     assert said.startswith("Of the explainable error, 64.0 % is explained")
-    causes = [one for one in found.not_detected if one.effect not in FAULTS]
+    causes = [one for one in found.not_detected if effect_named(one.effect).fault is None]
     largest_m = max(one.detection_limit_m or 0.0 for one in causes)
     times = largest_m / found.noise_floor_rms_m
     assert f"is larger than {1e9 * largest_m:.1f} nm rms, {times:.1f} times" in said
@@ -121,7 +115,11 @@ def test_what_hides_best_stands_first_and_what_was_not_tested_last() -> None:
     where = {
         name: k for k, row in enumerate(rows) for name in NAMES if row.startswith(words(name))
     }
-    known = [one for one in diagnosed(finding("delay")).not_detected if one.effect not in FAULTS]
+    known = [
+        one
+        for one in diagnosed(finding("delay")).not_detected
+        if effect_named(one.effect).fault is None
+    ]
     tested = sorted(known, key=lambda one: -(one.detection_limit_m or 0.0))
     places = [where[one.effect] for one in tested]
     assert places == sorted(places)
@@ -177,17 +175,8 @@ def test_holds_are_told_by_the_time_since_the_drive_stopped() -> None:
             Channel(quantity=Quantity.DISPLACEMENT, axis="x", values=held_V * 1e-6, label="y"),
         ),
     )
-    from piezoid_reports.traces import Trace
 
-    trace = Trace(
-        recording=made,
-        time_s=np.arange(500) / 100.0,
-        voltage_V=held_V,
-        measured_m=held_V * 1e-6,
-        modelled_m=held_V * 1e-6,
-        line_m=held_V * 1e-6,
-    )
-    place, way = coordinate_of("creep").along(trace)
+    place, way = effect_named("creep").shows.along(made)
     assert np.isnan(place[:100]).all()
     assert place[199] == pytest.approx(0.0, abs=0.01)
     assert (way[100:] == 1.0).all()

@@ -9,11 +9,11 @@ import pytest
 from piezoid.diagnosis.effects import EFFECTS
 from piezoid.identification.quality import Limit
 from piezoid.identification.quality import Verdict as ClassVerdict
+from piezoid.readable import words
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.verification import Verification
-from piezoid_reports.effect_words import words
 from piezoid_reports.render import render
-from piezoid_reports.score import line_rms_m, score_of
+from piezoid_reports.sections.verdict import line_rms_m, score_of
 from piezoid_reports.traces import rms, traces_of
 from piezoid_reports.weaknesses import weaknesses_of
 from piezoid_reports.what_is_left import left_of, shape_lacked

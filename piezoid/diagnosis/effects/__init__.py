@@ -47,6 +47,11 @@ EFFECTS: tuple[Effect, ...] = (
 )
 
 
+def every_effect() -> tuple[Effect, ...]:
+    """Return the catalogue as it is when asked: nobody keeps a copy."""
+    return EFFECTS
+
+
 def effect_named(name: str) -> Effect:
-    """Return the effect of a name."""
-    return next(effect for effect in EFFECTS if effect.name == name)
+    """Return the effect of a name; ``KeyError`` where there is none."""
+    return {effect.name: effect for effect in EFFECTS}[name]

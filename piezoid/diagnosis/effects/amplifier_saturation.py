@@ -15,7 +15,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_DRIVE
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
@@ -25,6 +35,7 @@ from piezoid.records.recording import Recording
 
 ALLOWED = (0.4, 1.8)
 DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
+CLIPPED_AT = 0.94  # of the range, about its middle, in a plan
 
 
 def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
@@ -32,10 +43,6 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
     if drive.min() >= low and drive.max() <= high:
         return drive
     return np.clip(drive, low, high)
-
-
-def _columns(view: View, parameters: Parameters) -> Array:
-    return drive_change(view, lambda u, rate_Hz: _clip(u, rate_Hz, parameters))
 
 
 def _trials(view: View) -> list[Trial]:
@@ -47,7 +54,7 @@ def _trials(view: View) -> list[Trial]:
         ways.append({"high": high - depth, "low": low + depth})
     return [
         Trial(
-            columns=_columns(view, way),
+            columns=drive_change(view, _clip, way),
             parameters=way,
             coefficient_range=ALLOWED,
             free={name: 0.015 for name in way},
@@ -61,6 +68,15 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     low = min(float(track.command.min()) for track in view.tracks)
     cut = max(high - parameters.get("high", high), parameters.get("low", low) - low)
     return 100.0 * cut / (high - low)
+
+
+def _tangent(drive: Driven, _: float) -> Array:
+    """Return what is missing beyond CLIPPED_AT of the range, above and below."""
+    low_V, high_V = drive.model.voltage_V
+    unit = (2.0 * drive.voltage_V - low_V - high_V) / (high_V - low_V)
+    over, under = np.maximum(unit - CLIPPED_AT, 0.0), np.minimum(unit + CLIPPED_AT, 0.0)
+    gain_m = float(np.sum(drive.model.hysteresis.plays.weight)) * drive.half_range_V
+    return -gain_m * np.column_stack([over, under])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -87,11 +103,16 @@ EFFECT = Effect(
     unit="percent of the drive range that is cut off",
     experiment="Record slow loops to the full range and to four fifths of it, with the "
     "amplifier's monitor output: a clip is there in the first and not in the second.",
+    control="Beyond the clip the drive does nothing: narrow the range, or the integrator winds "
+    "up.",
+    shows=OVER_DRIVE,
+    tangent=Tangent(columns=_tangent),
     confounded=("slew_limit",),
     trials=_trials,
     drive_filter=_clip,
     size=_size,
     inject=inject,
     extend=extend,
+    without=without_part(AmplifierLimits),
     detectable_share=8e-3,
 )

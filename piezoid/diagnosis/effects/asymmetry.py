@@ -14,8 +14,9 @@ Source
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import OVER_DRIVE
 from piezoid.diagnosis.effect import Effect
-from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.signals import with_added
 from piezoid.records.recording import Recording
 
 REASON = "the simulation has dead zones and follows asymmetry; nothing of it can be missing"
@@ -25,7 +26,7 @@ def inject(recording: Recording, share: float) -> Recording:
     """Bend both branches to the same side; the ends stay where they are."""
     moved_m = recording.displacement_m()
     s = (moved_m - moved_m.min()) / max(float(np.ptp(moved_m)), 1e-30)
-    return with_displacement(recording, moved_m + scaled_to(s * (1 - s), share, recording))
+    return with_added(recording, s * (1 - s), share)
 
 
 EFFECT = Effect(
@@ -33,6 +34,10 @@ EFFECT = Effect(
     explanation=__doc__ or "",
     unit="percent of the stroke, rms",
     experiment="Nothing is needed: compare the loading curve of the model with a straight line.",
+    control="A symmetric inverse is wrong by more on one side; dead zones in the model take it up "
+    "exactly.",
+    shows=OVER_DRIVE,
+    tangent="the model has dead zones and follows it, so that nothing of it can be missing",
     confounded=("non_congruence",),
     untestable=lambda _: REASON,
     inject=inject,

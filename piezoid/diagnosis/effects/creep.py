@@ -25,8 +25,18 @@ from itertools import product
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.appearance import Appearance
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import seconds_of, through, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
@@ -45,6 +55,9 @@ TILTS = (0.0, -0.15, 0.15)  # of it there, for each decade
 BEGINS = (1.0, 0.5)  # part of the fastest rung
 ALLOWED = (0.0, 0.1)  # share of a step for each decade
 LEAST_s = 2.0  # a shorter record shows no slow motion
+PLANNED_s = (0.03, 3000.0)  # time constants in a plan
+STILL = 1e-4  # of the drive's range: a change below it is a hold
+SHORTEST_HOLD_s = 0.2  # that is drawn
 
 
 def _untestable(view: View) -> str:
@@ -99,22 +112,35 @@ def _decays(view: View) -> Array:
     )
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return _ladder(view, parameters)
+def _tangent(drive: Driven, _: float) -> Array:
+    first, last = np.log10(PLANNED_s)
+    times_s = np.logspace(first, last, round((last - first) * PER_DECADE))
+    rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
+    return ladder(drive.static_m, rungs, 1.0 / PER_DECADE)[:, None]
 
 
-def _size(_: View, __: Parameters, coefficient: Array) -> float:
-    return 100.0 * float(coefficient[0])
+def _in_holds(recording: Recording) -> tuple[Array, Array]:
+    """Return decades of time since the drive stopped, and the direction it had come from."""
+    voltage_V, rate_Hz = recording.voltage_V(), recording.sampling_rate_Hz
+    step = np.diff(voltage_V, prepend=voltage_V[0])
+    moving = np.abs(step) > STILL * max(float(np.ptp(voltage_V)), 1e-30)
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(step)), 0))
+    since_s = (np.arange(len(step)) - last) / rate_Hz
+    with np.errstate(divide="ignore"):
+        decades = np.where(moving | (since_s <= 0.0), np.nan, np.log10(since_s))
+    ends = np.flatnonzero(np.diff(np.append(moving, True).astype(int)) > 0)
+    for end in ends:
+        if since_s[end] < SHORTEST_HOLD_s:
+            decades[last[end] : end + 1] = np.nan
+    return np.asarray(decades), np.asarray(np.sign(step[last]))
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let a recording creep."""
-    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
     times_s = np.geomspace(0.03, 3.0 * float(seconds_of(recording)[-1]) + 0.1, 9)
-    crept_m = ladder(moved_m, [first_order(time_s, rate_Hz) for time_s in times_s])
-    return with_displacement(
-        recording, moved_m + scaled_to(crept_m - crept_m.mean(), share, recording)
-    )
+    ladder = CreepLadder(time_s=tuple(times_s.tolist()), share=(0.1,) * 9)
+    crept_m = through(recording, ladder).displacement_m() - recording.displacement_m()
+    return with_added(recording, crept_m - crept_m.mean(), share)
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
@@ -132,12 +158,24 @@ EFFECT = Effect(
     model_error=0.15,
     experiment="Record a staircase of random levels, up and down, each held for ten seconds or "
     "more, and the same staircase mirrored: creep changes sign with the steps, drift does not.",
+    control="A feedforward alone drifts off after every step; integral action removes it within "
+    "its bandwidth, and a creep ladder in the feedforward takes it off from the start.",
+    shows=Appearance(
+        label="time in a hold",
+        unit="s",
+        decades=True,
+        kind="classes",
+        along=_in_holds,
+        reading="Times the direction of the last step. Creep: as much in every decade.",
+    ),
+    tangent=Tangent(columns=_tangent),
     confounded=("thermal_drift",),
     untestable=_untestable,
     trials=_trials,
     covariates=_decays,
-    columns=_columns,
-    size=_size,
+    columns=_ladder,
+    size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     inject=inject,
     extend=extend,
+    without=without_part(CreepLadder),
 )

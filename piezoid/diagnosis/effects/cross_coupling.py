@@ -15,19 +15,24 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import (
-    GAPS,
-    added_percent,
-    answers_of_others,
-    scaled_to,
-    with_displacement,
+from piezoid.diagnosis.appearance import Appearance, unsigned
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Setting,
+    Standing,
+    Tangent,
+    Trial,
+    without_part,
 )
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import GAPS, added_percent, answers_of_others, through, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.cross_axis import CrossAxis
 from piezoid.identification.extensions.extension import Extension
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.recording import Quantity, Recording
 
 
 def _untestable(view: View) -> str:
@@ -43,19 +48,46 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _columns(view: View, _: Parameters) -> Array:
-    return answers_of_others(view)
+def _tangent(drive: Driven, _: float) -> Array:
+    if not drive.others:
+        return np.zeros((len(drive.voltage_V), 1))
+    return 1e-6 * np.column_stack(list(drive.others.values()))
+
+
+def _other_drive(recording: Recording) -> tuple[Array, Array]:
+    for channel in recording.channels:
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
+            return unsigned(channel.values)
+    return unsigned(np.full(recording.samples, np.nan))
+
+
+def _at_rest(standing: Standing) -> Array | str:
+    others = [
+        channel.values[standing.keep]
+        for channel in standing.recording.channels
+        if channel.quantity is Quantity.VOLTAGE
+        and channel.axis != standing.axis
+        and np.ptp(channel.values) > 10.0 * white_noise_rms(channel.values)
+    ]
+    if not others:
+        return "the drive of no other axis moves in it"
+    return np.column_stack([u / max(float(np.ptp(u)), 1e-30) for u in others])
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the axis answer to every other drive the recording holds."""
-    total = np.zeros(recording.samples)
+    coupled = recording
     for channel in recording.channels:
-        if channel.quantity.value == "V" and channel.axis != recording.axis:
-            total += channel.values - channel.values.mean()
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(total, share, recording)
-    )
+        if channel.quantity is Quantity.VOLTAGE and channel.axis != recording.axis:
+            answer = CrossAxis(
+                axis=channel.axis,
+                centre_V=float(channel.values.mean()),
+                gain_m_per_V=1e-6,
+                curvature_m_per_V_per_V=0.0,
+            )
+            coupled = through(coupled, answer)
+    change_m = coupled.displacement_m() - recording.displacement_m()
+    return with_added(recording, change_m, share)
 
 
 def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
@@ -84,11 +116,23 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Hold this axis, drive the other one over its range in decaying loops, and record "
     "both drives and this displacement.",
+    control="Each axis must be told what the other does: feed its drive forward, or the loop must "
+    "reject it as a disturbance.",
+    shows=Appearance(
+        label="drive of the other axis",
+        unit="V",
+        kind="classes",
+        along=_other_drive,
+        reading="Coupling: a line, or a loop, with the other axis' drive.",
+    ),
+    tangent=Tangent(columns=_tangent),
     untestable=_untestable,
     trials=_trials,
-    columns=_columns,
-    size=added_percent(_columns),
+    columns=lambda view, _: answers_of_others(view),
+    size=added_percent(lambda view, _: answers_of_others(view)),
     model_error=0.06,  # the other drive has a hysteresis of its own, of which plays follow most
+    at_rest=_at_rest,
     inject=inject,
     extend=extend,
+    without=without_part(CrossAxis),
 )

@@ -15,29 +15,26 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import filtered_change, with_displacement
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial, late, without_part
+from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.delay import Delay
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.hysteresis.filters import later
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.03
 ALLOWED = (0.4, 1.8)
 TRIED = 12
-SPEED = 50.0  # the same time in every recording of a stage: slow ones hardly show it
+# strokes a second at which what is injected is late by its share: the same time in every recording
+SPEED = 50.0
 
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     time_s = parameters.get("delay_s", 0.0) + parameters.get("delay_samples", 0.0) / rate_Hz
     return later(response, time_s * rate_Hz)
-
-
-def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
 
 
 def _trials(view: View) -> list[Trial]:
@@ -48,7 +45,7 @@ def _trials(view: View) -> list[Trial]:
         ways += [("delay_samples", n) for n in (1.0, 2.0, 4.0, 8.0)]
     return [
         Trial(
-            columns=_columns(view, {name: value}),
+            columns=filtered_change(view, _passed, {name: value}),
             parameters={name: value},
             coefficient_range=ALLOWED,
             needs_time=True,
@@ -63,12 +60,6 @@ def _size(view: View, parameters: Parameters, _: Array) -> float:
     samples = parameters.get("delay_samples", 0.0)
     time_s = parameters.get("delay_s", 0.0) + samples / fastest_Hz
     return 1e6 * time_s
-
-
-def inject(recording: Recording, share: float) -> Recording:
-    """Let the displacement come late: by the share of the stroke at SPEED strokes a second."""
-    rate_Hz = recording.sampling_rate_Hz
-    return with_displacement(recording, later(recording.displacement_m(), share / SPEED * rate_Hz))
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
@@ -86,10 +77,15 @@ EFFECT = Effect(
     model_error=0.004,
     experiment="Record a small multisine or chirp up to a third of the resonance: a delay turns "
     "the phase in proportion to frequency and leaves the gain flat, a lag attenuates.",
+    control="It takes phase in proportion to frequency and so bounds the bandwidth; a constant "
+    "delay can be taken off the reference.",
+    shows=OVER_SPEED,
+    tangent=late(_passed, "delay_s"),
     confounded=("lag", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,
     size=_size,
-    inject=inject,
+    inject=lambda recording, share: through(recording, Delay(delay_s=share / SPEED)),
     extend=extend,
+    without=without_part(Delay, lag=True),
 )

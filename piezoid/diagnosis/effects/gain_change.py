@@ -24,8 +24,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import seconds_of, stroke_of, with_displacement
+from piezoid.diagnosis.appearance import Appearance
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import seconds_of, through
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import View
 from piezoid.identification.dynamics.repetition import equal_cycles
@@ -75,18 +85,14 @@ def _trials(view: View) -> list[Trial]:
             for place, column in zip(PLACES, steps, strict=True)
         ]
         rivals = [_change(view, k, p - NARROW / 2, 0.0, passes=True) for p in PLACES[::3]]
-        if _repeats(view.tracks[k]):
+        # enough equal cycles show a slow trend of the gain
+        if equal_cycles(view.tracks[k].drive, fewest=FEWEST) is not None:
             slow = {"track": float(k), "place": 0.5, "lasts": 1.0}
             found.append(_trial(_change(view, k, 0.5, 1.0), slow))
         else:
             rivals += [_change(view, k, place, 0.5) for place in PLACES[::3]]
         found += [_trial(column, {}, physical=False) for column in rivals]
     return found
-
-
-def _repeats(track: Track) -> bool:
-    """Tell whether cycles enough are equal to show a slow trend of the gain."""
-    return equal_cycles(track.drive, fewest=FEWEST) is not None
 
 
 def _trial(
@@ -148,16 +154,22 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _change(view, track, parameters["place"], lasts)
 
 
-def _size(_: View, __: Parameters, coefficient: Array) -> float:
-    return 100.0 * float(coefficient[0])
+def _tangent(drive: Driven, _: float) -> Array:
+    after = drive.time_s > 0.5 * drive.time_s[-1]
+    return np.asarray((drive.static_m * after)[:, None])
+
+
+def _about_middle(recording: Recording) -> tuple[Array, Array]:
+    voltage_V = recording.voltage_V()
+    middle = voltage_V - 0.5 * (voltage_V.max() + voltage_V.min())
+    return seconds_of(recording), np.asarray(np.sign(middle))
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let the gain rise in the middle, by twice its share at the end of the stroke."""
-    moved_m = recording.displacement_m()
-    after = seconds_of(recording) > 0.5 * recording.duration_s
-    gain = 4.0 * share * stroke_of(recording) / max(float(np.ptp(moved_m)), 1e-30)
-    return with_displacement(recording, moved_m * (1.0 + gain * after))
+    middle_s, ratio = 0.5 * recording.duration_s, 1.0 + 4.0 * share
+    change = GainChange(recording=recording.name, instant_s=middle_s, ratio=ratio)
+    return through(recording, change)
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
@@ -183,14 +195,26 @@ WITHIN = Effect(
     unit="percent",
     experiment="Record equal full cycles for the whole time, and write down when anything on the "
     "stage is touched; a small multisine tells a load, which moves the resonance, from the rest.",
+    control="The inverse carries a gain that is no longer true; fit again, or keep the margin for "
+    "it.",
+    shows=Appearance(
+        label="time",
+        unit="s",
+        kind="time",
+        along=_about_middle,
+        reading="Times the side of the range. A change of gain: a step to one side for good, or a "
+        "slope from end to end.",
+    ),
+    tangent=Tangent(columns=_tangent, own=True),
     confounded=("creep", "thermal_drift"),
     trials=_trials,
     columns=_columns,
     covariates=_beside,
-    size=_size,
+    size=lambda _, __, coefficient: 100.0 * float(coefficient[0]),
     model_error=0.03,  # the hysteresis beside it takes a part of a step of the gain
     inject=inject,
     extend=extend,
+    without=without_part(GainChange),
     detectable_share=8e-3,
     minimum_gain=0.1,  # a memory that is not quite known bends the heights of cycles as well
 )

@@ -14,13 +14,20 @@ Source
     Mayergoyz (1991); Krejci (1996)
 """
 
+from dataclasses import replace
+
 import numpy as np
 
+from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Trial
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_state_search import with_shared_where_as_good
-from piezoid.diagnosis.signals import scaled_to, with_displacement
+from piezoid.diagnosis.signals import with_added
 from piezoid.diagnosis.view import View, with_free_memory
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES
+from piezoid.identification.joint.vector import Structure
+from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import starts_of
 from piezoid.records.recording import Recording
 
 CHANGE = 1e-6  # of half the stroke: initial states that differ by less are one
@@ -43,14 +50,31 @@ def _trials(view: View) -> list[Trial]:
     return [Trial(columns=both[:, np.abs(both).max(axis=0) > CHANGE])]
 
 
+def _structure(structure: Structure, _: AxisModel, found: bool) -> Structure:
+    return replace(structure, memory=found)
+
+
+def _cycled(axis: AxisModel, recording: Recording) -> AxisModel:
+    """Return the model in which a drive went down, up, and to where each piece begins.
+
+    That is what one assumes of a stage about which nothing is known.
+    """
+    voltage_V, (low_V, high_V) = recording.voltage_V(axis.axis), axis.voltage_V
+    fitted = (p.start for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES)
+    starts = [start for start in axis.starts if start.recording != recording.name]
+    for start, first in zip(starts_of(axis, recording), fitted, strict=True):
+        way_V = np.array([low_V, high_V, voltage_V[first]])
+        _, memory_V = axis.hysteresis.run(way_V, axis.virgin_memory_V)
+        starts.append(replace(start, memory_V=memory_V))
+    return replace(axis, starts=tuple(starts))
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let the beginning be off, until the drive has gone half its range."""
     drive_V = recording.voltage_V()
     span_V = np.maximum.accumulate(drive_V) - np.minimum.accumulate(drive_V)
     early = np.clip(1.0 - 2.0 * span_V / max(float(np.ptp(drive_V)), 1e-30), 0.0, 1.0)
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(early, share, recording)
-    )
+    return with_added(recording, early, share)
 
 
 EFFECT = Effect(
@@ -59,6 +83,10 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Cycle the drive twice over its whole range before every recording, and begin the "
     "recording with one full cycle.",
+    control="The first motion after switching on follows another branch: cycle the drive before "
+    "it counts.",
+    shows=OVER_TIME,
+    tangent="its remedy is to cycle the drive first, as every planned drive does",
     confounded=("creep", "thermal_drift", "gain_change", "amplifier_saturation"),
     trials=_trials,
     null_without=_against,
@@ -67,4 +95,6 @@ EFFECT = Effect(
     # noise, rms; injected ones at full size from 1.9 on. A gain of 0.25 asks for about 0.9.
     minimum_gain=0.25,
     inject=inject,
+    structure=_structure,
+    without=_cycled,
 )

@@ -19,28 +19,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import filtered_change, with_displacement
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import Effect, Parameters, Trial, late, without_part
+from piezoid.diagnosis.signals import filtered_change, through
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.first_order_lag import FirstOrderLag
 from piezoid.identification.hysteresis.filters import relaxed
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
 
 SHORTEST = 0.5  # samples of the fastest recording
 LONGEST_s = 0.1
 ALLOWED = (0.4, 1.8)
 TRIED = 14
-SPEED = 50.0  # the same pole in every recording of a stage: slow ones hardly show it
+# strokes a second at which what is injected is late by its share: the same pole in every recording
+SPEED = 50.0
 
 
 def _passed(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return relaxed(response, parameters["time_s"], rate_Hz)
-
-
-def _columns(view: View, parameters: Parameters) -> Array:
-    return filtered_change(view, lambda h, rate_Hz: _passed(h, rate_Hz, parameters))
 
 
 def _trials(view: View) -> list[Trial]:
@@ -48,7 +44,7 @@ def _trials(view: View) -> list[Trial]:
     times_s = np.geomspace(SHORTEST / fastest_Hz, LONGEST_s, TRIED)
     return [
         Trial(
-            columns=_columns(view, {"time_s": float(t)}),
+            columns=filtered_change(view, _passed, {"time_s": float(t)}),
             parameters={"time_s": float(t)},
             coefficient_range=ALLOWED,
             needs_time=True,
@@ -58,23 +54,6 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(_: View, parameters: Parameters, __: Array) -> float:
-    return 1e6 * parameters["time_s"]
-
-
-def inject(recording: Recording, share: float) -> Recording:
-    """Let the displacement pass a pole: late by the share at SPEED strokes a second."""
-    rate_Hz = recording.sampling_rate_Hz
-    return with_displacement(
-        recording, relaxed(recording.displacement_m(), share / SPEED, rate_Hz)
-    )
-
-
-def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),)
-
-
 BEHIND = Effect(
     name="lag",
     explanation=__doc__ or "",
@@ -82,12 +61,17 @@ BEHIND = Effect(
     model_error=0.015,
     experiment="Record a small multisine or chirp beyond the corner 1/(2 pi lag): a lag "
     "attenuates there, a delay does not.",
+    control="It takes phase and gain; declare the filter in lab.toml or let the plant carry it, "
+    "or the loop is designed on the wrong plant.",
+    shows=OVER_SPEED,
+    tangent=late(_passed, "time_s"),
     confounded=("delay", "rate_dependence", "resonance"),
     trials=_trials,
     response_filter=_passed,
-    size=_size,
-    inject=inject,
-    extend=extend,
+    size=lambda _, parameters, __: 1e6 * parameters["time_s"],
+    inject=lambda recording, share: through(recording, FirstOrderLag(lag_s=share / SPEED)),
+    extend=lambda found, _: (FirstOrderLag(lag_s=max(found.parameters["time_s"], 0.0)),),
+    without=without_part(FirstOrderLag, lag=True),
 )
 IN_FRONT = replace(BEHIND, response_filter=None, drive_filter=_passed, other_side=BEHIND)
 EFFECT = replace(BEHIND, other_side=IN_FRONT)

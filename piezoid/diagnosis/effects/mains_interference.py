@@ -18,20 +18,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import (
-    GRIDS_Hz,
-    added_percent,
-    scaled_to,
-    seconds_of,
-    with_displacement,
+from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.effect import (
+    Effect,
+    Parameters,
+    Standing,
+    Tangent,
+    Trial,
+    without_part,
 )
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.rest_columns import peak_Hz, waves
+from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
+from piezoid.readable import significant, told
 from piezoid.records.recording import Recording
 
 TWINS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)
@@ -40,8 +44,10 @@ MOST_KNOTS = 6
 ROWS_PER_PERIOD = 2.2
 HARMONICS = (1, 2, 3)
 OFF_Hz, OFF_STEP_Hz = 0.3, 0.03  # how far a grid is off its nominal frequency
+OFF_AT_REST_Hz = 0.5
 NEAR_Hz = 6.0  # around a line, to compare it with
 LINE = 8.0  # times what is around it
+PLANNED_Hz = (50.0, 60.0, 100.0, 120.0, 150.0, 180.0)
 
 
 def _untestable(view: View) -> str:
@@ -153,17 +159,33 @@ def _columns(view: View, parameters: Parameters) -> Array:
     return _lines(view, Lines.of(view), parameters["frequency_Hz"], HARMONICS)
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    heard = [f for f in PLANNED_Hz if f < 0.4 * drive.rate_Hz]
+    reversals = [2 * np.pi * f * drive.time_s for f in heard]
+    lines = [wave(turn) for turn in reversals for wave in (np.cos, np.sin)]
+    return 1e-6 * np.column_stack(lines or [np.zeros(len(drive.voltage_V))])
+
+
+def _at_rest(standing: Standing) -> Array | str:
+    """Return the lines of the grid that fits best, at its own frequency."""
+    recording, time_s, calm_m = standing.recording, standing.time_s, standing.calm_m
+    rate_Hz, span_s = recording.sampling_rate_Hz, float(np.ptp(time_s))
+    if rate_Hz <= 2.0 * GRIDS_Hz[0] or span_s * OFF_AT_REST_Hz < 1.0:
+        return (
+            f"at {significant(rate_Hz)} Hz for {told(recording.duration_s, 's')} no line of the "
+            "grid can be told"
+        )
+    steps = np.arange(-OFF_AT_REST_Hz, OFF_AT_REST_Hz, 0.25 / span_s)
+    tried = [f + step for f in GRIDS_Hz if rate_Hz > 2.0 * f for step in steps.tolist()]
+    power = [abs(np.exp(-2j * np.pi * f * time_s) @ calm_m) for f in tried[:4000]]
+    best = peak_Hz(calm_m, time_s, tried[int(np.argmax(power))], 0.25 / span_s)
+    return waves(time_s, [n * best for n in HARMONICS if 2 * n * best < rate_Hz])
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let 50 Hz hum."""
     hum = np.sin(2 * np.pi * 50.0 * seconds_of(recording) + 1.0)
-    return with_displacement(
-        recording, recording.displacement_m() + scaled_to(hum, share, recording)
-    )
-
-
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),)
+    return with_added(recording, hum, share)
 
 
 EFFECT = Effect(
@@ -172,11 +194,19 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record one minute with the drive at rest at 1 kHz or more, then once more with "
     "the amplifier unplugged: what stays comes from the sensor's side.",
+    control="It is noise to the loop: a controller with gain at its frequency makes the stage "
+    "follow the hum. Mend the wiring before the loop is made fast.",
+    shows=IN_SPECTRUM,
+    tangent=Tangent(columns=_tangent, own=True),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
     size=added_percent(_columns),
     model_error=0.04,  # a phase that wanders between knots, and higher harmonics, are not in it
+    at_rest=_at_rest,
     inject=inject,
-    extend=extend,
+    extend=lambda found, setting: (
+        MainsLines.of(setting.pieces, found.parameters["frequency_Hz"]),
+    ),
+    without=without_part(MainsLines),
 )

@@ -14,12 +14,18 @@ Source
     Mayergoyz (1991); Al Janaideh, Rakheja & Su (2009)
 """
 
+from dataclasses import replace
+
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Trial
+from piezoid.diagnosis.appearance import OVER_DRIVE
+from piezoid.diagnosis.effect import Effect, Tangent, Trial
 from piezoid.diagnosis.folds import Null
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
+from piezoid.identification.joint.vector import Structure
+from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
@@ -30,6 +36,7 @@ ALONE = 0.5  # of what all products with the drive explain, in power: a ceramic 
 WORTH = 0.025  # of the error: more than one class of ceramics leaves for want of another
 PLAYS = np.linspace(0.05, 0.95, 10)  # thresholds of what inject opens
 POINTS = 401
+BENDS = 3  # of the envelope, on each side
 
 
 def _against(view: View) -> Null:
@@ -73,6 +80,16 @@ def _irreversible(view: View) -> Array:
     return np.concatenate(parts)
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    unit = drive.drive_V / drive.half_range_V
+    return np.column_stack([drive.walls_m * unit, drive.walls_m * unit**2])
+
+
+def _structure(structure: Structure, model: AxisModel, found: bool) -> Structure:
+    """Return a structure with an envelope where minor loops asked for one."""
+    return replace(structure, bends=(model.hysteresis.envelope.zero or BENDS) if found else 0)
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let plays open at one end of the range: by the share of the stroke on the largest loop."""
     drive_V, moved_m = recording.voltage_V(), recording.displacement_m()
@@ -99,10 +116,15 @@ EFFECT = Effect(
     unit="percent of the stroke, rms",
     experiment="Record the same small loop at five biases, each reached from above and "
     "from below.",
+    control="Minor loops differ with the bias beyond what the inverse knows: keep feedback for "
+    "small scans at the ends of the range.",
+    shows=OVER_DRIVE,
+    tangent=Tangent(columns=_tangent),
     confounded=("asymmetry",),
     trials=_trials,
     null_without=_against,
     inject=inject,
+    structure=_structure,
     detectable_share=4e-3,
     largest_noise_ratio=2.0,
     may_be_bouc_wen=True,

@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.effects.quantisation import drive_step
 from piezoid.diagnosis.signals import stroke_of, with_displacement
@@ -189,6 +190,10 @@ EFFECT = Effect(
     unit="nm, the largest",
     experiment="Record with the sensor's cable moved away from relays and supplies, at twice the "
     "rate: a spark stays one sample long.",
+    control="A single false sample kicks the loop; limit the rate of the reading and find the bad "
+    "contact.",
+    shows=OVER_TIME,
+    tangent="its remedy is the wiring, not another drive",
     fault=_fault,
     bound=_bound,
     inject=inject,

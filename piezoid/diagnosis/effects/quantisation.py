@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.diagnosis.appearance import OVER_TIME
 from piezoid.diagnosis.effect import Effect, Fault
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.tracks import Track
@@ -253,6 +254,9 @@ EFFECT = Effect(
     unit="nm, one step",
     experiment="Record the same sweep with the converter's range reduced to the signal, or with "
     "more bits; a step that shrinks with the range is the converter's.",
+    control="The loop hunts between steps; a finer converter range helps, filters do not.",
+    shows=OVER_TIME,
+    tangent="its remedy is a finer converter range, not another drive",
     fault=_fault,
     bound=_bound,
     inject=inject,

@@ -16,8 +16,18 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import added_percent, with_displacement
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import added_percent, rate_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.rate_dependence import RateDependence
@@ -90,6 +100,10 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
+def _tangent(drive: Driven, _: float) -> Array:
+    return -rate_of(drive.walls_m, drive.rate_Hz)[:, None]
+
+
 def inject(recording: Recording, share: float) -> Recording:
     """Let what is not in proportion to the drive lag: by the share at SPEED strokes a second.
 
@@ -98,8 +112,8 @@ def inject(recording: Recording, share: float) -> Recording:
     moved_m, drive_V = recording.displacement_m(), recording.voltage_V()
     slope = 0.6 * float(np.polyfit(drive_V, moved_m, 1)[0])
     walls_m = moved_m - slope * drive_V
-    behind_m = relaxed(walls_m, share / SPEED, recording.sampling_rate_Hz) - walls_m
-    return with_displacement(recording, moved_m + behind_m)
+    late_m = RateDependence(time_s=share / SPEED).irreversible(walls_m, recording.sampling_rate_Hz)
+    return with_displacement(recording, moved_m + (late_m - walls_m))
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
@@ -120,6 +134,10 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record full and tenth-size loops at four rates over two decades: rate dependence "
     "opens the large ones only, a delay or a lag opens both.",
+    control="The inverse is right at one speed only; let the observer take the rest, or identify "
+    "at the speed that is used.",
+    shows=OVER_SPEED,
+    tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "resonance", "slew_limit"),
     trials=_trials,
     columns=_columns,
@@ -127,4 +145,5 @@ EFFECT = Effect(
     model_error=0.05,  # how walls wait is not the same in every law
     inject=inject,
     extend=extend,
+    without=without_part(RateDependence),
 )

@@ -15,9 +15,19 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import IN_SPECTRUM
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
 from piezoid.diagnosis.extended import without_memory
-from piezoid.diagnosis.signals import filtered_change, mode, with_displacement
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import filtered_change, mode, through
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.linear_mode import LinearMode, StruckMode
@@ -34,6 +44,7 @@ LOWEST_Hz = 15.0
 INJECTED_Hz = 300.0
 PER_OCTAVE = 5
 LEAST_RATE_Hz = 200.0
+PLANNED_QUALITY = 20.0
 
 
 def _untestable(view: View) -> str:
@@ -43,9 +54,12 @@ def _untestable(view: View) -> str:
     return ""
 
 
+def _rung(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+    return mode(response, parameters["frequency_Hz"], parameters["quality"], rate_Hz)
+
+
 def _columns(view: View, parameters: Parameters) -> Array:
-    frequency_Hz, quality = parameters["frequency_Hz"], parameters["quality"]
-    return filtered_change(view, lambda h, rate_Hz: mode(h, frequency_Hz, quality, rate_Hz))
+    return filtered_change(view, _rung, parameters)
 
 
 def _trials(view: View) -> list[Trial]:
@@ -100,15 +114,17 @@ def _closer(best: Parameters) -> list[dict[str, float]]:
     ]
 
 
-def _size(_: View, parameters: Parameters, __: Array) -> float:
-    return parameters["frequency_Hz"]
+def _tangent(drive: Driven, frequency_Hz: float) -> Array:
+    rung_m = mode(drive.static_m, frequency_Hz, PLANNED_QUALITY, drive.rate_Hz)
+    return (rung_m - drive.static_m)[:, None]
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let a part of the motion ring, fifty times the share: so much of it a chirp shows."""
-    moved_m, rate_Hz = recording.displacement_m(), recording.sampling_rate_Hz
-    rung_m = mode(moved_m, min(INJECTED_Hz, 0.2 * rate_Hz), 15.0, rate_Hz) - moved_m
-    return with_displacement(recording, moved_m + min(50.0 * share, 1.0) * rung_m)
+    frequency_Hz = min(INJECTED_Hz, 0.2 * recording.sampling_rate_Hz)
+    participation = min(50.0 * share, 1.0)
+    ringing = LinearMode(frequency_Hz=frequency_Hz, quality=15.0, participation=participation)
+    return through(recording, ringing)
 
 
 def extend(found: Found, _: Setting) -> tuple[Extension, ...]:
@@ -134,12 +150,17 @@ EFFECT = Effect(
     model_error=0.002,
     experiment="Record a small chirp or multisine through the suspected mode, at three "
     "amplitudes, at ten times its frequency or more.",
+    control="It limits the bandwidth: keep a notch or a template there, and smooth the corners of "
+    "triangles.",
+    shows=IN_SPECTRUM,
+    tangent=Tangent(columns=_tangent, lags=True, scale=500.0, found="frequency_Hz"),
     confounded=("delay", "lag"),
     untestable=_untestable,
     trials=_trials,
     columns=_columns,
-    size=_size,
+    size=lambda _, parameters, __: parameters["frequency_Hz"],
     may_be_absorbed=True,
     inject=inject,
     extend=extend,
+    without=without_part(LinearMode),
 )

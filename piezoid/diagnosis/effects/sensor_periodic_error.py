@@ -17,7 +17,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import Appearance, unsigned
+from piezoid.diagnosis.effect import (
+    Effect,
+    Found,
+    Parameters,
+    Setting,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import stroke_of, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
@@ -34,6 +44,7 @@ SHARP = 0.6  # periods around the peak that belong to it
 PASSED = 3.0  # periods that a track must pass to show one
 ROUNDS, CALM = 5, 0.8  # of fitting the error where it is and placing it, and how far each goes
 MEAN = 9  # readings of which the mean is where the sensor stood
+PLANNED_PERIODS = 60.0  # in the stroke
 
 
 def _read(view: View, k: int, error: Array) -> Array:
@@ -133,15 +144,27 @@ def _trial(view: View, periods: float, *, real: bool) -> Trial:
     )
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return _waves(view, parameters["periods"])
-
-
 def _size(view: View, _: Parameters, coefficient: Array) -> float:
     """Return the amplitude of the first order, or of the second if that is larger."""
     each = coefficient.reshape(-1, 4)
     first, second = (np.hypot(each[:, j], each[:, j + 1]) for j in (0, 2))
     return 1e9 * view.stroke_m * float(max(np.median(first), np.median(second)))
+
+
+def _tangent(drive: Driven, _: float) -> Array:
+    stroke_m = float(np.sum(drive.model.hysteresis.plays.weight)) * 2 * drive.half_range_V
+    turn = 2 * np.pi * PLANNED_PERIODS * drive.static_m / stroke_m
+    return 1e-6 * np.column_stack([np.cos(turn), np.sin(turn)])
+
+
+def _near_middle(recording: Recording) -> tuple[Array, Array]:
+    """Return a twentieth of the stroke around the middle, so that periods can be seen."""
+    measured_m = recording.displacement_m().copy()
+    measured_m[list(recording.bridged)] = np.nan
+    middle = float(np.nanmedian(measured_m))
+    range_m = float(np.nanmax(measured_m) - np.nanmin(measured_m))
+    near = np.abs(measured_m - middle) < range_m / 40.0
+    return unsigned(np.where(near, measured_m, np.nan))
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -163,9 +186,20 @@ EFFECT = Effect(
     unit="nm, amplitude",
     experiment="Record slow ramps over the whole range, up and down, with a hundred rows or more "
     "for each period, and compare with a second sensor.",
+    control="The loop holds the reading, not the stage: feedback prints this error onto the "
+    "motion. Correct the sensor first.",
+    shows=Appearance(
+        label="displacement",
+        unit="m",
+        kind="classes",
+        along=_near_middle,
+        reading="A wave that repeats with displacement, whatever the speed.",
+    ),
+    tangent=Tangent(columns=_tangent),
     trials=_trials,
-    columns=_columns,
+    columns=lambda view, parameters: _waves(view, parameters["periods"]),
     size=_size,
     inject=inject,
     extend=extend,
+    without=without_part(PeriodicError),
 )

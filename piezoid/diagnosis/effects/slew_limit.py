@@ -15,10 +15,17 @@ Source
 
 import numpy as np
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
+from piezoid.diagnosis.appearance import OVER_SPEED
+from piezoid.diagnosis.effect import (
+    Effect,
+    Parameters,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
 from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
 from piezoid.operators.limits import slewed
@@ -27,6 +34,7 @@ from piezoid.records.recording import Recording
 ALLOWED = (0.4, 1.8)
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
 QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
+PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
 
 def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
@@ -34,23 +42,15 @@ def _limited(drive: Array, rate_Hz: float, parameters: Parameters) -> Array:
     return drive if float(np.abs(np.diff(drive)).max()) <= step else slewed(drive, step)
 
 
-def _columns(view: View, parameters: Parameters) -> Array:
-    return drive_change(view, lambda u, rate_Hz: _limited(u, rate_Hz, parameters))
-
-
-def _fastest(view: View) -> float:
-    return max(
+def _trials(view: View) -> list[Trial]:
+    fastest = max(
         float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
         for track in view.tracks
     )
-
-
-def _trials(view: View) -> list[Trial]:
-    fastest = _fastest(view)
     ways = [{"limit_per_s": share * fastest} for share in SHARES]
     return [
         Trial(
-            columns=_columns(view, way),
+            columns=drive_change(view, _limited, way),
             parameters=way,
             coefficient_range=ALLOWED,
             needs_time=True,
@@ -60,8 +60,12 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _size(view: View, parameters: Parameters, _: Array) -> float:
-    return view.voltage_V * parameters["limit_per_s"]
+def _tangent(drive: Driven, _: float) -> Array:
+    """Return what a drive misses that gets no faster than a share of the fastest so far."""
+    limit_V_per_s = PLANNED * drive.model.certificate.slew_V_per_s
+    followed_V = _limited(drive.voltage_V, drive.rate_Hz, {"limit_per_s": limit_V_per_s})
+    gain = float(np.sum(drive.model.hysteresis.plays.weight))
+    return np.asarray(gain * (followed_V - drive.voltage_V)[:, None])
 
 
 def inject(recording: Recording, share: float) -> Recording:
@@ -74,11 +78,6 @@ def inject(recording: Recording, share: float) -> Recording:
     return with_displacement(recording, slewed(moved_m, step_m))
 
 
-def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),)
-
-
 EFFECT = Effect(
     name="slew_limit",
     explanation=__doc__ or "",
@@ -86,10 +85,17 @@ EFFECT = Effect(
     model_error=0.002,
     experiment="Record full triangles at rising rates with the amplifier's monitor output: the "
     "limit is where its slope stops rising.",
+    control="Fast large ramps arrive late whatever the controller asks: bound the reference's "
+    "speed.",
+    shows=OVER_SPEED,
+    tangent=Tangent(columns=_tangent),
     confounded=("delay", "lag", "rate_dependence"),
     trials=_trials,
     drive_filter=_limited,
-    size=_size,
+    size=lambda view, parameters, _: view.voltage_V * parameters["limit_per_s"],
     inject=inject,
-    extend=extend,
+    extend=lambda found, setting: (
+        SlewLimit(limit_V_per_s=found.parameters["limit_per_s"] * setting.voltage_V),
+    ),
+    without=without_part(SlewLimit),
 )

@@ -16,16 +16,23 @@ Source
 import numpy as np
 from numpy.polynomial.legendre import legval
 
-from piezoid.diagnosis.effect import Effect, Found, Parameters, Setting, Trial
-from piezoid.diagnosis.signals import added_percent, scaled_to, seconds_of, with_displacement
+from piezoid.diagnosis.appearance import OVER_TIME
+from piezoid.diagnosis.effect import (
+    Effect,
+    Tangent,
+    Trial,
+    without_part,
+)
+from piezoid.diagnosis.planning.driven import Driven
+from piezoid.diagnosis.signals import added_percent, seconds_of, with_added
 from piezoid.diagnosis.view import View
-from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 
 DEGREES_s = (5.0, 15.0, 60.0)  # from which duration drift has a slope, a bend, an inflection
 PLACEBOS = (8, 11)  # half waves, that many and the next
+PLANNED_s = 100.0
 
 
 def _untestable(view: View) -> str:
@@ -35,16 +42,12 @@ def _untestable(view: View) -> str:
     return ""
 
 
-def _degree(duration_s: float) -> int:
-    return sum(duration_s >= least_s for least_s in DEGREES_s)
-
-
 def _curves(view: View, first_wave: int = 0) -> Array:
     """Return a smooth curve for every long track; or, for placebos, as many half waves."""
     columns = []
     for k, track in enumerate(view.tracks):
         share = 2.0 * track.place / len(track.drive) - 1.0
-        for n in range(_degree(track.duration_s)):
+        for n in range(sum(track.duration_s >= least_s for least_s in DEGREES_s)):
             wave = np.cos(0.5 * np.pi * (first_wave + n) * (share + 1.0))
             curve = wave if first_wave else legval(share, np.eye(n + 2)[n + 1])
             columns.append(view.of_track(k, curve))
@@ -58,23 +61,16 @@ def _trials(view: View) -> list[Trial]:
     ]
 
 
-def _columns(view: View, _: Parameters) -> Array:
-    return _curves(view)
+def _tangent(drive: Driven, _: float) -> Array:
+    unit = drive.time_s / PLANNED_s
+    return 1e-6 * np.column_stack([unit, unit**2])
 
 
 def inject(recording: Recording, share: float) -> Recording:
     """Let a recording drift: the air conditioning and a straight line."""
     way = seconds_of(recording) / max(recording.duration_s, 1e-9)
     drift_m = np.sin(2.0 * np.pi * 0.8 * way) + 0.5 * way
-    moved_m = recording.displacement_m()
-    return with_displacement(
-        recording, moved_m + scaled_to(drift_m - drift_m.mean(), share, recording)
-    )
-
-
-def extend(_: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
-    return (ThermalDrift.of(setting.pieces),)
+    return with_added(recording, drift_m - drift_m.mean(), share)
 
 
 EFFECT = Effect(
@@ -83,12 +79,17 @@ EFFECT = Effect(
     unit="percent of the stroke, rms where most",
     experiment="Record ten minutes with the drive at rest, with the room's temperature; then a "
     "staircase and its mirror image, whose half sum is drift.",
+    control="No feedforward can know of it; only a sensor in the loop, or waiting, helps. Re-zero "
+    "before long scans.",
+    shows=OVER_TIME,
+    tangent=Tangent(columns=_tangent, own=True),
     confounded=("creep",),
     untestable=_untestable,
     trials=_trials,
-    columns=_columns,
-    size=added_percent(_columns),
+    columns=lambda view, _: _curves(view),
+    size=added_percent(lambda view, _: _curves(view)),
     inject=inject,
-    extend=extend,
+    extend=lambda _, setting: (ThermalDrift.of(setting.pieces),),
+    without=without_part(ThermalDrift),
     detectable_share=4e-3,
 )

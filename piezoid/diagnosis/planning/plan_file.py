@@ -1,15 +1,22 @@
-"""A plan as files, drive.csv and plan.json."""
+"""A plan in sentences, and as files: drive.csv and plan.json."""
 
 from collections.abc import Mapping
 from math import isfinite
 from typing import Any
 
 from piezoid.diagnosis.experiment import Plan
-from piezoid.diagnosis.planning.answer import HALF_95, expected_half, expected_limit_m
-from piezoid.diagnosis.planning.plan_words import sentences
+from piezoid.diagnosis.planning.question import (
+    HALF_95,
+    POWER,
+    Question,
+    expected_half,
+    expected_limit_m,
+    is_open,
+)
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.table import Alternative
 from piezoid.provenance import digest_of_bytes, seal
+from piezoid.readable import significant, told, words
 
 SCHEMA = "piezoid.plan/1"
 
@@ -99,3 +106,115 @@ def _alternative(found: Plan, one: Alternative) -> dict[str, Any]:
         "expected": _told(found, one.told),
         "refusal": one.refusal,
     }
+
+
+def sentences(found: Plan) -> tuple[str, ...]:
+    """Return why, what, what to expect of it, and what was asked before it in vain."""
+    if found.question.kind == "detect" and not is_open(found.question):
+        return _settled(found)
+    said = (_why(found.question), _what(found), _expected(found), found.forbids, _aside(found))
+    return tuple(filter(None, said))
+
+
+def _settled(found: Plan) -> tuple[str, ...]:
+    absent = found.question.absent
+    limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
+    return (
+        f"These recordings would show {words(found.question.effects[0])} from "
+        f"{told(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
+        "needed.",
+        f"Of the menu {_played(found)} would serve it best.",
+    )
+
+
+def _why(question: Question) -> str:
+    first, *others = map(words, question.effects)
+    if question.kind == "separate":
+        return f"These recordings show {first} or {others[0]} and cannot tell which."
+    if question.finding is not None:
+        size = question.finding.size
+        low, high = map(significant, size.ci95)
+        return (
+            f"These recordings give {first} as {significant(size.value)} {size.unit}, anywhere "
+            f"from {low} to {high}."
+        )
+    limit_m = question.absent.detection_limit_m if question.absent else None
+    if limit_m is None:
+        return f"These recordings cannot show {first} at all."
+    return f"These recordings would show {first} only from {told(limit_m, 'm')} rms."
+
+
+def _what(found: Plan) -> str:
+    played = f"{_played(found)}. {found.drive.why}"
+    if found.answers:
+        return f"Play {played}"
+    return f"No drive of the menu answers that inside these limits; the best is {played}"
+
+
+def _played(found: Plan) -> str:
+    drive, limits = found.drive, found.limits
+    return (
+        f"{drive.name}, {found.duration_s:.0f} s at {drive.sampling_rate_Hz:g} Hz between "
+        f"{limits.voltage_min_V:.4g} and {limits.voltage_max_V:.4g} V"
+    )
+
+
+def _expected(found: Plan) -> str:
+    question, before, after = found.question, found.before, found.after
+    if question.kind == "separate":
+        return f"{_separable(before, after)}{_lost(found)}"
+    if question.finding is not None:
+        size = question.finding.size
+        half = 0.5 * (size.ci95[1] - size.ci95[0])
+        return (
+            f"Expect half the 95 % interval to be "
+            f"{significant(expected_half(question, before, after), 2)} {size.unit} where it is "
+            f"{significant(half, 2)} now."
+        )
+    return _shows_from(found)
+
+
+def _shows_from(found: Plan) -> str:
+    question = found.question
+    expected_m = expected_limit_m(question, found.before, found.after)
+    least = ", the least that the diagnosis names" if expected_m <= question.floor_m else ""
+    held_m = None if question.absent is None else question.absent.detection_limit_m
+    now = " as it does now" if held_m is not None and expected_m >= held_m else ""
+    return f"Expect it to show from {told(expected_m, 'm', 2)} rms{now}{least}."
+
+
+def _separable(before: Told | None, after: Told) -> str:
+    reached = f"Expect the separability of the two to be {after.separability:.2g} of 1"
+    if before is None:
+        return f"{reached}."
+    shrinks = after.worst / before.worst if isfinite(before.worst) else 1.0
+    narrower = (
+        f", and the wider of their intervals to shrink to {100 * shrinks:.0f} % of what it is"
+        if shrinks < 1.0
+        else ""
+    )
+    return f"{reached} where it is {before.separability:.2g} now{narrower}."
+
+
+def _lost(found: Plan) -> str:
+    """Say where a size stays lost in its error, however well the two differ."""
+    lost = [
+        words(name)
+        for name, error in zip(found.question.effects, found.after.errors, strict=True)
+        if POWER * error > 1.0
+    ]
+    return f" The size of {' and of '.join(lost)} stays lost in its error." if lost else ""
+
+
+def _aside(found: Plan) -> str:
+    if not found.set_aside:
+        return ""
+    asked = "; ".join(map(_asked, found.set_aside))
+    return f"More pressing, but answered by no drive of the menu inside these limits: {asked}."
+
+
+def _asked(question: Question) -> str:
+    first, *others = map(words, question.effects)
+    if question.kind == "separate":
+        return f"{first} or {others[0]}"
+    return f"the size of {first}" if question.kind == "tighten" else f"whether there is {first}"

@@ -21,8 +21,8 @@ from typing import cast
 
 import numpy as np
 
+from piezoid.diagnosis.effect import Tangent
 from piezoid.diagnosis.planning.driven import Driven, null_columns, side_by_side
-from piezoid.diagnosis.planning.tangents import Tangent
 from piezoid.numerics.arrays import Array
 
 ALIKE = 0.15  # of half the range: how far states may differ for the error to be the same
@@ -34,19 +34,16 @@ NOTHING = 1e-9  # of a column: what the null may leave of it by rounding
 class Suspect:
     """An effect that may be there.
 
+    name     of the effect
     tangent  what it adds
     rms_m    how large it is, rms along the reference drives
     scale    the tangent's scale where a diagnosis found it; None: not found
     """
 
+    name: str
     tangent: Tangent
     rms_m: float
     scale: float | None = None
-
-    @property
-    def name(self) -> str:
-        """Return the effect's name."""
-        return self.tangent.name
 
 
 @dataclass(frozen=True, kw_only=True)

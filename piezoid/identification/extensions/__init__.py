@@ -1,6 +1,7 @@
-"""All extensions an axis model may have, upstream first: adding one is adding a file and a line.
+"""The extensions an axis model may have, upstream first.
 
-``EXTENSIONS`` is the order in which a model applies them.
+``EXTENSIONS`` is the order in which a model applies them. One that only its effect knows stands in
+the effect's own file and acts behind these.
 """
 
 from collections.abc import Iterable, Mapping
@@ -21,6 +22,7 @@ from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.record_json import RecordLayout, fields_of, from_fields
+from piezoid.upstairs import upstairs
 
 EXTENSIONS: tuple[type[Extension], ...] = (
     SlewLimit,
@@ -42,7 +44,7 @@ EXTENSIONS: tuple[type[Extension], ...] = (
 def in_order(extensions: Iterable[Extension]) -> tuple[Extension, ...]:
     """Return extensions in the order in which a model applies them."""
     place = {known.kind: number for number, known in enumerate(EXTENSIONS)}
-    return tuple(sorted(extensions, key=lambda extension: place[extension.kind]))
+    return tuple(sorted(extensions, key=lambda one: place.get(one.kind, len(place))))
 
 
 def _entry(extension: Extension) -> dict[str, Any]:
@@ -51,10 +53,13 @@ def _entry(extension: Extension) -> dict[str, Any]:
 
 def _extension(entry: Mapping[str, Any]) -> Extension:
     """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
-    for known in EXTENSIONS:
-        if known.kind == entry["kind"]:
+    kind = entry["kind"]
+    if kind not in {known.kind for known in EXTENSIONS}:
+        upstairs("diagnosis.effects")  # whose files define what only they know
+    for known in (*EXTENSIONS, *Extension.__subclasses__()):
+        if known.kind == kind:
             return from_fields(known, entry)
-    raise ValueError(f"extension kind {entry['kind']!r}")
+    raise ValueError(f"extension kind {kind!r}")
 
 
 LAYOUT_OF_EXTENSIONS = RecordLayout(kind=Extension, write=_entry, read=_extension)

@@ -129,8 +129,8 @@ def reason_of_lag(
 ) -> str:
     """Return that a lag alone does as well as the best fit of a wide loop, or an empty text.
 
-    A lag that leaves half of what no lag leaves is none, however little the hysteresis does: a
-    wrong cable, two clocks or a slip are followed by neither.
+    A lag that leaves much of what no lag leaves is none, however little the hysteresis does: a
+    wrong cable, two clocks, a slip or another machine's motion are followed by neither.
     """
     widest = widest_opening(pieces)
     height = max(float(np.ptp(p.response[p.first : p.last])) for p in pieces)
@@ -139,7 +139,7 @@ def reason_of_lag(
     progress("a lag alone, without hysteresis")
     zones = min(choice.best.shape.below, 2)
     none = no_lag(pieces, settings.longest_lag_s).held_out_rms
-    within = min(AS_GOOD * choice.best.held_out_rms, EXPLAINED * none, UNEXPLAINED * height)
+    within = min(AS_GOOD * choice.best.held_out_rms, EXPLAINED * none)
     for lag in ("first_order", "delay"):
         shape = Shape(plays=0, below=zones, above=zones, lag=lag)
         trial = attempt(pieces, shape, replace(settings, lag_s=None), within=within)

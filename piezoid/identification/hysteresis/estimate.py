@@ -8,7 +8,6 @@ import numpy as np
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
-    UNEXPLAINED,
     WIDE,
     reason_in_loops,
     reason_of_error,
@@ -160,7 +159,7 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
         f"{100 * late.held_out_rms / height:.2g} %"
     )
     wide = widest_opening(ready.pieces) > WIDE * height
-    explains = plain.rises and best < EXPLAINED * none.held_out_rms and best < UNEXPLAINED * height
+    explains = plain.rises and best < EXPLAINED * none.held_out_rms
     is_lag = wide and explains and best <= AS_GOOD * straight
     bent = (
         f"; plays without an envelope {100 * straight / height:.2g} %" if straight > plays else ""

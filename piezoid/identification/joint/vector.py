@@ -41,8 +41,6 @@ FEWEST, MOST = 6, 15  # blocks of a piece
 BLOCK_s = 4.0
 KEPT = -1  # the fold of blocks that are never left out
 
-SIDES, ZONES = ("below", "above"), ("gap", "slope")
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Part:
@@ -237,14 +235,12 @@ class Structure:
               memory, zero and new extensions
     lag     the model's own lag, fitted
     memory  a memory of its own for every piece; False: what a drive cycled over its range leaves
-    zones   dead zones that bend; False: a symmetric operator
     bends   kinks of the envelope on each side of its middle; None: as many as the model has
     """
 
     operator: bool = True
     lag: bool = True
     memory: bool = True
-    zones: bool = True
     bends: int | None = None
 
 
@@ -287,8 +283,6 @@ def state_of(
 
 
 def _structured(operator: Scaled, structure: Structure) -> Scaled:
-    if not structure.zones:
-        operator = replace(operator, slope=np.ones_like(operator.slope))
     if structure.bends is None or structure.bends == operator.envelope.zero:
         return operator
     return bent(operator, structure.bends)
@@ -300,8 +294,6 @@ def _held(state: State, model: AxisModel, structure: Structure) -> tuple[slice, 
         known = [any(e is old for old in model.extensions) for e in state.extensions]
         held += [place for place, old in zip(state.slices, known, strict=True) if old]
         held.append(slice(0, coordinates.shared))
-    if not structure.zones:
-        held += [coordinates.slices[f"{side}_{what}"] for side in SIDES for what in ZONES]
     if not structure.memory:
         held += [coordinates.memory_slice(k) for k in range(len(coordinates.offsets))]
     return tuple(held)

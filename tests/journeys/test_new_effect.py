@@ -1,0 +1,218 @@
+"""An effect in no catalogue: one file and one line, and every verb knows it."""
+
+import importlib.util
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+import piezoid
+from piezoid.diagnosis import effects
+from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.identification.store import read_model, write_model
+from piezoid.operators.linear import sample
+from piezoid.readable import words
+from piezoid.verification.plant import lateral_plant
+from piezoid_reports.compared import compared
+from piezoid_reports.traces import rms, traces_of
+from tests.reports.anatomy import Anatomy
+
+SHARE, TIME_s = 0.03, 0.4
+FILE = '''"""Charge leak: what was moved fast goes too far, and comes back.
+
+What you see
+    After a step the stage is too far out, and returns within a second.
+Why it happens
+    A charge amplifier is a charge source at high frequency and a voltage source at low frequency.
+How it is detected
+    The quick part of the static response explains what static hysteresis cannot.
+What the extension adds
+    A high-pass part of the response, y = m + c (m - x),  tau dx/dt = m - x.
+Source
+    Fleming & Leang (2014)
+"""
+
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+
+from piezoid.diagnosis.appearance import Appearance, unsigned
+from piezoid.diagnosis.effect import Effect, Tangent, Trial, without_part
+from piezoid.diagnosis.signals import filtered_change, through
+from piezoid.identification.extensions.extension import Extension, free
+from piezoid.identification.extensions.loop_effect import LoopEffect
+from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.operators.linear import ContinuousSystem
+
+TIMES_s = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChargeLeak(Extension):
+    """y = m + c (m - x),  tau dx/dt = m - x."""
+
+    kind: ClassVar[str] = "charge_leak"
+    share: float
+    time_s: float
+
+    def response(self, moved, where):
+        return moved + self.share * quick(moved, self.time_s, where.rate_Hz)
+
+    def loop_effect(self, rate_Hz):
+        c, per_s = np.array([[self.share]]), np.array([[1.0 / self.time_s]])
+        return LoopEffect(system=ContinuousSystem(A=-per_s, B=per_s, C=-c, D=1.0 + c))
+
+    def free(self):
+        return free((self.share, self.time_s), (0.0, 0.01), (0.5, 10.0), (1e-4, 1e-3))
+
+    def moved_to(self, value):
+        return replace(self, share=float(value[0]), time_s=float(value[1]))
+
+
+def quick(moved, time_s, rate_Hz):
+    return moved - relaxed(moved, time_s, rate_Hz)
+
+
+def passed(response, rate_Hz, way):
+    return response + quick(response, way["time_s"], rate_Hz)
+
+
+def columns(view, way):
+    return filtered_change(view, passed, way)
+
+
+def trials(view):
+    return [
+        Trial(
+            columns=columns(view, {"time_s": time_s}),
+            parameters={"time_s": time_s},
+            coefficient_range=(0.002, 0.3),
+            free={"time_s": 1.3},
+        )
+        for time_s in TIMES_s
+    ]
+
+
+EFFECT = Effect(
+    name="charge_leak",
+    explanation=__doc__,
+    unit="percent of a step",
+    experiment="Record steps over the range, held for ten times the time in which they return.",
+    control="A quick inverse overshoots: let the feedforward carry the same leak.",
+    shows=Appearance(
+        label="quick part of the drive",
+        unit="V",
+        kind="classes",
+        along=lambda r: unsigned(quick(r.voltage_V(), 0.4, r.sampling_rate_Hz)),
+        reading="A leak: a straight line through zero.",
+    ),
+    tangent=Tangent(columns=lambda drive, _: quick(drive.static_m, 0.4, drive.rate_Hz)[:, None]),
+    trials=trials,
+    columns=columns,
+    size=lambda view, way, coefficient: 100.0 * float(coefficient[0]),
+    inject=lambda recording, share: through(recording, ChargeLeak(share=share, time_s=0.4)),
+    extend=lambda found, _: (ChargeLeak(share=found.share, time_s=found.parameters["time_s"]),),
+    without=without_part(ChargeLeak),
+)
+'''
+
+
+@dataclass(frozen=True)
+class Known:
+    """A stage that leaks, and what the verbs made of it."""
+
+    effect: effects.Effect
+    recordings: tuple[piezoid.Recording, ...]
+    model: piezoid.ActuatorModel
+    found: piezoid.Diagnosis
+
+
+def leaking(recording: piezoid.Recording) -> piezoid.Recording:
+    """Return a recording with the leak, by another formula than the file's."""
+    pole = np.exp(-1.0 / (TIME_s * recording.sampling_rate_Hz))
+    m = recording.displacement_m()
+    quick = lfilter([1.0, -1.0], [1.0, -pole], m - m[0])
+    channels = tuple(
+        replace(one, values=m + SHARE * quick) if one.quantity.value == "m" else one
+        for one in recording.channels
+    )
+    return replace(recording, channels=channels)
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Known]:
+    """Write the file, put it into the catalogue, and let the verbs meet the stage."""
+    file: Path = tmp_path_factory.mktemp("effects") / "charge_leak.py"
+    file.write_text(FILE)
+    spec = importlib.util.spec_from_file_location("charge_leak", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(effects, "EFFECTS", (*effects.EFFECTS, module.EFFECT))
+        stage = piezoid.simulate(3, drives=("sweep", "staircase"), truth="bouc_wen")
+        recordings = tuple(leaking(one) for one in stage.recordings)
+        model = piezoid.fit(recordings, lab=stage.lab)
+        found = piezoid.diagnose(recordings, model=model, lab=stage.lab)
+        yield Known(module.EFFECT, recordings, model.extended(found), found)
+
+
+def test_diagnose_finds_it_and_measures_it_in_the_refitted_model(known: Known) -> None:
+    (finding,) = known.found.findings
+    assert finding.effect == "charge_leak"
+    assert finding.size.ci95[0] < 100.0 * SHARE < finding.size.ci95[1]
+    assert finding.held_out_gain > 0.3
+    assert finding.explanation.startswith("Charge leak: what was moved fast")
+    assert read_diagnosis(write_diagnosis(known.found)).names == ("charge_leak",)
+
+
+def test_the_model_holds_it_fitted_and_comes_back_from_its_file(known: Known) -> None:
+    (leak,) = (e for e in known.model["x"].extensions if e.kind == "charge_leak")
+    share, time_s = leak.free().value
+    assert share == pytest.approx(SHARE, abs=3.0 * leak.std[0])
+    assert time_s == pytest.approx(TIME_s, abs=3.0 * leak.std[1])
+    assert read_model(write_model(known.model))["x"].extensions == known.model["x"].extensions
+
+
+def test_a_plan_can_ask_about_it(known: Known) -> None:
+    planned = piezoid.plan(
+        known.model, known.found, recordings=known.recordings, effect="charge_leak", clock_Hz=1e3
+    )
+    assert planned.question.effects == ("charge_leak",)
+    assert planned.before is not None
+    assert planned.after.errors[0] < planned.before.errors[0]
+
+
+def test_the_plant_of_verification_overshoots_by_it(known: Known) -> None:
+    plant = lateral_plant(known.model["x"], sampling_rate_Hz=1000.0)
+    assert plant.measured is not None
+    moved, _ = sample(plant.measured, 1000.0).run(np.ones(5000))
+    assert moved[100:].max() / moved[-1] == pytest.approx(1.0 + SHARE, abs=0.01)
+    assert np.argmax(moved) < 100
+
+
+def test_the_report_draws_it_where_it_shows_and_says_what_it_means(known: Known) -> None:
+    page = Anatomy(piezoid.report(known.model, known.recordings, diagnoses=[known.found]))
+    prose = [one.text for one in page.all("p", "prose")]
+    assert f"For control: {known.effect.control}" in prose
+    assert any(f"Axis x: {words('charge_leak')}" in one.text for one in page.all("h3"))
+    axes = [one.text for one in page.all("text", "axis-name")]
+    assert any(name.startswith("quick part of the drive") for name in axes)
+    captions = [one.text for one in page.all("figcaption")]
+    assert any("A leak: a straight line through zero." in caption for caption in captions)
+    axis = known.model["x"]
+    pictures = compared(axis, traces_of(axis, known.recordings), known.found)["charge_leak"]
+    for one in pictures:
+        assert rms(one.before_m) > 1.2 * rms(one.after_m)
+
+
+def test_injected_by_its_file_it_is_the_leak_of_the_test(known: Known) -> None:
+    healthy = piezoid.simulate(3, drives=("staircase",), truth="bouc_wen").recordings[0]
+    ours = leaking(healthy).displacement_m()
+    theirs = known.effect.inject(healthy, SHARE).displacement_m()
+    np.testing.assert_allclose(theirs, ours, atol=2e-4 * np.ptp(ours))
