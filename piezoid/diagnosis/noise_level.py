@@ -28,8 +28,8 @@ from piezoid.records.faults import step_size
 MEAN_LOG = -1.2704  # of chi-squared of one degree: the digamma of 1/2, and log 2
 LEAST = 1e-3  # of the noise: what rounding may make of a difference
 ENDS = (0.02, 0.98)  # quantiles of the level: the quietest and the loudest place
-# The loudest over the quietest. On an outsider's healthy stages it is at most 1.5, with a delay 1.7,
-# and where the noise grows by the reading or the speed from 3.7 on (docs/something_else.md).
+# The loudest over the quietest: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and
+# from 3.7 on where the noise grows by the reading or the speed (docs/something_else.md).
 LOUDER = 2.0
 
 
