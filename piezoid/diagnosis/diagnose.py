@@ -27,12 +27,13 @@ from piezoid.diagnosis.held_sensor import with_creep_of_holds
 from piezoid.diagnosis.identified_modes import told_apart, with_modes
 from piezoid.diagnosis.ingested import with_ingested
 from piezoid.diagnosis.jumps import behind_jumps
+from piezoid.diagnosis.noise_level import noise_level
 from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.sizes import size_of
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
-from piezoid.diagnosis.something_else import Explained, explained, without_names
+from piezoid.diagnosis.something_else import SURE, Explained, explained, without_names
 from piezoid.diagnosis.tracks import tracks_of
-from piezoid.diagnosis.unnamed import of_discovered
+from piezoid.diagnosis.unnamed import of_discovered, of_noise
 from piezoid.diagnosis.view import View, view_of
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
@@ -218,6 +219,15 @@ def _diagnosis(
                 after=_held_out(numbers.final, stroke_m),
                 scale_m=scales.displacement_m,
                 middle_m=_middle_m(found.discovered.view, recordings, axis, scales),
+            )
+        )
+    elif not outcome.against and (level := noise_level(outcome.final, SURE)) is not None:
+        findings.append(
+            of_noise(
+                level,
+                error=_held_out(numbers.final, stroke_m),
+                scale_m=scales.displacement_m,
+                middle_m=_middle_m(outcome.final, recordings, axis, scales),
             )
         )
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)

@@ -1,6 +1,6 @@
 """Linear filters of a track's static response, and what a changed drive would make of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -8,30 +8,14 @@ import numpy as np
 from piezoid.diagnosis.effect import Filter, Parameters
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.hysteresis.filters import first_order
 from piezoid.identification.simulation import where_of
 from piezoid.numerics.arrays import Array
-from piezoid.operators.ladder import ladder
 from piezoid.operators.linear import recursive_filter
 from piezoid.operators.play import play_columns
 from piezoid.records.recording import Quantity, Recording
 
 GRIDS_Hz = (50.0, 60.0)
 GAPS = np.array([0.2, 0.5, 0.8])  # of another axis' half range: thresholds of its plays
-
-
-def laddered(
-    signal: Array, times_s: Sequence[float], rate_Hz: float, share: Array | None = None
-) -> Array:
-    """Return the sum of a signal behind first-order lags side by side, all steady before.
-
-    share  (lags,)  of each in the sum; 1 where nothing is said
-    """
-    each = np.ones(len(times_s)) if share is None else share
-    plain = zip(each.tolist(), (first_order(time_s, rate_Hz) for time_s in times_s), strict=True)
-    filters = [(pole, a * b0, a * b1) for a, (pole, b0, b1) in plain]
-    first = float(signal[0])
-    return first * float(np.sum(each)) + ladder(signal - first, filters)
 
 
 def rate_of(signal: Array, rate_Hz: float) -> Array:

@@ -6,7 +6,10 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size
+from piezoid.diagnosis.discovery import CoordinateScore
+from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.something_else import NAME, Discovered
+from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.readable import told
 
@@ -45,6 +48,12 @@ NEXT: Mapping[str, str] = {
     "sample_index": "Record a shorted input at the same rate: what repeats there is the "
     "converter's.",
 }
+NOISE_NEXT = (
+    "Record ten seconds at rest at five levels over the range, then ramps at three speeds over "
+    "all of it: noise that stays with the level is the sensor's or its supply's, noise that comes "
+    "with the speed the amplifier's, the converter's or the guide's."
+)
+MEDIAN = 0.6745  # of a normal variable without its sign, in standard deviations
 OTHER = "Move the other axis alone, slowly over its range, with this drive at rest."
 
 
@@ -64,7 +73,8 @@ def of_discovered(
     """
     lives, stroke_m = found.lives, found.view.stroke_m
     low_m, value_m, high_m = (stroke_m * rms for rms in _rms_with_doubt(found))
-    seen = _seen(found, scale_m, middle_m)
+    way = float(np.sign(scale_m))
+    seen = _seen(lives, found.view, way * found.left, way * lives.followed, scale_m, middle_m)
     part = f"{100 * found.share:.0f} % of what no cause explains beyond the noise"
     gain = 1.0 - after.rms_m / before.rms_m if before.rms_m > 0.0 else 0.0
     return Finding(
@@ -82,6 +92,35 @@ def of_discovered(
         parameters=_parameters(found),
         coordinate=lives.coordinate,
         law=_law(found, scale_m, middle_m),
+        seen=seen,
+    )
+
+
+def of_noise(found: NoiseLevel, *, error: HeldOut, scale_m: float, middle_m: float) -> Finding:
+    """Return the finding of a noise that is not the same everywhere.
+
+    error  of the simulation on rows left out, in which such noise is and stays
+    """
+    lives, stroke_m = found.lives, found.view.stroke_m
+    low_m, value_m, high_m = (stroke_m * rms for rms in excess_of(found))
+    quiet_m, loud_m = (stroke_m * rms for rms in found.range)
+    seen = _seen(lives, found.view, found.local / MEDIAN, found.level, scale_m, middle_m)
+    return Finding(
+        effect=NAME,
+        held_out_gain=0.0,
+        held_out_rms_before_m=error.rms_m,
+        held_out_rms_after_m=error.rms_m,
+        p_value=lives.p_value,
+        rms_percent=50.0 * value_m / stroke_m,
+        size=Size(value=1e9 * value_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m)),
+        not_separable_from=(),
+        explanation="No effect of the catalogue stands for it: the noise of the readings is not "
+        f"the same everywhere, it lives in {words(lives.coordinate)}. It is "
+        f"{told(quiet_m, 'm')} rms in the quietest place and {told(loud_m, 'm')} in the loudest, "
+        f"{told(value_m, 'm')} rms beyond the quietest in all. No model can take it off.",
+        next_experiment=NOISE_NEXT,
+        parameters={},
+        coordinate=lives.coordinate,
         seen=seen,
     )
 
@@ -141,43 +180,50 @@ def _law(found: Discovered, scale_m: float, middle_m: float) -> str:
     return f"reading = {way}(displacement, {told(middle_m + scale_m * found.end.level, 'm')})"
 
 
-def _seen(found: Discovered, scale_m: float, middle_m: float) -> Seen:
-    """Return the remainder in classes of the coordinate, with what the curve makes of it."""
-    view, lives = found.view, found.lives
+def _seen(
+    lives: CoordinateScore,
+    view: View,
+    left: Array,
+    followed: Array,
+    scale_m: float,
+    middle_m: float,
+) -> Seen:
+    """Return what is left in classes of the coordinate, with what the curve makes of it.
+
+    left, followed  (rows,)  in half strokes
+    """
     shown, recording = range(len(view.tracks)), ""
     if lives.coordinate == "time":
-        power = [float(np.sum(lives.followed[_rows(found, k)] ** 2)) for k in shown]
+        power = [float(np.sum(followed[_rows(view, k)] ** 2)) for k in shown]
         shown = range(int(np.argmax(power)), int(np.argmax(power)) + 1)
         recording = view.tracks[shown[0]].name
-    place = np.concatenate([_place(found, k) for k in shown])
-    left = np.concatenate([found.left[_rows(found, k)] for k in shown])
-    followed = np.concatenate([lives.followed[_rows(found, k)] for k in shown])
+    place = np.concatenate([_place(lives, view, k) for k in shown])
     if lives.coordinate in ("displacement", "reading") and not lives.basis.per_unit:
         place = place * np.sign(scale_m) + middle_m
     return seen_in_classes(
         place,
-        np.sign(scale_m) * view.stroke_m * left,
-        np.sign(scale_m) * view.stroke_m * followed,
+        view.stroke_m * np.concatenate([left[_rows(view, k)] for k in shown]),
+        view.stroke_m * np.concatenate([followed[_rows(view, k)] for k in shown]),
         unit="" if lives.basis.per_unit else lives.basis.unit,
         recording=recording,
     )
 
 
-def _rows(found: Discovered, k: int) -> slice:
-    edges = found.view.nuisance.edges
+def _rows(view: View, k: int) -> slice:
+    edges = view.nuisance.edges
     return slice(int(edges[k]), int(edges[k + 1]))
 
 
-def _place(found: Discovered, k: int) -> Array:
+def _place(lives: CoordinateScore, view: View, k: int) -> Array:
     """Return where the rows of a track stand; of what repeats, in which part of a period."""
-    basis = found.lives.basis
-    place = basis.place[k][found.view.tracks[k].place]
+    basis = lives.basis
+    place = basis.place[k][view.tracks[k].place]
     if not basis.per_unit:
         return place
     if not basis.harmonics:
         return place * basis.per_unit
     wide = 2 * basis.harmonics
-    own = found.lives.coefficient[k * wide : k * wide + 2]
+    own = lives.coefficient[k * wide : k * wide + 2]
     return np.asarray((place * basis.per_unit - np.arctan2(own[1], own[0]) / (2.0 * np.pi)) % 1.0)
 
 

@@ -132,11 +132,8 @@ class Forward:
             position_m = extension.reading(position_m)
         return position_m
 
-    def chain(self, memory_slope: Array, rate_Hz: float, share: float | None) -> Chain:
-        """Return the hysteresis as the kernel of all its derivatives takes it.
-
-        share  of the sample before, in every row: what is left of a delay; None: no delay
-        """
+    def chain(self, memory_slope: Array, rate_Hz: float) -> Chain:
+        """Return the hysteresis as the kernel of all its derivatives takes it."""
         operator = self.operator
         return Chain(
             gap=operator.gap,
@@ -144,7 +141,6 @@ class Forward:
             memory_slope=memory_slope,
             zones=operator.dead_zones,
             envelope=operator.envelope,
-            share=share,
             rate_Hz=rate_Hz,
         )
 
@@ -162,7 +158,8 @@ class Forward:
             None if time_s is None else FirstOrder(time_s=time_s, rate_Hz=rate_Hz)
             for time_s in (lag_s, pole_s)
         )
-        return replace(self.chain(memory_slope, rate_Hz, share), lag=lag, sensor=sensor), late
+        chain = self.chain(memory_slope, rate_Hz)
+        return replace(chain, share=share, lag=lag, sensor=sensor), late
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,7 +215,7 @@ class Run:
         newer, older = self.static[source], self.static[np.maximum(source - 1, 0)]
         shifted = (1.0 - share) * newer + share * older
         true = forward.behind(self.static, where, instant=True)[place]
-        chain = forward.chain(self.memory_slope, where.rate_Hz, None)
+        chain = forward.chain(self.memory_slope, where.rate_Hz)
         wide = len(self.drive) * (chain.plays + chain.columns - 1) > LARGEST
         if wide or np.std(true - shifted) < SLOW * np.std(true):
             columns = self._columns(replace(chain, share=share), source)

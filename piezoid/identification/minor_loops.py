@@ -349,7 +349,7 @@ def _restarted_piece(
     def beside_m(slope: Array, rows: slice) -> Array:
         count, where = rows.stop - rows.start, where_of(recording, axis.axis, rows)
         moved_m = axis.moved(voltage_V[:count], memory_V(slope), where)
-        return np.asarray(measured_m[:count] - axis.read(zero_m[:count] + moved_m))
+        return np.asarray(measured_m[:count] - axis.forward.read(zero_m[:count] + moved_m))
 
     def left(slope: Array) -> Array:
         error_m = beside_m(slope, head)[:: max((head.stop - head.start) // ROWS, 1)]

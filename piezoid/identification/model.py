@@ -241,7 +241,7 @@ class AxisModel:
         drive_V = _drive(voltage_V, f"the drive of axis {self.axis}", "V")
         here = where or Where(recording="", rate_Hz=sampling_rate_Hz, samples=len(drive_V))
         moved_m = self.moved(drive_V, self._memory(memory_V), here)
-        return self.read((self.zero_m if zero_m is None else zero_m) + moved_m)
+        return self.forward.read((self.zero_m if zero_m is None else zero_m) + moved_m)
 
     def inverse(
         self,
@@ -429,14 +429,6 @@ class AxisModel:
                 displacement_m=float(self.polarity),
             ),
         )
-
-    def read(self, position_m: Array) -> Array:
-        """Return what the sensor says of a position.
-
-        >>> model["x"].read(np.array([0.0, 1e-6])).shape
-        (2,)
-        """
-        return self.forward.read(position_m)
 
     def static_m(self, driven_V: Array, memory_V: Array, rate_Hz: float) -> Array:
         """Return Psi(H[gamma(u - u_off)]), with what delays the irreversible part.

@@ -147,7 +147,7 @@ def _followed(model: AxisModel, voltage_V: Array, measured_m: Array, where: Wher
     for start in model.starts:
         if start.recording == where.recording and start.last <= len(voltage_V):
             moved_m = model.moved(voltage_V, start.memory_V, where)
-            again = model.read(zero_of(start, where.samples) + moved_m)
+            again = model.forward.read(zero_of(start, where.samples) + moved_m)
             found = min(found, again, key=lambda made: float(np.sum((made - measured_m) ** 2)))
     return found
 
@@ -169,7 +169,7 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
         return model.moved(voltage_V, forward.memory(first, slope), where)
 
     def left(numbers: Array) -> Array:
-        made = model.read(numbers[-1] * scale_m + moved(numbers[:-1]))
+        made = forward.read(numbers[-1] * scale_m + moved(numbers[:-1]))
         return np.asarray((made - measured_m)[::every] / scale_m)
 
     def begun(slope: float) -> Array:
@@ -185,4 +185,4 @@ def _from_own_start(model: AxisModel, voltage_V: Array, measured_m: Array, where
         diff_step=1e-4,
         max_nfev=STEPS,
     )
-    return model.read(found.x[-1] * scale_m + moved(found.x[:-1]))
+    return forward.read(found.x[-1] * scale_m + moved(found.x[:-1]))

@@ -41,7 +41,7 @@ def simulate_recording(axis_model: AxisModel, recording: Recording) -> Array:
         where = where_of(recording, axis_model.axis, part)
         voltage_V = recording.voltage_V(axis_model.axis)[part]
         moved_m = axis_model.moved(voltage_V, start.memory_V, where)
-        displacement_m[part] = axis_model.read(zero_of(start, where.samples) + moved_m)
+        displacement_m[part] = axis_model.forward.read(zero_of(start, where.samples) + moved_m)
     return displacement_m
 
 

@@ -36,12 +36,13 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import laddered, seconds_of, through, with_added
+from piezoid.diagnosis.signals import seconds_of, through, with_added
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.extension import Extension
-from piezoid.identification.hysteresis.filters import relaxed
+from piezoid.identification.hysteresis.filters import first_order
 from piezoid.numerics.arrays import Array
+from piezoid.operators.ladder import ladder
 from piezoid.records.recording import Recording
 
 RUNGS = 8  # of a creep ladder in the model: as many as the runtime has
@@ -79,7 +80,8 @@ def _ladder(view: View, parameters: Parameters, *, backwards: bool = False) -> A
     times_s, share = (10.0**decade).tolist(), np.maximum(share, 0.0) / PER_DECADE
 
     def crept(signal: Array, rate_Hz: float) -> Array:
-        total = laddered(signal[::-1] if backwards else signal, times_s, rate_Hz, share)
+        rungs = [first_order(time_s, rate_Hz) for time_s in times_s]
+        total = ladder(signal[::-1] if backwards else signal, rungs, share)
         return total[::-1] if backwards else total
 
     return view.of(lambda k, track: crept(view.static[k], track.rate_Hz))[:, None]
@@ -113,8 +115,8 @@ def _decays(view: View) -> Array:
 def _tangent(drive: Driven, _: float) -> Array:
     first, last = np.log10(PLANNED_s)
     times_s = np.logspace(first, last, round((last - first) * PER_DECADE))
-    parts = [relaxed(drive.static_m, t, drive.rate_Hz) for t in times_s]
-    return np.asarray(np.sum(parts, axis=0) / PER_DECADE)[:, None]
+    rungs = [first_order(time_s, drive.rate_Hz) for time_s in times_s]
+    return ladder(drive.static_m, rungs, 1.0 / PER_DECADE)[:, None]
 
 
 def _in_holds(recording: Recording) -> tuple[Array, Array]:

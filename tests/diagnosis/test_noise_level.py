@@ -1,0 +1,63 @@
+"""Noise that is not the same everywhere is said to be, with its place and its levels."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.signals import with_displacement
+from piezoid.numerics.arrays import Array
+from piezoid.records.recording import Recording
+from piezoid_datasets.virtual_lab.campaign import draw_campaign
+
+from .bench import recorded
+
+LOUD_m = 60e-9  # beyond the sensor's own noise
+Level = Callable[[Recording], Array]  # (recording) -> (samples,) parts of LOUD_m
+
+
+def by_place(recording: Recording) -> Array:
+    moved_m = recording.displacement_m()
+    return np.asarray((moved_m - moved_m.min()) / np.ptp(moved_m)) ** 2
+
+
+def by_speed(recording: Recording) -> Array:
+    speed = np.abs(np.gradient(recording.voltage_V()))
+    return np.asarray(np.minimum(speed / np.quantile(speed, 0.9), 1.0))
+
+
+def diagnosed(level: Level) -> tuple[Diagnosis, float]:
+    """Return what is said of a healthy stage with more noise, and how much more, rms."""
+    recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
+    chance, noisy, more_m2 = np.random.default_rng(3), [], []
+    for one in recordings:
+        sigma_m = LOUD_m * level(one)
+        more_m2.append(np.mean(sigma_m**2))
+        noise_m = sigma_m * chance.standard_normal(len(sigma_m))
+        noisy.append(with_displacement(one, one.displacement_m() + noise_m))
+    return diagnose(tuple(noisy), lab=lab), float(np.sqrt(np.mean(more_m2)))
+
+
+@pytest.mark.parametrize(
+    ("level", "coordinates"),
+    [(by_place, {"displacement", "reading"}), (by_speed, {"speed"})],
+)
+def test_noise_that_lives_somewhere_is_told_with_its_place(
+    level: Level, coordinates: set[str]
+) -> None:
+    found, more_m = diagnosed(level)
+    (finding,) = found.findings
+    assert finding.effect == "something_else"
+    assert finding.coordinate in coordinates
+    assert finding.size.value == pytest.approx(1e9 * more_m, rel=0.25)
+    assert finding.held_out_gain == 0.0
+    assert "the noise of the readings is not the same everywhere" in finding.explanation
+    assert finding.seen is not None
+    assert max(finding.seen.fitted_m) > 3.0 * min(finding.seen.fitted_m)
+
+
+def test_noise_that_is_the_same_everywhere_is_no_finding() -> None:
+    found, _ = diagnosed(lambda one: np.full(len(one.voltage_V()), 0.3))
+    assert not found.findings
