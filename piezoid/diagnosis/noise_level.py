@@ -73,7 +73,8 @@ def noise_level(view: View, sure: float) -> NoiseLevel | None:
     lives = _best(remainder, along_signals(view), sure)
     mean = values - remainder.left + lives.followed - MEAN_LOG
     louder = np.exp(0.5 * np.diff(np.quantile(lives.followed, ENDS)))
-    if lives.p_value > sure or louder < LOUDER:
+    # the logarithm is skew: of a course in time chance signs alone do not make a null
+    if lives.gain <= 0.0 or lives.p_value > sure or louder < LOUDER:
         return None
     return NoiseLevel(lives=lives, local=local, level=np.exp(0.5 * mean), view=view)
 

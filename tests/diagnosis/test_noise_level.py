@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from benchmarks.zoo.stages import drawn, stage
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.signals import with_displacement
@@ -61,3 +62,10 @@ def test_noise_that_lives_somewhere_is_told_with_its_place(
 def test_noise_that_is_the_same_everywhere_is_no_finding() -> None:
     found, _ = diagnosed(lambda one: np.full(len(one.voltage_V()), 0.3))
     assert not found.findings
+
+
+def test_a_healthy_stage_on_which_chance_signs_alone_would_accuse_the_noise_is_not_accused() -> (
+    None
+):
+    recordings, lab = recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))
+    assert not diagnose(recordings, lab=lab).findings
