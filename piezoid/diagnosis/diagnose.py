@@ -221,7 +221,7 @@ def _diagnosis(
                 middle_m=_middle_m(found.discovered.view, recordings, axis, scales),
             )
         )
-    elif not outcome.against and (level := noise_level(outcome.final, SURE)) is not None:
+    elif _only_structure(outcome) and (level := noise_level(outcome.final, SURE)) is not None:
         findings.append(
             of_noise(
                 level,
@@ -260,6 +260,12 @@ def _diagnosis(
             for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)
         },
     )
+
+
+def _only_structure(outcome: Outcome) -> bool:
+    """Tell whether nothing named acts beside the static response: it could pass for noise."""
+    others = (cause for cause in outcome.causes if cause.effect.structural is None)
+    return not (outcome.against or outcome.faults or any(others))
 
 
 def _middle_m(view: View, recordings: Sequence[Recording], axis: str, scales: Scales) -> float:
