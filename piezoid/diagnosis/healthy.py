@@ -30,9 +30,15 @@ from importlib.resources import files
 def score_of(gain: float, rms: float, noise: float) -> float:
     """Return the power that one coordinate explains, in units of the noise's.
 
+        gain rms^2 / min(noise^2, (1 - gain) rms^2)
+
     gain  part of the remainder's power that the coordinate explains on blocks left out
+
+    What repeats within a few samples passes for white noise; what a coordinate explains is none.
     """
-    return max(gain, 0.0) * (rms / max(noise, 1e-300)) ** 2
+    gain = min(max(gain, 0.0), 1.0)
+    left = min(noise**2, (1.0 - gain) * rms**2)
+    return gain * rms**2 / max(left, 1e-300)
 
 
 def chance_of(score: float, healthy: Iterable[float] | None = None) -> float:

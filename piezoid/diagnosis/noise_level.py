@@ -60,7 +60,9 @@ def noise_level(view: View, sure: float) -> NoiseLevel | None:
 
     sure  largest p-value of a coordinate
 
-    A reading that stands on a converter's steps has no noise that could be told.
+    A reading that stands on a converter's steps has no noise that could be told. Where the static
+    response bends by more than the noise from sample to sample, what is wrong with it may as well,
+    and such a row counts as one of the middle level.
     """
     if any(step_size(track.response) > view.noise for track in view.tracks):
         return None
@@ -94,15 +96,17 @@ def _best(remainder: Remainder, bases: list[Basis], sure: float) -> CoordinateSc
 
 
 def _local(view: View, k: int) -> Array:
-    """Return the noise at the rows of a track, without sign; the middle one at its two ends."""
-    track = view.tracks[k]
-    left = track.response - view.static[k]
-    found = np.full(len(left), np.nan)
-    found[1:-1] = np.abs(left[:-2] - 2.0 * left[1:-1] + left[2:]) / sqrt(6.0)
+    """Return the noise at the rows of a track, without sign; the middle one where none is told."""
+    track, static = view.tracks[k], view.static[k]
+    found = np.full(len(static), np.nan)
+    found[1:-1] = np.abs(np.diff(track.response - static, 2)) / sqrt(6.0)
+    found[1:-1][np.abs(np.diff(static, 2)) > sqrt(6.0) * view.noise] = np.nan
     for lost in track.bridged.tolist():
         found[max(lost - 1, 0) : lost + 2] = np.nan
     own = found[track.place]
-    return np.where(np.isfinite(own), own, np.nanmedian(found))
+    told = own[np.isfinite(own) & (own > 0.0)]
+    middle = float(np.exp(np.mean(np.log(told)))) if len(told) else view.noise
+    return np.where(np.isfinite(own), own, middle)
 
 
 def excess_of(found: NoiseLevel) -> tuple[float, float, float]:

@@ -127,13 +127,13 @@ def _chapter(axis: str, finding: Finding, pictures: tuple[Compared, ...]) -> lis
         Heading(text=f"Axis {axis}: {words(finding.effect)}"),
         Prose(text=finding.explanation),
     ]
-    own = unnamed_figure(finding)
-    figure = figure_of(finding, pictures) if own is None else own
+    unnamed = finding.effect == NAME
+    figure = unnamed_figure(finding) if unnamed else figure_of(finding, pictures)
     if figure is not None:
         parts.append(figure)
     elif pictures:
         parts.append(Prose(text=NO_PICTURE))
-    control = CONTROL if finding.effect == NAME else effect_named(finding.effect).control
+    control = CONTROL if unnamed else effect_named(finding.effect).control
     parts.append(Prose(text=f"For control: {control}"))
     return parts
 

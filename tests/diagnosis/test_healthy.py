@@ -39,9 +39,13 @@ def test_the_more_is_left_the_smaller_the_chance_and_it_is_never_none() -> None:
 
 
 def test_a_remainder_of_noise_scores_next_to_nothing_and_a_strong_curve_much() -> None:
-    assert score_of(0.001, 1.0, 1.0) == pytest.approx(0.001)
+    assert score_of(0.001, 1.0, 1.0) == pytest.approx(0.001, rel=0.002)
     assert score_of(0.9, 5.0, 1.0) == pytest.approx(22.5)
     assert score_of(-0.1, 5.0, 1.0) == 0.0
+
+
+def test_what_a_coordinate_explains_is_no_noise() -> None:
+    assert score_of(0.99, 1.0, 1.0) == pytest.approx(99.0)
 
 
 @pytest.mark.parametrize("kind", ["scores", "strengths"])

@@ -1,6 +1,7 @@
 """Noise that is not the same everywhere is said to be, with its place and its levels."""
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
+from piezoid.records.ingest import ingest_all
+from piezoid.records.lab import read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
+from tests.journeys.test_batch import write_night
 
 from .bench import recorded
 
@@ -69,3 +73,9 @@ def test_a_healthy_stage_on_which_chance_signs_alone_would_accuse_the_noise_is_n
 ):
     recordings, lab = recorded(drawn(stage("lugre", "healthy", 1, 3_300_000)))
     assert not diagnose(recordings, lab=lab).findings
+
+
+def test_a_loop_of_few_samples_has_no_noise_that_lives_in_its_corners(tmp_path: Path) -> None:
+    stage = write_night(tmp_path) / "unit-1"
+    lab = read_lab(stage / "lab.toml")
+    assert not diagnose(ingest_all([stage / "sweep.csv"], lab), lab=lab).findings
