@@ -80,8 +80,9 @@ class Finding:
     held_out_rms_after_m    with it
     p_value                 of a cause and of something else: the probability that a healthy stage
                             shows as much, by its rank among healthy stages of every law of the
-                            zoo, never below one over their number; of a fault of the data: of such
-                            evidence where there is none, times the number of effects
+                            zoo, never below one over their number; of a noise that lives
+                            somewhere: by its shifts; of a fault of the data: of such evidence
+                            where there is none, times the number of effects
     rms_percent             rms of what it adds, percent of the stroke
     not_separable_from      effects that would explain nearly as much
     parameters              nonlinear ones, by name with unit

@@ -187,7 +187,7 @@ def everywhere(remainder: Remainder, seed: int = 0) -> tuple[CoordinateScore, ..
         replace(one, p_value=(1.0 + float(np.sum(most >= one.gain))) / (1.0 + SHIFTS))
         for one in found
     ]
-    found.append(of_time(remainder, chance))
+    found.append(_in_time(remainder, chance))
     # the reading itself holds what is left: a wave as short as the noise would follow that
     repeating = (
         _line(remainder),
@@ -213,7 +213,7 @@ def _of_reading(remainder: Remainder, moved: Array) -> CoordinateScore:
     return replace(found, gain=found.gain - max(*others, 0.0))
 
 
-def of_time(remainder: Remainder, chance: np.random.Generator) -> CoordinateScore:
+def _in_time(remainder: Remainder, chance: np.random.Generator) -> CoordinateScore:
     """Judge a curve in time of every recording's own on chunks of time left out.
 
     Its p-value is of chunks whose signs are chance: of a remainder that is not correlated for

@@ -19,7 +19,7 @@ from math import sqrt
 import numpy as np
 
 from piezoid.diagnosis.coordinates import Basis, along_signals
-from piezoid.diagnosis.discovery import CoordinateScore, Remainder, of_time
+from piezoid.diagnosis.discovery import CoordinateScore, Remainder
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
@@ -31,6 +31,7 @@ ENDS = (0.02, 0.98)  # quantiles of the level: the quietest and the loudest plac
 # The loudest over the quietest: at most 1.5 on an outsider's healthy stages, 1.7 with a delay, and
 # from 3.7 on where the noise grows by the reading or the speed (docs/something_else.md).
 LOUDER = 2.0
+MOSTLY = 0.5  # of the power that is left
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,37 +63,37 @@ def noise_level(view: View, sure: float) -> NoiseLevel | None:
 
     A reading that stands on a converter's steps has no noise that could be told. Where the static
     response bends by more than the noise from sample to sample, what is wrong with it may as well,
-    and such a row counts as one of the middle level.
+    and such a row counts as one of the middle level. Where most of what is left is no noise, its
+    own differences would pass for some.
     """
     if any(step_size(track.response) > view.noise for track in view.tracks):
         return None
     local = np.concatenate([_local(view, k) for k in range(len(view.tracks))])
+    if float(np.mean(local**2)) < MOSTLY * view.rms**2:
+        return None
     values = np.log(np.maximum(local, LEAST * view.noise) ** 2)
     zeros = np.column_stack(
         [view.of_track(k, np.ones(len(t.place))) for k, t in enumerate(view.tracks)]
     )
     remainder = Remainder(view=view, null=Null(columns=zeros, response=values, block=view.block))
-    lives = _best(remainder, along_signals(view), sure)
+    lives = _best(remainder, along_signals(view))
     mean = values - remainder.left + lives.followed - MEAN_LOG
     louder = np.exp(0.5 * np.diff(np.quantile(lives.followed, ENDS)))
-    # the logarithm is skew: of a course in time chance signs alone do not make a null
     if lives.gain <= 0.0 or lives.p_value > sure or louder < LOUDER:
         return None
     return NoiseLevel(lives=lives, local=local, level=np.exp(0.5 * mean), view=view)
 
 
-def _best(remainder: Remainder, bases: list[Basis], sure: float) -> CoordinateScore:
+def _best(remainder: Remainder, bases: list[Basis]) -> CoordinateScore:
     """Return the coordinate along which most of the noise's logarithm goes.
 
-    A course in time follows whatever the drive does slowly: asked where nothing else is sure.
+    Time is none of them: logarithms are skew, and chance signs make no null of a course then.
     """
-    chance = np.random.default_rng(0)
-    moved = remainder.shifted(chance)
+    moved = remainder.shifted(np.random.default_rng(0))
     tried = [remainder.lives_beside(basis, moved) for basis in bases]
     most = np.max([gains for _, gains in tried], axis=0)
     best = max((one for one, _ in tried), key=lambda one: one.gain)
-    best = replace(best, p_value=(1.0 + float(np.sum(most >= best.gain))) / (1.0 + len(most)))
-    return best if best.p_value <= sure else of_time(remainder, chance)
+    return replace(best, p_value=(1.0 + float(np.sum(most >= best.gain))) / (1.0 + len(most)))
 
 
 def _local(view: View, k: int) -> Array:
