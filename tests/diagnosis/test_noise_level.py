@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from benchmarks.zoo.stages import drawn, stage
-from piezoid.diagnosis.diagnose import diagnose
+from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.noise_level import noise_level
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest_all
-from piezoid.records.lab import read_lab
+from piezoid.records.lab import Lab, read_lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from tests.journeys.test_batch import write_night
@@ -35,6 +36,11 @@ def by_speed(recording: Recording) -> Array:
 
 def diagnosed(level: Level) -> tuple[Diagnosis, float]:
     """Return what is said of a healthy stage with more noise, and how much more, rms."""
+    noisy, lab, more_m = noisy_stage(level)
+    return diagnose(noisy, lab=lab), more_m
+
+
+def noisy_stage(level: Level) -> tuple[tuple[Recording, ...], Lab, float]:
     recordings, lab = recorded(draw_campaign(41, truth="bouc_wen", plans=("sweep", "rates")))
     chance, noisy, more_m2 = np.random.default_rng(3), [], []
     for one in recordings:
@@ -42,7 +48,7 @@ def diagnosed(level: Level) -> tuple[Diagnosis, float]:
         more_m2.append(np.mean(sigma_m**2))
         noise_m = sigma_m * chance.standard_normal(len(sigma_m))
         noisy.append(with_displacement(one, one.displacement_m() + noise_m))
-    return diagnose(tuple(noisy), lab=lab), float(np.sqrt(np.mean(more_m2)))
+    return tuple(noisy), lab, float(np.sqrt(np.mean(more_m2)))
 
 
 @pytest.mark.parametrize(
@@ -79,3 +85,14 @@ def test_a_loop_of_few_samples_has_no_noise_that_lives_in_its_corners(tmp_path: 
     stage = write_night(tmp_path) / "unit-1"
     lab = read_lab(stage / "lab.toml")
     assert not diagnose(ingest_all([stage / "sweep.csv"], lab), lab=lab).findings
+
+
+@pytest.mark.parametrize(("wave_m", "is_told"), [(0.0, True), (20 * LOUD_m, False)])
+def test_noise_is_told_where_most_of_what_is_left_is_noise(wave_m: float, is_told: bool) -> None:
+    recordings, lab, _ = noisy_stage(by_place)
+    waved = []
+    for one in recordings:
+        wave = np.sin(2.0 * np.pi * 1.7 * np.arange(one.samples) / one.sampling_rate_Hz)
+        waved.append(with_displacement(one, one.displacement_m() + wave_m * wave))
+    found = noise_level(view_on(waved, axis="x", lab=lab), 0.02)
+    assert (found is not None) is is_told
