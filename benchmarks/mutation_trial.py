@@ -7,6 +7,7 @@ them enters; a mutant then meets first those that enter its function, the quicke
 import contextlib
 import importlib.abc
 import importlib.machinery
+import importlib.util
 import json
 import os
 import resource
@@ -16,7 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from types import CodeType, FrameType, ModuleType
+from types import CodeType, FrameType
 from typing import Any
 
 from benchmarks.mutants import Mutant
@@ -38,24 +39,20 @@ BUILDS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 
 
-class Broken(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Hands out one module with its mutant, and everything else as it is."""
+class Broken(importlib.abc.MetaPathFinder, importlib.machinery.SourceFileLoader):
+    """Hands out one module with its mutant, and everything else as it is, files beside it too."""
 
     def __init__(self, name: str, path: Path, source: str) -> None:
-        self.name, self.path = name, path
+        super().__init__(name, str(path))
         self.code: CodeType = compile(source, str(path), "exec")
 
     def find_spec(self, fullname: str, *_: Any) -> importlib.machinery.ModuleSpec | None:
         if fullname != self.name:
             return None
-        folder = [str(self.path.parent)] if self.path.name == "__init__.py" else None
-        spec = importlib.machinery.ModuleSpec(fullname, self, origin=str(self.path))
-        spec.submodule_search_locations = folder
-        spec.has_location = True
-        return spec
+        return importlib.util.spec_from_file_location(fullname, self.path, loader=self)
 
-    def exec_module(self, module: ModuleType) -> None:
-        exec(self.code, module.__dict__)
+    def get_code(self, _: str) -> CodeType:
+        return self.code
 
 
 class Compiled(importlib.abc.MetaPathFinder):
@@ -133,6 +130,8 @@ def run_tests(arguments: Sequence[str], *plugins: object) -> int:
 def timed_tests(tests: Sequence[str], without: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Run tests once and return what the witness saw; the failing are left out.
 
+    Each is given the seconds of its whole file as well.
+
     tests    folders
     without  files that are not run
     """
@@ -146,6 +145,12 @@ def timed_tests(tests: Sequence[str], without: Sequence[str]) -> dict[str, dict[
 
         forked(work, 3600.0)
         seen: dict[str, dict[str, Any]] = json.loads(Path(kept.name).read_text())
+    of_file: dict[str, float] = {}
+    for name, test in seen.items():
+        file = name.partition("::")[0]
+        of_file[file] = of_file.get(file, 0.0) + test["seconds"]
+    for name, test in seen.items():
+        test["file_seconds"] = of_file[name.partition("::")[0]]
     return {name: test for name, test in seen.items() if not test["failed"]}
 
 
@@ -196,7 +201,9 @@ def verdict(mutant: Mutant, tests: dict[str, dict[str, Any]]) -> str:
     names = chosen_tests(mutant, tests)
     if not names:
         return SURVIVED
-    limit_s = 20.0 + 4.0 * sum(tests[name]["seconds"] for name in names)
+    # What a file computes once is paid for by whichever of its tests comes first.
+    files = {name.partition("::")[0]: tests[name]["file_seconds"] for name in names}
+    limit_s = 20.0 + 4.0 * sum(files.values())
     with tempfile.TemporaryDirectory() as folder:
         finder = finder_of(mutant, Path(folder))
         if finder is None:
