@@ -12,15 +12,11 @@ status 1 means that a number moved by more than that, 2 that only bytes did.
 import hashlib
 import json
 import math
-import os
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
-
-# As the command line does: threads wait for each other at these sizes, and change last digits.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis

@@ -6,13 +6,10 @@ The stage is made of 16 plays and 12 dead zones and drives at 2 Hz; the fit star
 recording alone: a search on thinned rows, then Jacobians of all rows. Times are processor time.
 """
 
-import os
 import resource
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 

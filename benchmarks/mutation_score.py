@@ -14,7 +14,6 @@ a test could see, each with its reason; they are left out of the score.
 import argparse
 import importlib
 import json
-import os
 import random
 import sys
 import time
@@ -23,8 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from benchmarks.mutants import Mutant, mutants_of
 from benchmarks.mutation_trial import KILLED, ROOT, SURVIVED, timed_tests, verdict
