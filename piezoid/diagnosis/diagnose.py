@@ -255,7 +255,8 @@ def _diagnosis(
             gain=rest.gain,
         ),
         model=numbers.model,
-        strengths={
+        strengths={SOMETHING_ELSE: rest.score}
+        | {
             one.effect.name: one.strength
             for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)
         },

@@ -17,14 +17,13 @@ import numpy as np
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
 from piezoid.diagnosis.shape import (
-    REACH,
     SHARED,
     THRESHOLD,
     BoucWenLaw,
     bouc_wen_columns,
-    rubbed,
-    rubbing,
     shape,
+    states_that_forget,
+    states_that_forget_after,
     states_under,
 )
 from piezoid.diagnosis.view import (
@@ -155,8 +154,8 @@ def _turned(reversals: Reversals, place: int, step: float) -> Reversals:
 class _Sketch:
     """A track at few samples and its reversals, on which hypotheses are tried.
 
-    began      (states,)         friction after a drive that was cycled before
-    friction   (points, states)  from there
+    began      (states,)         states that forget, after a drive that was cycled before
+    forgetful  (points, states)  from there
     remembers  (points, states)  the part of its beginning that is not forgotten
     """
 
@@ -165,14 +164,15 @@ class _Sketch:
     drive: Array
     response: Array
     began: Array
-    friction: Array
+    forgetful: Array
     remembers: Array
 
     def misfit(self, reversals: Reversals) -> float:
         """Return the standard deviation of the residual under a hypothesis."""
         states, _ = play_columns(self.drive, THRESHOLD, memory_after(self.drive, reversals))
-        rubs = self.friction + (rubbed(self.drive, reversals) - self.began) * self.remembers
-        model = shape(states, rubs, self.drive, self.weight[:SHARED])
+        began = states_that_forget_after(self.drive, reversals)
+        others = self.forgetful + (began - self.began) * self.remembers
+        model = shape(states, others, self.drive, self.weight[:SHARED])
         if self.bouc_wen:
             bent = states_under(self.bouc_wen, reversals, self.drive)
             model = model + bouc_wen_columns(bent, self.drive) @ self.weight[SHARED:]
@@ -185,14 +185,15 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
     reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
     spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
     points = np.unique([*spread, *reversals[:POINTS]])
-    began = rubbed(track.drive, hypotheses(track.drive)[0])
-    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
+    began = states_that_forget_after(track.drive, hypotheses(track.drive)[0])
+    along = states_that_forget(track.drive, began)[points]
     return _Sketch(
         weight=weight,
         bouc_wen=view.nuisance.bouc_wen,
         drive=np.asarray(track.drive[points]),
         response=np.asarray(track.response[points]),
         began=began,
-        friction=rubbing(track.drive, began)[points],
-        remembers=np.exp(-way[points][:, None] / REACH),
+        forgetful=along,
+        # Each forgets at a rate that its own value does not change.
+        remembers=states_that_forget(track.drive, began + 1.0)[points] - along,
     )

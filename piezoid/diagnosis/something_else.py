@@ -51,7 +51,7 @@ CONTROL = (
     "No model of a controller has it. What is in the reading alone the loop will follow, so find "
     "out first whether the stage moves."
 )
-MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
+MAINS, CLIPPED, COARSE = "mains_interference", "amplifier_saturation", "quantisation"
 OF_LINES = ("frequency", "line_phase")
 ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
@@ -146,6 +146,7 @@ class Rest:
     p_value     that a healthy stage leaves as much of it in one coordinate
     coordinate  that explains most of it
     gain        part of its power that this explains, on blocks left out
+    score       of which the p-value is the rank among healthy stages
     """
 
     rms: float
@@ -153,6 +154,7 @@ class Rest:
     p_value: float
     coordinate: str
     gain: float
+    score: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,8 +215,8 @@ def explained(view: View, executor: Executor) -> Explained:
 
 def without_names(view: View, outcome: Outcome) -> Explained:
     """Say where the rest lives where the class of model does not apply, and name nothing."""
-    lives = everywhere(Remainder.of(outcome.final, ()))
-    return Explained(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
+    remainder = Remainder.of(outcome.final, ())
+    return Explained(raw=view, outcome=outcome, unexplained=rest_of(remainder))
 
 
 def with_something_else(view: View, first: Outcome, executor: Executor) -> Explained:
@@ -226,7 +228,7 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     executor.report("asking where the rest lives")
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
-    plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
+    plain = Explained(raw=view, outcome=first, unexplained=rest_of(remainder, lives))
     best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
         executor.report("searching again without it")
@@ -292,16 +294,30 @@ def _named(
     """Return the coordinate that surely explains more than healthy stages leave, if one does."""
     hum = MAINS in {cause.effect.name for cause in outcome.causes}
     for one in lives:
+        if one.coordinate == "reading" and _is_of_converter(one, outcome):
+            continue
         if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
             continue  # a phase that wanders, or harmonics that die out, faster than allowed for
-        if one.p_value <= SURE and _chance(remainder, one) <= UNUSUAL:
+        if one.p_value <= SURE and chance_of(_score(remainder, one)) <= UNUSUAL:
             return _discovered(remainder, one)
     return None
 
 
-def _chance(remainder: Remainder, lives: CoordinateScore) -> float:
-    """Return the probability that a healthy stage leaves as much in one coordinate."""
-    return chance_of(score_of(lives.gain, remainder.null.rms, remainder.view.noise))
+def _is_of_converter(lives: CoordinateScore, outcome: Outcome) -> bool:
+    """Tell whether a wave along the reading is the saw that a named lattice of readings makes."""
+    lattice = outcome.faults.get(COARSE)
+    if lattice is None or not lives.basis.per_unit:
+        return False
+    step = 1e-9 * lattice.value / outcome.first.stroke_m
+    order = round(lives.basis.per_unit * step)
+    # A period is told to a part of a cycle of all that the reading has covered.
+    range_covered = max(float(np.ptp(static)) for static in outcome.final.static)
+    return order > 0 and abs(lives.basis.per_unit - order / step) * range_covered < 1.0
+
+
+def _score(remainder: Remainder, lives: CoordinateScore) -> float:
+    """Return how much of a remainder lives in one coordinate, beside the noise."""
+    return score_of(lives.gain, remainder.null.rms, remainder.view.noise)
 
 
 def _share(remainder: Remainder, gain: float) -> float:
@@ -329,7 +345,7 @@ def _discovered(remainder: Remainder, lives: CoordinateScore) -> Discovered:
         share=_share(remainder, lives.gain),
         left=whole.left,
         view=whole.view,
-        chance=_chance(remainder, lives),
+        chance=chance_of(_score(remainder, lives)),
     )
 
 
@@ -397,15 +413,20 @@ def _instead(outcome: Outcome) -> Discovered | None:
     return best
 
 
-def rest_of(outcome: Outcome, lives: Sequence[CoordinateScore]) -> Rest:
-    """Return how much is left, how often healthy stages leave as much, and where it lives."""
-    final = outcome.final
+def rest_of(remainder: Remainder, lives: Sequence[CoordinateScore] = ()) -> Rest:
+    """Return how much is left, how often healthy stages leave as much, and where it lives.
+
+    lives  what ``everywhere`` says of the remainder, where that is known already
+    """
+    final, lives = remainder.view, lives or everywhere(remainder)
     known = max((one.gain for one in lives if one.p_value <= SURE), default=0.0)
     above = _above(final.rms**2, final.noise**2, min(known, 1.0))
+    score = _score(remainder, lives[0])
     return Rest(
         rms=sqrt(above),
         share=above / max(final.rms**2, 1e-300),
-        p_value=chance_of(score_of(lives[0].gain, final.rms, final.noise)),
+        p_value=chance_of(score),
         coordinate=lives[0].coordinate,
         gain=float(np.clip(lives[0].gain, 0.0, 1.0)),
+        score=score,
     )

@@ -153,6 +153,9 @@ def test_what_a_law_leaves_of_a_healthy_stage_is_no_slip_of_its_clock() -> None:
 
 
 def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
-    """Slow stretches tell nothing of it: to all others the fast half of a sweep comes late."""
+    """Slow stretches tell nothing of it: to all others the fast half of a sweep comes late.
+
+    The past of these records moves them by 1 % of the stroke, so an initial state may be named.
+    """
     recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
-    assert diagnose(recordings, lab=lab).names == ("timestamp_fault",)
+    assert set(diagnose(recordings, lab=lab).names) - {"initial_state"} == {"timestamp_fault"}
