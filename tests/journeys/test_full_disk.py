@@ -66,7 +66,7 @@ def ended(words: str, place: Path, prepare: Callable[[], None]) -> tuple[int, st
 
 VERBS = {
     "fit s.csv --out made --force": "made",
-    "simulate --recording sweep --out made --force": "made",
+    "simulate --recording sweep --out deep/stage --force": "deep/stage",
     "report stage": "stage",
     "init s.csv --out made/lab.toml": "made/lab.toml",
 }
