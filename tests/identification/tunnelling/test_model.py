@@ -122,7 +122,7 @@ def test_an_empty_model_is_refused() -> None:
 def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text(LAB)
     lab, junction, sweep_of_x = read_lab(tmp_path / "lab.toml"), Junction(), stage_recording()
-    (record,) = loop_records([junction], periods=21, seed=39)
+    (record,) = loop_records([junction], periods=9, seed=39)
     loop = Recording(
         name="loop.csv",
         digest="sha256:made",
