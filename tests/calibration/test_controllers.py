@@ -38,7 +38,7 @@ def with_reference(design: AxisDesign, filter_: Sequence[float], **others: float
 
 
 def stage(axis: AxisModel, *more: AxisModel) -> ActuatorModel:
-    return replace(fitted(), axes={one.axis: one for one in (axis, *more)})
+    return replace(fitted(), axes={held.axis: held for held in (axis, *more)})
 
 
 def controllers(model: ActuatorModel, *outcomes: Outcome, lab: Lab = LAB) -> Controllers:

@@ -68,6 +68,6 @@ def test_cores_that_no_axis_takes_help_those_that_are_there(
     lab = write_lab(tmp_path, axes)
     held = collect([write_butterfly(tmp_path / f"{axis}.csv", 5.0) for axis in axes], lab)
     _, jobs = jobs_of(held, lab, processes)
-    found = [(job.axis, job.threads) for job in jobs if isinstance(job, AxisJob)]
-    assert found == [(axis, threads) for axis in axes]
+    shares = [(job.axis, job.threads) for job in jobs if isinstance(job, AxisJob)]
+    assert shares == [(axis, threads) for axis in axes]
     assert len(jobs) == len(axes)

@@ -68,16 +68,16 @@ def test_a_model_in_front_of_the_recordings_says_what_changed(sweeps: Path, toda
     assert since["model_digest"] == json.loads((sweeps / "model.json").read_text())["digest"]
     assert since["refitted_rms_m"] <= since["as_it_was_rms_m"]
     assert " ".join(since["explanation"].split()) in " ".join(today.output.split())
-    (found,) = read_diagnoses(content)
-    assert found.names == ("quantisation",)
+    (diagnosis,) = read_diagnoses(content)
+    assert diagnosis.names == ("quantisation",)
 
 
 def test_without_a_model_the_causes_are_drawn_on_a_quick_fit_of_the_recordings(
     sweeps: Path, plain: Result
 ) -> None:
     assert plain.exit_code == 0, plain.output
-    (found,) = read_diagnoses((sweeps / "plain/diagnosis.json").read_bytes())
-    (finding,) = found.findings
+    (diagnosis,) = read_diagnoses((sweeps / "plain/diagnosis.json").read_bytes())
+    (finding,) = diagnosis.findings
     assert finding.effect == "quantisation"
     assert finding.size.value == pytest.approx(1e3 * STEP_um["x"])
     said = " ".join(plain.output.split())

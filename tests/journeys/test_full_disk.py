@@ -1,12 +1,11 @@
 """A disk that is full or read only: one message, status 3, and what was there is still there."""
 
 import ast
-import ctypes
 import os
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,15 @@ from tests.reports.known_stage import axis_model, stage_model
 
 ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
 WRITERS = ("write_bytes", "write_text", "mkdir", "touch", "rename", "replace", "unlink")
-CAPBSET_DROP, CAP_DAC_OVERRIDE = 24, 1
+ROOM_FOR_100_BYTES = """
+from resource import RLIMIT_FSIZE, getrlimit, setrlimit
+setrlimit(RLIMIT_FSIZE, (100, getrlimit(RLIMIT_FSIZE)[1]))
+"""
+# Root may write anywhere; what root starts here may not: PR_CAPBSET_DROP of CAP_DAC_OVERRIDE.
+NO_RIGHTS_OF_ROOT = """
+import ctypes, os
+os.geteuid() or ctypes.CDLL(None).prctl(24, 1)
+"""
 
 
 @pytest.fixture
@@ -39,24 +46,17 @@ def held(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-def with_room_for_100_bytes() -> None:
-    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, most))
+def ended(words: str, place: Path, prepare: str) -> tuple[int, str]:
+    """Return the status of a command and what it said of its end.
 
-
-def with_no_more_rights_than_anybody() -> None:
-    """Root may write anywhere; what root starts here may not."""
-    if os.geteuid() == 0:
-        ctypes.CDLL(None).prctl(CAPBSET_DROP, CAP_DAC_OVERRIDE)
-
-
-def ended(words: str, place: Path, prepare: Callable[[], None]) -> tuple[int, str]:
-    """Return the status of a command and what it said of its end."""
+    prepare  what its process does to itself before the command takes its place
+    """
+    command = ["-m", "piezoid_cli.main", *words.split(), "--quiet"]
+    begin = f"{prepare}\nimport os, sys\nos.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
     done = subprocess.run(
-        [sys.executable, "-m", "piezoid_cli.main", *words.split(), "--quiet"],
+        [sys.executable, "-c", begin, *command],
         cwd=place,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
-        preexec_fn=prepare,
         capture_output=True,
         text=True,
         check=False,
@@ -77,7 +77,7 @@ def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(
     words: str, place: Path
 ) -> None:
     before = held(place)
-    status, said = ended(words, place, with_room_for_100_bytes)
+    status, said = ended(words, place, ROOM_FOR_100_BYTES)
     assert said.startswith(f"error: {VERBS[words]}: File too large")
     assert status == 3
     assert said.count("error:") == 1
@@ -93,7 +93,7 @@ def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
     before = held(place)
     for folder in (place / "made", place):
         folder.chmod(0o555)
-    status, said = ended(words, place, with_no_more_rights_than_anybody)
+    status, said = ended(words, place, NO_RIGHTS_OF_ROOT)
     told = str(place) if "--force" in words else VERBS[words]
     assert said.startswith(f"error: {told}: Permission denied")
     assert status == 3
@@ -104,7 +104,7 @@ def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
 def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place: Path) -> None:
     results = results_place(str(place / "results"))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with_room_for_100_bytes()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
     try:
         with pytest.raises(OSError, match="too large"):
             results.write("unit", {"batch.json": b"{}", "model.json": bytes(200)})
