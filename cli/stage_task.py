@@ -73,18 +73,21 @@ def known_of(tasks: Sequence[StageTask]) -> list[Known]:
     return found
 
 
-def work_off(tasks: Sequence[StageTask], run: "Run | None" = None) -> list[Outcome]:
+def work_off(
+    tasks: Sequence[StageTask], run: "Run | None" = None, *, spell_s: float = SPELL_s
+) -> list[Outcome]:
     """Do stages one after the other, those that are done already left as they are.
 
-    run  what is done of one; ``run_stage`` if not given
+    run      what is done of one; ``run_stage`` if not given
+    spell_s  after so long, what is not begun is left to others
 
-    Returns the outcomes of the first, and of the second and so on while less than ``SPELL_s`` have
+    Returns the outcomes of the first, and of the second and so on while less than ``spell_s`` have
     passed. Raises what ``run_stage`` raises.
     """
     begun_s, found = monotonic(), []
     for task in tasks:
         found.append(_worked(task, run or run_stage))
-        if monotonic() - begun_s > SPELL_s:
+        if monotonic() - begun_s > spell_s:
             break
     return found
 

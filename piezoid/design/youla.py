@@ -241,6 +241,7 @@ def optimise(
     *,
     taps: int = 10,
     most_iterations: int = 8,
+    every: int = _EVERY,
 ) -> ConvexController:
     """Minimise the rejection figure over R' and S' from a start that stabilises every member.
 
@@ -249,13 +250,15 @@ def optimise(
                     |A_i S| <= Syp_max Re_i,  |A_i R| <= Sup_max Re_i,  |B_i R| <= Syb_max Re_i
         with        Re_i = Re{P_i conj(P_d,i)} / |P_d,i|,  S = H_S S',  R = H_R R',  s'_0 = 1
 
+    every  so many-th row of the grid is asked at first, and others where the answer breaks them
+
     Limits that the start exceeds are relaxed together, as little as possible. Each step is
     checked on a grid ten times finer, and solved again with more reserve where it fails there.
     """
     count = max(taps, len(start.S) - len(INTEGRATOR) + 1, len(start.R) - len(OPEN_AT_NYQUIST) + 1)
     coarse = family_grid(family, specification, count=20 * count)
     fine = family_grid(family, specification, count=200 * count)
-    deciding = np.arange(coarse.A.size) % _EVERY == 0
+    deciding = np.arange(coarse.A.size) % every == 0
     best, R, S = worst_place(fine, start.R, start.S), start.R, start.S
     history = [best.rejection]
     while len(history) <= most_iterations:

@@ -106,7 +106,9 @@ def with_discrepancy(
     residual_m = np.concatenate([part.residual_m for part in parts])
     weight_m = _drawn(_weights(columns, residual_m, axis.quality), wide, seed)
     rising, steepest_m_per_V = _slopes(axis, wide, weight_m, _told(columns, residual_m))
-    unseen = max(axis.quality.held_out_rms_m / axis.quality.rms_m, 1.0)
+    unseen = 1.0
+    if axis.quality.rms_m > 0.0:  # readings without noise may be followed to the last bit
+        unseen = max(axis.quality.held_out_rms_m / axis.quality.rms_m, 1.0)
     return replace(
         axis,
         discrepancy=Discrepancy(

@@ -10,10 +10,9 @@ import pytest
 from distributed import Client, LocalCluster
 
 from piezoid.provenance import digest_of_bytes, unseal
-from piezoid_cli import stage_task
 from piezoid_cli.batch import done_by, write_summary
-from piezoid_cli.batch_cluster import stages_of
-from piezoid_cli.stage_task import StageTask, work_off
+from piezoid_cli.batch_cluster import bundle_size, stages_of
+from piezoid_cli.stage_task import SPELL_s, StageTask, work_off
 from piezoid_reports.fleet.records import (
     CRASHED,
     PASSED,
@@ -23,7 +22,7 @@ from piezoid_reports.fleet.records import (
     StagesOnDisk,
 )
 
-COUNT = 9
+COUNT, MANY = 9, 40
 BAD = "unit-4"
 
 
@@ -41,12 +40,23 @@ def client() -> Iterator[Client]:
 
 @pytest.fixture
 def night(tmp_path: Path) -> Path:
-    for number in range(COUNT):
-        place = tmp_path / "night" / f"unit-{number}"
+    return written(tmp_path / "night", COUNT)
+
+
+@pytest.fixture
+def long_night(tmp_path: Path) -> Path:
+    """So many stages that two workers are given several of them at once."""
+    assert bundle_size(MANY, 2) > 1
+    return written(tmp_path / "night", MANY)
+
+
+def written(folder: Path, count: int) -> Path:
+    for number in range(count):
+        place = folder / f"unit-{number}"
         place.mkdir(parents=True)
         (place / "lab.toml").write_text(f"# {number}\n")
         (place / "sweep.csv").write_text("1,2\n")
-    return tmp_path / "night"
+    return folder
 
 
 @pytest.fixture(params=["folder", "memory"])
@@ -66,11 +76,16 @@ def named(
 
 
 def run(
-    client: Client, tasks: Sequence[StageTask], work: Callable[..., object], *, force: bool = False
+    client: Client,
+    tasks: Sequence[StageTask],
+    work: Callable[..., object],
+    *,
+    force: bool = False,
+    spell_s: float = SPELL_s,
 ) -> tuple[int, dict[str, str]]:
     """Return how many were finished before, and how every stage ended."""
     with StagesOnDisk() as stages:
-        doing = partial(work_off, run=work)  # type: ignore[arg-type]
+        doing = partial(work_off, run=work, spell_s=spell_s)  # type: ignore[arg-type]
         before = done_by(client, tasks, stages, 1, force=force, work=doing)
         return before, {stage.name: stage.state for stage in stages}
 
@@ -111,27 +126,28 @@ def test_what_would_be_replaced_is_refused_before_anything_is_done(
 
 
 def test_of_stages_given_together_only_the_one_that_fails_again_breaks_off(
-    client: Client, night: Path, results: str, monkeypatch: pytest.MonkeyPatch
+    client: Client, long_night: Path, results: str
 ) -> None:
     def failing(task: StageTask, inputs: Mapping[str, str]) -> object:
-        if task.name == BAD:
+        if task == third:
             raise OSError("the disk is away")
         return named(task, inputs)
 
-    monkeypatch.setattr("piezoid_cli.batch_cluster.bundle_size", lambda *_: 5)
-    _, ended = run(client, stages_of(night, results), failing)
-    assert ended.pop(BAD) == CRASHED
+    tasks = stages_of(long_night, results)
+    third = tasks[2]  # of the first bundle
+    _, ended = run(client, tasks, failing)
+    assert ended.pop(third.name) == CRASHED
     assert set(ended.values()) == {PASSED}
-    assert len(ended) == COUNT - 1
+    assert len(ended) == MANY - 1
 
 
 def test_what_takes_long_is_handed_back_and_done_all_the_same(
-    client: Client, night: Path, results: str, monkeypatch: pytest.MonkeyPatch
+    client: Client, long_night: Path, results: str
 ) -> None:
-    monkeypatch.setattr(stage_task, "SPELL_s", -1.0)
-    monkeypatch.setattr("piezoid_cli.batch_cluster.bundle_size", lambda *_: 5)
-    _, ended = run(client, stages_of(night, results), named)
-    assert len(ended) == COUNT
+    tasks = stages_of(long_night, results)
+    _, ended = run(client, tasks, named, spell_s=-1.0)
+    assert len(ended) == MANY
+    assert len(work_off(tasks[:3], named, spell_s=-1.0)) == 1
 
 
 def test_a_worker_that_does_not_see_the_results_says_so(tmp_path: Path, night: Path) -> None:

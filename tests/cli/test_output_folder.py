@@ -1,11 +1,13 @@
 """A folder of results is whole or not there; what was there before is never half gone."""
 
+import ctypes
 import os
 import resource
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -37,25 +39,11 @@ def test_an_old_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["stage"]
 
 
-def test_a_failure_while_writing_leaves_the_old_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_folder(tmp_path / "stage", {"model.json": b"old"})
-
-    def full(_: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
-        write_folder(tmp_path / "stage", NEW)
-    assert held(tmp_path / "stage") == {"model.json": b"old"}
-    assert os.listdir(tmp_path) == ["stage"]
-
-
 def test_without_an_atomic_exchange_the_folder_is_still_replaced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("piezoid_cli.output_folder._exchanged", lambda *_: False)
+    # No file system of this machine lacks the exchange: here its C library does.
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: object())
     write_folder(tmp_path / "stage", {"model.json": b"old"})
     write_folder(tmp_path / "stage", NEW)
     assert held(tmp_path / "stage") == NEW
@@ -152,16 +140,6 @@ def test_a_full_disk_is_told_with_the_name_of_the_folder(tmp_path: Path) -> None
     assert os.listdir(tmp_path) == ["stage"]
 
 
-def test_a_place_that_cannot_be_written_is_refused_before_the_work(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Whoever runs the tests may be allowed everything, so the answer of the system is given here.
-    monkeypatch.setattr(os, "access", lambda place, _: place != tmp_path)
-    with pytest.raises(PermissionError) as told:
-        check_free(tmp_path / "deep" / "stage", force=False)
-    assert told.value.filename == str(tmp_path)
-
-
 @pytest.mark.parametrize("force", [False, True])
 def test_what_is_read_and_where_we_stand_is_never_replaced(
     force: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -198,12 +176,14 @@ def test_a_link_to_itself_is_told_as_what_the_disk_says(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["loop"]
 
 
-def test_what_stays_in_a_folder_is_copied_and_never_held_as_a_whole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_folder(tmp_path / "stage", {"sub/night.csv": b"1,2\n" * 1000, "report.html": b"old"})
-    monkeypatch.setattr(Path, "read_bytes", pytest.fail)
-    add_to_folder(tmp_path / "stage", {"report.html": b"new"})
-    monkeypatch.undo()
-    found = held(tmp_path / "stage")
-    assert found == {"sub/night.csv": b"1,2\n" * 1000, "report.html": b"new"}
+def test_what_stays_in_a_folder_is_copied_and_never_held_as_a_whole(tmp_path: Path) -> None:
+    night = b"1,2\n" * 4_000_000
+    write_folder(tmp_path / "stage", {"sub/night.csv": night, "report.html": b"old"})
+    tracemalloc.start()
+    try:
+        add_to_folder(tmp_path / "stage", {"report.html": b"new"})
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 0.1 * len(night)
+    assert held(tmp_path / "stage") == {"sub/night.csv": night, "report.html": b"new"}

@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from piezoid.errors import LabFileError, ParameterFileError
-from piezoid_cli import stage_files
 from piezoid_cli.init import init
 from piezoid_cli.stage_files import content_of, text_of
 
@@ -21,16 +20,18 @@ def test_a_pipe_in_the_place_of_a_sealed_file_is_refused_and_not_waited_for(
             content_of(tmp_path / name)
 
 
-def test_a_file_larger_than_any_of_ours_is_refused_by_its_size(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_larger_than_any_of_ours_is_refused_by_its_size(tmp_path: Path) -> None:
+    """It has holes and takes no disk; a gigabyte is read by nobody."""
     place = tmp_path / "model.json"
     place.write_bytes(b"x" * 100)
-    monkeypatch.setattr(stage_files, "_MOST_bytes", 100)
     assert content_of(place) == b"x" * 100
-    monkeypatch.setattr(stage_files, "_MOST_bytes", 99)
-    with pytest.raises(ParameterFileError, match=r"model\.json has 100 bytes. Needed: at most 99"):
-        content_of(place)
+    os.truncate(place, 1 << 27)
+    assert len(content_of(place)) == 1 << 27
+    for size in ((1 << 27) + 1, 1 << 40):
+        os.truncate(place, size)
+        told = rf"model\.json has {size} bytes. Needed: at most 134217728"
+        with pytest.raises(ParameterFileError, match=told):
+            content_of(place)
 
 
 def test_a_text_by_hand_may_begin_with_a_mark_and_must_be_text(tmp_path: Path) -> None:

@@ -4,12 +4,13 @@ Cores that no axis takes become threads of those that are there.
 """
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from piezoid.calibration import stage_jobs
+from piezoid.calibration.stage_jobs import AxisJob, jobs_of
+from piezoid.records.collection import collect
+from piezoid.records.lab import Lab, read_lab
 from piezoid_cli.calibration import calibrate
 
 SAMPLES = 300
@@ -38,12 +39,17 @@ def write_butterfly(place: Path, bottom_V: float) -> Path:
     return place
 
 
+def write_lab(place: Path, axes: str) -> Lab:
+    (place / "lab.toml").write_text(LAB + "".join(ENTRY.format(axis=axis) for axis in axes))
+    return read_lab(place / "lab.toml")
+
+
 def test_the_files_of_a_stage_are_the_same_bytes_for_one_and_for_two_processes(
     tmp_path: Path,
 ) -> None:
     files = [write_butterfly(tmp_path / "x.csv", 5.0), write_butterfly(tmp_path / "y.csv", 4.0)]
+    write_lab(tmp_path, "xy")
     lab = tmp_path / "lab.toml"
-    lab.write_text(LAB + "".join(ENTRY.format(axis=axis) for axis in "xy"))
     said: list[str] = []
     alone = calibrate(files, lab, lambda _: None, 1)
     together = calibrate(files, lab, said.append, 2)
@@ -57,12 +63,11 @@ def test_the_files_of_a_stage_are_the_same_bytes_for_one_and_for_two_processes(
     ("processes", "axes", "threads"), [(1, "x", 1), (2, "x", 2), (2, "xy", 1), (5, "xy", 2)]
 )
 def test_cores_that_no_axis_takes_help_those_that_are_there(
-    monkeypatch, processes, axes, threads
+    tmp_path: Path, processes: int, axes: str, threads: int
 ) -> None:
-    fit = "piezoid.identification.fit"
-    monkeypatch.setattr(f"{fit}.axes_of", lambda _: tuple(axes))
-    monkeypatch.setattr(f"{fit}.unfitted", lambda *_: "stage")
-    monkeypatch.setattr(f"{fit}.recorded_of", lambda *_: ())
-    held = SimpleNamespace(recordings=(), sweeps=(), responses=())
-    _, jobs = stage_jobs.jobs_of(held, None, processes)
-    assert [(job.axis, job.threads) for job in jobs] == [(axis, threads) for axis in axes]
+    lab = write_lab(tmp_path, axes)
+    held = collect([write_butterfly(tmp_path / f"{axis}.csv", 5.0) for axis in axes], lab)
+    _, jobs = jobs_of(held, lab, processes)
+    shares = [(job.axis, job.threads) for job in jobs if isinstance(job, AxisJob)]
+    assert shares == [(axis, threads) for axis in axes]
+    assert len(jobs) == len(axes)

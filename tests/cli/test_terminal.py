@@ -2,6 +2,7 @@
 
 import ast
 import io
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 import piezoid_cli
-from piezoid_cli.main import app, main
+from piezoid_cli.main import app
 from piezoid_cli.terminal import doing, hand_over, plain, say
 
 OBEYED = "a\x1b[2J\x1b]0;title\x07\x9b31m\u202eb\x7f"
@@ -70,11 +71,7 @@ def test_inspect_and_init_show_headings_and_file_names_as_text(
         assert not set(shown) & set("\x1b\x07\x9b\x7f\u202e")
 
 
-def test_what_went_wrong_is_told_without_the_codes_of_a_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
+def test_what_went_wrong_is_told_without_the_codes_of_a_name(tmp_path: Path) -> None:
     hostile = "x\x1b[2J"
     for words, status in (
         (["design", hostile], 3),
@@ -82,10 +79,13 @@ def test_what_went_wrong_is_told_without_the_codes_of_a_name(
         (["fit", hostile, "--out", "."], 2),
         (["--\x1b[2J"], 2),
     ):
-        monkeypatch.setattr(sys, "argv", ["piezoid", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capsys.readouterr().err
-        assert ended.value.code == status
-        assert r"\x1b[2J" in said or "where this" in said
-        assert "\x1b[2J" not in said
+        done = subprocess.run(
+            [sys.executable, "-m", "piezoid_cli.main", *words],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == status
+        assert r"\x1b[2J" in done.stderr or "where this" in done.stderr
+        assert "\x1b[2J" not in done.stderr

@@ -1,13 +1,15 @@
 """From a design to the runtime: the same loop, whatever the letters."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from piezoid.design.certificate import Certificate
+from piezoid.design.design import AxisDesign, LoopDesign, members_of, reached_margins
 from piezoid.design.feedforward import ReferencePath
 from piezoid.design.observer import disturbance_model, linear_controller
-from piezoid.design.plant import Plant
+from piezoid.design.plant import Plant, PlantFamily
 from piezoid.errors import ParameterFileError
 from piezoid.export.from_design import (
     TunnellingGuards,
@@ -22,6 +24,8 @@ from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlins
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.runtime.controller import Controller
 from tests.design.placed import place_observer
+from tests.design.rig import lateral_specification
+from tests.reports.known_stage import axis_model
 from tests.runtime.observer_design import RATE_Hz, plant, poles
 from tests.runtime.runtime_parameters import RST_R, RST_S, WIDE
 
@@ -105,13 +109,9 @@ def test_the_runtime_runs_the_designed_observer(oscillation_Hz, gain, rng):
 
 def test_a_disturbance_without_a_constant_is_refused():
     model = disturbance_model(RATE_Hz)
-    observer = placed()
-    swinging = SimpleNamespace(
-        A=observer.A,
-        disturbance=SimpleNamespace(transition=0.9 * model.transition, output=model.output),
-    )
+    fading = replace(model, transition=0.9 * model.transition)
     with pytest.raises(ParameterFileError, match="constant"):
-        observer_values(swinging)
+        observer_values(replace(placed(), disturbance=fading))
 
 
 def test_the_integrator_is_taken_out_of_s_and_all_is_monic():
@@ -133,26 +133,50 @@ def path():
     )
 
 
-def design(gain=GAIN_m_per_V, certificate=None, **others):
-    forms = {"mpi_dob": "inverse", "dob": "affine"}
-    loops = [
-        SimpleNamespace(
-            method=method,
-            observer=placed(gain=gain, form=form),
-            reference=path(),
-            members=(design_plant(gain),),
-            certificate=certificate,
-            **others,
-        )
-        for method, form in forms.items()
-    ]
-    asked = SimpleNamespace(
-        voltage_min_V=0.0,
-        voltage_max_V=10.0,
-        voltage_step_V=10 / 65536,
-        voltage_slew_V_per_s=None,
+def loop_design(method, R, S, T, *, gain=GAIN_m_per_V, observer=None, certificate=None):
+    members = members_of(PlantFamily(members=(design_plant(gain),)))
+    return LoopDesign(
+        method=method,
+        observer=observer,
+        bandwidth_Hz=90.0,
+        R=R,
+        S=S,
+        T=T,
+        A_0=np.ones(1),
+        reference=path(),
+        margins=reached_margins(members, R, S),
+        rejections=(),
+        certificate=certificate,
+        candidates=(),
+        members=members,
     )
-    return SimpleNamespace(axis="x", specification=asked, loops=loops, recommended=loops[0])
+
+
+def axis_design(*loops, axis="x", voltage_V=(0.0, 10.0)):
+    low, high = voltage_V
+    asked = replace(
+        lateral_specification(),
+        voltage_min_V=low,
+        voltage_max_V=high,
+        voltage_step_V=(high - low) / 65536,
+    )
+    return AxisDesign(axis=axis, output_unit="m", specification=asked, loops=loops)
+
+
+def design(gain=GAIN_m_per_V, certificate=None):
+    loops = []
+    for method, form in {"mpi_dob": "inverse", "dob": "affine"}.items():
+        observer = placed(gain=gain, form=form)
+        linear = linear_controller(observer)
+        loops.append(
+            loop_design(
+                *(method, linear.R, linear.S, linear.T),
+                gain=gain,
+                observer=observer,
+                certificate=certificate,
+            )
+        )
+    return axis_design(*loops)
 
 
 def model(polarity=1):
@@ -160,13 +184,10 @@ def model(polarity=1):
     plays = PrandtlIshlinskii(
         threshold=np.array([0.0, 1, 2, 3]), weight=GAIN_m_per_V * np.array([0.7, 0.1, 0.1, 0.1])
     )
-    return SimpleNamespace(
-        polarity=polarity,
-        operator=ModifiedPrandtlIshlinskii(
-            plays=plays, dead_zones=zones, voltage_offset_V=5.0, displacement_offset_m=1e-5
-        ),
-        extensions=(),
+    hysteresis = ModifiedPrandtlIshlinskii(
+        plays=plays, dead_zones=zones, voltage_offset_V=5.0, displacement_offset_m=1e-5
     )
+    return replace(axis_model(), polarity=polarity, hysteresis=hysteresis, starts=())
 
 
 def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
@@ -183,8 +204,22 @@ def test_an_axis_ships_its_recommended_loop_and_carries_the_others():
 
 def test_the_runtime_is_told_up_to_which_speed_the_error_is_bounded():
     def shipped(is_guaranteed):
-        found = SimpleNamespace(is_guaranteed=is_guaranteed, reference_slew_m_per_s=2e-3)
-        return lateral_axis(model(), design(certificate=found)).values["certified_step_m"]
+        certificate = Certificate(
+            form="inverse",
+            increment_gain=0.3,
+            loop_peak=2.0,
+            small_gain=0.6 if is_guaranteed else 1.2,
+            is_guaranteed=is_guaranteed,
+            hysteresis_error_m=1e-8,
+            reference_error_m=1e-8,
+            converter_error_m=1e-9,
+            guaranteed_error_m=2.1e-8,
+            noise_error_m=3e-9,
+            reference_slew_m_per_s=2e-3,
+            worst_member="nominal",
+            conditions=(),
+        )
+        return lateral_axis(model(), design(certificate=certificate)).values["certified_step_m"]
 
     assert shipped(True) == pytest.approx(2e-3 / RATE_Hz)
     assert shipped(False) == 0.0
@@ -210,34 +245,22 @@ def test_a_design_for_the_other_direction_is_refused():
 
 
 def test_the_tip_axis_carries_its_guards_and_its_polynomials():
-    loop = SimpleNamespace(
-        method="rst",
-        R=RST_R,
-        S=RST_S,
-        T=RST_R.sum(keepdims=True),
-        A_0=np.ones(1),
-        reference=path(),
-        members=(design_plant(),),
-    )
-    asked = SimpleNamespace(
-        voltage_min_V=-10.0,
-        voltage_max_V=10.0,
-        voltage_step_V=20 / 65536,
-        voltage_slew_V_per_s=None,
-    )
-    vertical = SimpleNamespace(axis="z", specification=asked, loops=[loop], recommended=loop)
+    loop = loop_design("rst", RST_R, RST_S, RST_R.sum(keepdims=True))
+    vertical = axis_design(loop, axis="z", voltage_V=(-10.0, 10.0))
     axis = tunnelling_axis(vertical, GUARDS, {"voltage_step_V": 0.01})
     assert axis.method == "rst"
     assert axis.values["current_ceiling_A"] == 1e-8
     assert axis.values["voltage_step_V"] == 0.01
     assert axis.values["reference_section_count"] == 2
+    for letter, polynomial in (("R", RST_R), ("T", RST_R.sum(keepdims=True))):
+        count = int(axis.values[f"rst_{letter}_count"])
+        assert axis.values[f"rst_{letter}_V"][:count] == pytest.approx(polynomial)
 
 
 def test_a_loop_without_an_observer_is_no_lateral_loop():
-    bare = design()
-    bare.loops[0].observer = None
+    mpi_dob, dob = design().loops
     with pytest.raises(ParameterFileError, match="observer"):
-        lateral_axis(model(), bare)
+        lateral_axis(model(), axis_design(replace(mpi_dob, observer=None), dob))
 
 
 @pytest.mark.parametrize("oscillation_Hz", [(), (20.0,)])

@@ -15,6 +15,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.truths import ZOO
 from tests.laws import triangles, write
+from tests.reports.known_stage import QUALITY, axis_model, recording
 
 LAWS = ("preisach_lorentzian", "takacs", "wall_pinning", "duhem", "maxwell_slip")
 CYCLED = np.array([1.0, -1.0, 1.0, -1.0])
@@ -86,3 +87,12 @@ def test_however_much_is_missed_the_response_still_rises(law):
     both = alone + np.diff(second(shape, drive_V))[moving] / step_V
     assert np.abs(both - alone).max() > 0.2 * alone.mean()
     assert both.min() > 0.0
+
+
+def test_readings_that_are_followed_to_the_last_bit_have_a_finite_slope() -> None:
+    """A recording without noise, as a simulator writes it, was a division by zero."""
+    exact = replace(axis_model(), quality=replace(QUALITY, rms_m=0.0, held_out_rms_m=0.0))
+    shape = with_discrepancy(exact, [recording(noise_m=0.0)]).discrepancy
+    assert shape is not None
+    assert np.isfinite(shape.steepest_m_per_V)
+    assert 0.0 <= shape.steepest_m_per_V < 1e-12

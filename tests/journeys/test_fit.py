@@ -42,7 +42,7 @@ def test_bundled_sweep_becomes_model_and_report(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_a_stage_of_two_axes_is_one_model_and_one_report(
+def test_a_stage_of_two_axes_is_one_model_one_report_and_a_diagnosis_of_each(
     tmp_path: Path,
 ) -> None:
     for axis, gain in (("x", 2.0), ("y", 3.0)):
@@ -64,6 +64,9 @@ def test_a_stage_of_two_axes_is_one_model_and_one_report(
     record = json.loads((tmp_path / "stage" / "model.json").read_text())
     assert record["stage"] == "two axes"
     assert sorted(record["axes"]) == ["x", "y"]
+    diagnosis = json.loads((tmp_path / "stage" / "diagnosis.json").read_text())
+    assert diagnosis["axis"] == "x"  # the first stands at the top
+    assert set(diagnosis["axes"]) == {"y"}
 
 
 def test_an_axis_that_another_process_cannot_fit_is_one_message(tmp_path: Path) -> None:

@@ -1,66 +1,44 @@
 """A disk that is full or read only: one message, status 3, and what was there is still there."""
 
 import ast
-import errno
 import os
+import resource
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, NoReturn
 
 import pytest
 
 import piezoid_cli
 from piezoid.identification.store import write_model
-from piezoid_cli import calibration
-from piezoid_cli.main import main
 from piezoid_cli.results_place import results_place
-from piezoid_datasets.virtual_lab import junction_campaign
 from tests.reports.known_stage import axis_model, stage_model
 
 ROWS = "".join(f"{k / 100},{k % 9},{2 * (k % 9)}\n" for k in range(60))
 WRITERS = ("write_bytes", "write_text", "mkdir", "touch", "rename", "replace", "unlink")
-
-
-def fails(number: int) -> Callable[..., NoReturn]:
-    def system(*_: Any, **__: Any) -> NoReturn:
-        raise OSError(number, os.strerror(number), "a name nobody has heard of")
-
-    return system
-
-
-def opens_nothing_new(number: int) -> Callable[..., Any]:
-    original = Path.open
-
-    def opened(path: Path, mode: str = "r", *rest: Any, **named: Any) -> Any:
-        return fails(number)() if "x" in mode else original(path, mode, *rest, **named)
-
-    return opened
-
-
-FAULTS = {
-    "full while writing": (os, "fsync", errno.ENOSPC, "No space left"),
-    "full before": (os, "mkdir", errno.ENOSPC, "No space left"),
-    "read only": (os, "mkdir", errno.EROFS, "Read-only"),
-}
+ROOM_FOR_100_BYTES = """
+from resource import RLIMIT_FSIZE, getrlimit, setrlimit
+setrlimit(RLIMIT_FSIZE, (100, getrlimit(RLIMIT_FSIZE)[1]))
+"""
+# Root may write anywhere; what root starts here may not: PR_CAPBSET_DROP of CAP_DAC_OVERRIDE.
+NO_RIGHTS_OF_ROOT = """
+import ctypes, os
+os.geteuid() or ctypes.CDLL(None).prctl(24, 1)
+"""
 
 
 @pytest.fixture
-def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A recording, a stage, results of before; what takes long is done already."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
-    done = SimpleNamespace(files={"model.json": b"new", "bundle/a.h": b"new"}, passed=True)
-    monkeypatch.setattr(calibration, "calibrate", lambda *_: done)
-    monkeypatch.setattr(junction_campaign, "draw_junction_campaign", lambda *_, **__: None)
-    monkeypatch.setattr(junction_campaign, "junction_files", lambda _: dict(done.files))
+def place(tmp_path: Path) -> Iterator[Path]:
+    """A recording, a stage, and results of before."""
     for folder in ("made", "stage", "night/unit"):
-        Path(folder).mkdir(parents=True)
-    Path("s.csv").write_text("time [s],voltage [V],position [um]\n" + ROWS)
-    Path("made/kept.txt").write_text("what was there")
-    Path("stage/model.json").write_bytes(write_model(stage_model(axis_model())))
-    return tmp_path
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "s.csv").write_text("time [s],voltage [V],position [um]\n" + ROWS)
+    (tmp_path / "made/kept.txt").write_text("what was there")
+    (tmp_path / "stage/model.json").write_bytes(write_model(stage_model(axis_model())))
+    yield tmp_path
+    for folder in (tmp_path, tmp_path / "made"):
+        folder.chmod(0o755)
 
 
 def held(folder: Path) -> dict[str, bytes]:
@@ -68,51 +46,72 @@ def held(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("fit s.csv --out made --force", "made: "),
-        ("simulate --junction 2 --out made --force", "made: "),
-        ("report stage", "stage: "),
-        ("init s.csv --out made/lab.toml", "made/lab.toml: "),
-    ],
-)
-def test_a_verb_that_cannot_write_says_so_once_and_leaves_what_was_there(
-    words: str,
-    told: str,
-    fault: str,
-    place: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+def ended(words: str, place: Path, prepare: str) -> tuple[int, str]:
+    """Return the status of a command and what it said of its end.
+
+    prepare  what its process does to itself before the command takes its place
+    """
+    command = ["-m", "piezoid_cli.main", *words.split(), "--quiet"]
+    begin = f"{prepare}\nimport os, sys\nos.execv(sys.executable, [sys.executable, *sys.argv[1:]])"
+    done = subprocess.run(
+        [sys.executable, "-c", begin, *command],
+        cwd=place,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.returncode, " ".join(done.stderr.split())
+
+
+VERBS = {
+    "fit s.csv --out made --force": "made",
+    "simulate --recording sweep --out deep/stage --force": "deep/stage",
+    "report stage": "stage",
+    "init s.csv --out made/lab.toml": "made/lab.toml",
+}
+
+
+@pytest.mark.parametrize("words", VERBS)
+def test_a_verb_whose_disk_is_full_says_so_once_and_leaves_what_was_there(
+    words: str, place: Path
 ) -> None:
     before = held(place)
-    module, name, number, reason = FAULTS[fault]
-    if words.startswith("init") and name == "mkdir":  # one file: it is the file that fails
-        monkeypatch.setattr(Path, "open", opens_nothing_new(number))
-    else:
-        monkeypatch.setattr(module, name, fails(number))
-    monkeypatch.setattr(sys, "argv", ["piezoid", *words.split(), "--quiet"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    said = " ".join(capsys.readouterr().err.split())
-    assert ended.value.code == 3
-    assert said.startswith(f"error: {told}{reason}")
+    status, said = ended(words, place, ROOM_FOR_100_BYTES)
+    assert said.startswith(f"error: {VERBS[words]}: File too large")
+    assert status == 3
     assert said.count("error:") == 1
-    assert "nobody" not in said
+    assert "unfinished" not in said
     assert held(place) == before
     assert not list(place.rglob("*.unfinished"))
 
 
-def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(
-    place: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("words", VERBS)
+def test_a_verb_that_may_not_write_says_so_once_and_before_the_work(
+    words: str, place: Path
 ) -> None:
-    monkeypatch.setattr(os, "fsync", fails(errno.ENOSPC))
+    before = held(place)
+    for folder in (place / "made", place):
+        folder.chmod(0o555)
+    status, said = ended(words, place, NO_RIGHTS_OF_ROOT)
+    told = str(place) if "--force" in words else VERBS[words]
+    assert said.startswith(f"error: {told}: Permission denied")
+    assert status == 3
+    assert said.count("error:") == 1
+    assert held(place) == before
+
+
+def test_a_batch_whose_disk_is_full_keeps_no_half_of_a_stage(place: Path) -> None:
     results = results_place(str(place / "results"))
-    with pytest.raises(OSError, match="No space"):
-        results.write("unit", {"model.json": b"new", "batch.json": b"{}"})
-    with pytest.raises(OSError, match="No space"):
-        results.put("parameters.parquet", lambda stream: stream.write(b"new"))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            results.write("unit", {"batch.json": b"{}", "model.json": bytes(200)})
+        with pytest.raises(OSError, match="too large"):
+            results.put("parameters.parquet", lambda stream: stream.write(bytes(200)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert not held(place / "results")
 
 

@@ -66,13 +66,13 @@ def test_a_ring_of_several_nodes_is_found_and_a_row_that_ends_is_none(
         check_trees(_file(*row, version=version, width=width))
 
 
-def test_a_node_is_found_wherever_the_pieces_of_a_file_part_it(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for piece in range(1, 70):
-        monkeypatch.setattr(hdf5_trees, "_PIECE", piece)
-        with pytest.raises(ValueError, match="at byte 64 leads"):
-            check_trees(_file(_node(64), _node(64), b"TREE"))
+def test_a_node_is_found_wherever_the_pieces_of_a_file_part_it() -> None:
+    """A file is searched a mebibyte at a time."""
+    for before in range(70):
+        first = (1 << 20) - before
+        ring = _node(first + 24)
+        with pytest.raises(ValueError, match=f"at byte {first + 24} leads"):
+            check_trees(_file(bytes(first - 40), ring, ring, b"TREE"))
 
 
 def test_a_file_of_many_groups_and_pieces_is_read(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Every format gives back the one known recording, channels and units included."""
 
-import builtins
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -82,14 +82,7 @@ def test_a_missing_reader_package_is_named_with_its_extra(
     write: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = write("run.h5")
-    imported = builtins.__import__
-
-    def without_h5py(name: str, *rest: object, **named: object) -> object:
-        if name == "h5py":
-            raise ModuleNotFoundError("No module named 'h5py'", name="h5py")
-        return imported(name, *rest, **named)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(builtins, "__import__", without_h5py)
+    monkeypatch.setitem(sys.modules, "h5py", None)  # as where it is not installed
     with pytest.raises(UnreadableFileError, match=r"pip install 'piezoid\[io\]'"):
         read_table(path)
 

@@ -10,11 +10,13 @@ import pytest
 
 import piezoid.runtime
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
+from piezoid.numerics import compiled
 from piezoid.runtime import library as library_module
 from piezoid.runtime import schema
 from piezoid.runtime.controller import Status
 from piezoid.runtime.library import compare_layout, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS
+from tests.runtime.compiler import SOURCE, found, run
 from tests.runtime.observer_design import observer_parameters
 from tests.runtime.runtime_parameters import WIDE, WORKED, hysteresis, tunnelling
 
@@ -153,19 +155,28 @@ def test_the_checksum_is_the_common_crc_of_everything_behind_it():
     assert packed.checksum == zlib.crc32(behind)
 
 
-def test_another_layout_is_refused_when_the_library_is_loaded(monkeypatch):
-    changed = list(PARAMETERS)
-    place = schema.INDEX["lsb_V"] - 1
-    changed[place] = replace(changed[place], upper=5.0)
-    monkeypatch.setattr(library_module, "PARAMETERS", tuple(changed))
-    with pytest.raises(RuntimeLibraryError, match="another layout"):
-        compare_layout(library())
-
-
-def test_a_missing_member_is_refused_when_the_library_is_loaded(monkeypatch):
-    monkeypatch.setattr(library_module, "PARAMETERS", PARAMETERS[:-1])
-    with pytest.raises(RuntimeLibraryError, match="length"):
-        compare_layout(library())
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("REAL(lsb_V, 0, 1e3)", "REAL(lsb_V, 0, 5)", "another layout: line"),
+        ("index < PZ_PARAMETER_END", "index <= PZ_PARAMETER_END", "length of the parameter table"),
+        ("index < PZ_PARAMETER_END", "index + 1 < PZ_PARAMETER_END", "another layout: line"),
+    ],
+    ids=["another bound", "a member more", "a member less"],
+)
+def test_a_library_of_another_table_is_refused(old, new, said, tmp_path):
+    """What somebody compiled from a source that is not this schema's."""
+    source = (SOURCE / "piezoid_runtime.c").read_text()
+    assert old in source
+    (tmp_path / "runtime.c").write_text(source.replace(old, new))
+    sources = ("runtime.c", str(SOURCE / "run_many.c"))
+    shared = ("-shared", "-fPIC", f"-I{SOURCE}", *sources, "-o", "runtime.so")
+    run(found("cc", "gcc", "clang"), *shared, cwd=tmp_path)
+    code = ctypes.CDLL(str(tmp_path / "runtime.so"))
+    for name in ("pz_describe", "pz_size_of_real"):
+        getattr(code, name).restype = getattr(library().code, name).restype
+    with pytest.raises(RuntimeLibraryError, match=said):
+        compare_layout(replace(library(), code=code))
 
 
 def test_sizes_methods_and_status_bits_are_those_of_the_header():
@@ -224,8 +235,6 @@ def test_a_library_of_the_other_precision_is_refused():
         compare_layout(replace(library("float"), real=ctypes.c_double))
 
 
-def test_a_runtime_that_was_never_compiled_is_asked_for(monkeypatch):
-    absent = ("piezoid.runtime._never_compiled", ctypes.c_double)
-    monkeypatch.setitem(library_module.PRECISIONS, "half", absent)
+def test_a_runtime_that_was_never_compiled_is_asked_for():
     with pytest.raises(RuntimeLibraryError, match="is not beside the package"):
-        library("half")
+        compiled.opened("piezoid.runtime._never_compiled", {})

@@ -4,7 +4,6 @@ import csv
 import inspect
 import io
 import json
-import runpy
 import socket
 import struct
 import sys
@@ -17,6 +16,7 @@ import pytest
 from piezoid.errors import ParameterFileError
 from piezoid.targets.box import Box
 from piezoid.targets.nanonis import compared, crept, nanonis_files, table_of
+from tests.runtime.compiler import run
 from tests.targets.known_boxes import exported
 
 
@@ -35,7 +35,7 @@ def test_names_and_order_are_those_of_the_published_package():
         assert asked == list(arguments)
 
 
-def test_the_bytes_that_are_sent_hold_the_table(tmp_path, monkeypatch, capsys):
+def test_the_bytes_that_are_sent_hold_the_table(tmp_path):
     """send.py against a server of this test, decoded without that package."""
     pytest.importorskip("nanonis_spm")
     for name, content in made()[0].items():
@@ -55,8 +55,9 @@ def test_the_bytes_that_are_sent_hold_the_table(tmp_path, monkeypatch, capsys):
     with socket.create_server(("127.0.0.1", 0)) as server:
         thread = threading.Thread(target=lambda: answer(server.accept()[0]))
         thread.start()
-        monkeypatch.setattr(sys, "argv", ["send.py", "127.0.0.1", str(server.getsockname()[1])])
-        runpy.run_path(str(tmp_path / "send.py"))
+        said = run(
+            sys.executable, "send.py", "127.0.0.1", str(server.getsockname()[1]), cwd=tmp_path
+        )
         thread.join(timeout=10)
     table = table_of(exported(), exported().lateral[0])
     body = heard["Piezo.HystValsSet"]
@@ -65,7 +66,7 @@ def test_the_bytes_that_are_sent_hold_the_table(tmp_path, monkeypatch, capsys):
     np.testing.assert_array_equal(struct.unpack(">32f", body[136:264]), table.y_m)
     # What the stage does not know, Y and Z, keeps what the controller answered
     assert struct.unpack(">3f", heard["Piezo.SensSet"]) == (table.sensitivity_m_per_V, 11.0, 12.0)
-    assert "Piezo_SensSet" in capsys.readouterr().out
+    assert "Piezo_SensSet" in said
 
 
 def test_volts_are_those_at_the_piezo_where_the_amplifier_is_declared():

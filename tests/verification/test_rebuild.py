@@ -5,7 +5,6 @@ import pytest
 
 from piezoid.errors import ParameterFileError, RuntimeLibraryError
 from piezoid.export.bundle import bundle
-from piezoid.verification import rebuild as rebuilding
 from piezoid.verification.proof import Proof
 from piezoid.verification.rebuild import SAMPLES, compare, emulate, expected, inputs_of, rebuild
 from tests.runtime.compiler import found
@@ -75,17 +74,20 @@ def test_an_edited_bundle_is_refused_by_name():
         emulate(stage("x"), {})
 
 
-def test_without_a_compiler_nothing_is_claimed(monkeypatch):
-    monkeypatch.setattr(rebuilding, "which", lambda _: None)
+def test_without_a_compiler_nothing_is_claimed(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
     for proof in (*rebuild(stage("x")), emulate(stage("x"))):
         assert not proof.is_built
         assert "on this machine" in proof.build
         assert proof.samples == 0
 
 
-def test_a_cross_compiler_without_its_c_library_claims_nothing(monkeypatch):
-    monkeypatch.setattr(rebuilding, "which", lambda name: name)
-    monkeypatch.setattr(rebuilding, "called", lambda *_: "rdimon.specs\n")
+def test_a_cross_compiler_without_its_c_library_claims_nothing(monkeypatch, tmp_path):
+    """It answers with the bare name of the library that it does not have."""
+    for name in ("arm-none-eabi-gcc", "qemu-system-arm"):
+        (tmp_path / name).write_text("#!/bin/sh\necho rdimon.specs\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
     proof = emulate(stage("x"))
     assert not proof.is_built
     assert "no rdimon.specs" in proof.build

@@ -1,8 +1,8 @@
 """verify: what passes, what must fail, and the record that says so."""
 
 import json
+import threading
 from dataclasses import replace
-from threading import get_ident
 
 import numpy as np
 import pytest
@@ -11,8 +11,6 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.bundle import source_digest
 from piezoid.export.parameter_file import ParameterFile, digest_of
 from piezoid.runtime.controller import Status
-from piezoid.verification import bench
-from piezoid.verification.closed_loop import run_axis
 from piezoid.verification.criteria import Limits, survived
 from piezoid.verification.plant import Plugged, with_gain
 from piezoid.verification.proof import Proof
@@ -156,19 +154,19 @@ def test_axes_that_run_at_once_give_the_same_bytes_as_one_after_the_other():
     assert alone == together
 
 
-def test_axes_run_at_once_only_where_more_threads_are_allowed(monkeypatch):
-    by = []
-
-    def noted(*given, **named):
-        by.append(get_ident())
-        return run_axis(*given, **named)
-
-    monkeypatch.setattr(bench, "run_axis", noted)
-    verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1])
-    assert set(by) == {get_ident()}
-    by.clear()
-    verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1], threads=2)
-    assert get_ident() not in by
+def test_axes_run_at_once_only_where_more_threads_are_allowed():
+    """Python tells of every thread that begins."""
+    begun = []
+    threading.setprofile(lambda *_: begun.append(threading.get_ident()))
+    try:
+        verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1])
+        alone = set(begun)
+        verify(stage("x", "y"), PLANTS[:2], scenarios=QUICK[:1], threads=2)
+    finally:
+        threading.setprofile(None)
+    assert not alone
+    assert threading.get_ident() not in begun
+    assert begun
 
 
 def test_what_ships_is_verified_and_nothing_else():

@@ -1,12 +1,11 @@
 """Which lines a drive occupies: those well above the faintest, never rest or half the rate."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from piezoid.identification.dynamics.axis_dynamics import STRUCTURES, _possible
 from piezoid.identification.dynamics.periodic_estimate import EXCITED_FRACTION, PeriodicData
+from tests.identification.dynamics.test_starting_shapes import measured
 
 
 @pytest.mark.parametrize("samples", [100, 101])
@@ -31,6 +30,6 @@ def test_lines_above_a_share_of_the_largest_amplitude_are_occupied(samples: int)
 
 @pytest.mark.parametrize("lines", [6, 8, 12, 16, 24, 40, 1000])
 def test_a_structure_is_tried_where_its_parameters_are_a_quarter_of_the_values(lines: int) -> None:
-    tried = _possible(SimpleNamespace(frequency_Hz=np.ones(lines)))  # type: ignore[arg-type]
+    tried = _possible(measured(np.arange(1.0, lines + 1)))
     few = [s for s in STRUCTURES if s.columns + s.shapes <= 2 * lines / 4]
     assert list(tried) == few

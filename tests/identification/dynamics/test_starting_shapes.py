@@ -1,7 +1,5 @@
 """Poles sorted into a structure: pairs are modes, real poles lags, two of them a broad mode."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -10,12 +8,39 @@ from piezoid.identification.dynamics.fit_dynamics import (
     _shape_of_poles,
     _trial_delays,
 )
+from piezoid.identification.dynamics.frequency_response import FrequencyResponse
+from piezoid.identification.dynamics.modal_basis import Structure
 from piezoid.identification.dynamics.vector_fitting import weighted_misfit
+from piezoid.numerics.arrays import Array
+
+RATE_Hz = 2e4
+
+
+def measured(frequency_Hz: Array) -> FrequencyResponse:
+    """Return what a stage without any dynamics shows at these lines: 1 um/V."""
+    size = (len(frequency_Hz), 1, 1)
+    return FrequencyResponse(
+        inputs=("x",),
+        outputs=("x",),
+        sampling_rate_Hz=RATE_Hz,
+        frequency_Hz=frequency_Hz,
+        response=np.full(size, 1e-6 + 0j),
+        noise_variance=np.full(size, 1e-18),
+        distortion_variance=np.zeros(size),
+        coherence=np.ones(size[:2]),
+        is_interference=np.zeros(size[:2], dtype=bool),
+        is_rejected=np.zeros(size[:2], dtype=bool),
+        least_coherence=0.9,
+        variance_freedom=8.0,
+        drive_rms_V=np.ones(1),
+        realisations=1,
+        periods=9,
+    )
 
 
 def sorted_into(poles_Hz: list[complex], modes: int, lags: int) -> list[float]:
-    structure = SimpleNamespace(modes=modes, lags=lags)
-    return np.exp(_shape_of_poles(np.array(poles_Hz), structure)).tolist()  # type: ignore[arg-type]
+    structure = Structure(modes=modes, lags=lags)
+    return np.exp(_shape_of_poles(np.array(poles_Hz), structure)).tolist()
 
 
 def test_two_real_poles_are_a_mode_with_their_product_and_sum() -> None:
@@ -35,13 +60,13 @@ def test_a_pair_is_a_mode_and_the_slowest_real_pole_the_lag() -> None:
 def test_delays_are_tried_sample_by_sample_but_no_more_than_twenty(
     longest_samples: float | None, count: int
 ) -> None:
-    longest_s = None if longest_samples is None else longest_samples / 2e4
-    measured = SimpleNamespace(sampling_rate_Hz=2e4)
-    found = _trial_delays(measured, Declaration(longest_delay_s=longest_s))  # type: ignore[arg-type]
+    longest_s = None if longest_samples is None else longest_samples / RATE_Hz
+    lines = measured(np.arange(1.0, 9.0))
+    found = _trial_delays(lines, Declaration(longest_delay_s=longest_s))
     assert len(found) == count
     assert found[0] == 0.0
     if count > 1:
-        assert found[-1] == pytest.approx(longest_s or 4.0 / 2e4)
+        assert found[-1] == pytest.approx(longest_s or 4.0 / RATE_Hz)
         np.testing.assert_allclose(np.diff(found), found[1])
 
 

@@ -1,13 +1,15 @@
 """A fit without each block of its data, from the normal equations of the blocks."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from piezoid.identification.hysteresis.jackknife import Jackknife, left_out
-from piezoid.identification.hysteresis.remarks import _about_search
+from piezoid.identification.hysteresis.remarks import remarks_on_numbers
+from piezoid.identification.hysteresis.search import Settings, search
 from piezoid.numerics.arrays import Array
+from tests.identification.hysteresis.test_order import SHAPE, pieces
 
 
 def blocks_of(count: int) -> tuple[Array, Array]:
@@ -40,9 +42,12 @@ def test_a_free_number_becomes_what_the_other_blocks_say() -> None:
 
 @pytest.mark.parametrize(("blocks", "is_said"), [(9, True), (10, False)])
 def test_intervals_on_less_than_ten_blocks_say_so(blocks: int, is_said: bool) -> None:
-    for converged, gap in ((True, 0.0), (False, 1.0)):
-        fitted = SimpleNamespace(minimum=SimpleNamespace(converged=converged), kkt_gap=gap)
-        said = _about_search(fitted, jackknife_of(blocks))  # type: ignore[arg-type]
+    """So does a search that ended early, and one whose start was not the best."""
+    settings = Settings(longest_lag_s=0.02, follow_zero=False)
+    for iterations, gap in ((30, 0.0), (1, 1.0)):
+        fitted = search(pieces(1), SHAPE, replace(settings, iterations=iterations))
+        assert fitted.minimum.converged is (iterations == 30)
+        said = remarks_on_numbers(replace(fitted, kkt_gap=gap), jackknife_of(blocks), (), 1e-5)
         assert any(f"{blocks} blocks" in remark for remark in said) is is_said
-        assert any("limit of iterations" in remark for remark in said) is not converged
+        assert any("limit of iterations" in remark for remark in said) is (iterations == 1)
         assert any("optimal only to" in remark for remark in said) is (gap > 0.0)

@@ -1,24 +1,38 @@
 """What leaves the folder: a family that holds the junctions, a model that comes back exactly."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from piezoid.identification.tunnelling import junction
 from piezoid.identification.tunnelling.barrier_fit import fit_barrier
 from piezoid.identification.tunnelling.closed_loop import ClosedLoopFit
 from piezoid.identification.tunnelling.family import spread_family
 from piezoid.identification.tunnelling.instrument_fit import bounds_of_logs
+from piezoid.identification.tunnelling.junction import fit_junction
 from piezoid.identification.tunnelling.loop_files import LoopRecord
 from piezoid.identification.tunnelling.loop_model import describe_loop_plant
 from piezoid.identification.tunnelling.loop_spectra import spectra_of_all
 from piezoid.identification.tunnelling.model import TunnellingModel, describe_gap_law
 from piezoid.record_json import from_json, to_json
+from piezoid.records.lab import read_lab
+from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.junction import Junction
 from tests.identification.tunnelling.loops import identified, loop_records
 from tests.identification.tunnelling.sweeps import sweep
+from tests.reports.known_stage import recording as stage_recording
 
+LAB = """
+[tunnelling]
+set_point_A = 1e-9
+floor_A = 1e-12
+[axis.z.amplifier]
+gain_V_per_V = 15
+bandwidth_Hz = 4000
+[axis.z.actuator]
+gain_m_per_V = 1.2e-9
+"""
 REDUCED_PLANCK_Js, ELECTRON_kg, ELEMENTARY_C = 1.054571817e-34, 9.1093837015e-31, 1.602176634e-19
 
 
@@ -105,23 +119,30 @@ def test_an_empty_model_is_refused() -> None:
         TunnellingModel(gap_law=None, loop_plant=None)
 
 
-def test_one_loop_among_other_recordings_is_enough_for_a_plant(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    calls = []
-    monkeypatch.setattr(junction, "is_loop", lambda recording: recording == "loop")
-    monkeypatch.setattr(junction, "loops_of", lambda recordings, _: ([*recordings], "rig"))
-
-    def fitted(*given: object) -> None:
-        calls.append(given)
-        raise StopIteration
-
-    monkeypatch.setattr(junction, "fit_loops", fitted)
-    for recordings in (["loop", "sweep"], ["sweep", "loop"], ["loop"]):
-        with pytest.raises(StopIteration):
-            junction.fit_junction([], recordings)  # type: ignore[arg-type]
-        assert calls.pop() == (recordings, "rig", None)
-    assert junction.fit_junction([], ["sweep"]) is None  # type: ignore[list-item]
+def test_one_loop_among_other_recordings_is_enough_for_a_plant(tmp_path: Path) -> None:
+    (tmp_path / "lab.toml").write_text(LAB)
+    lab, junction, sweep_of_x = read_lab(tmp_path / "lab.toml"), Junction(), stage_recording()
+    (record,) = loop_records([junction], periods=9, seed=39)
+    loop = Recording(
+        name="loop.csv",
+        digest="sha256:made",
+        axis="z",
+        sampling_rate_Hz=record.sampling_rate_Hz,
+        channels=(
+            Channel(quantity=Quantity.VOLTAGE, axis="z", values=record.drive_V, label="u"),
+            Channel(quantity=Quantity.CURRENT, axis="z", values=record.current_A, label="i"),
+            Channel(quantity=Quantity.REFERENCE, axis="z", values=record.reference, label="r"),
+        ),
+    )
+    kappa_per_m = np.sqrt(2.0 * ELECTRON_kg * junction.barrier_eV * ELEMENTARY_C)
+    slope_per_V = 2.0 * kappa_per_m / REDUCED_PLANCK_Js * junction.drive_gain_m_per_V
+    for recordings in ([loop, sweep_of_x], [sweep_of_x, loop], [loop]):
+        tip = fit_junction([], recordings, lab)
+        assert tip is not None
+        assert tip.loop_plant is not None
+        assert tip.loop_plant.plant.gain_nepers_per_V == pytest.approx(slope_per_V, rel=0.05)
+        assert tip.gap_law is None
+    assert fit_junction([], [sweep_of_x], lab) is None
 
 
 def test_the_slowest_line_of_a_loop_counts_however_slow(rng: np.random.Generator) -> None:
