@@ -4,6 +4,7 @@ Some of them are parts of a healthy campaign's drives.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -87,6 +88,14 @@ def recordings_after(*before: Before | None) -> tuple[Recording, ...]:
         made.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (response + noise)))
         last = float(drive[-1])
     return tuple(made)
+
+
+def with_another_axis(one: Recording) -> Recording:
+    """Return a recording with the drive of another axis."""
+    time_s = np.arange(one.samples) / one.sampling_rate_Hz
+    other_V = 40.0 * np.sin(2.3 * time_s + 1.0) + 15.0 * np.sin(12.1 * time_s)
+    channel = Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="y")
+    return replace(one, channels=(*one.channels, channel))
 
 
 def wobbling(recordings: Iterable[Recording], share: float) -> tuple[Recording, ...]:

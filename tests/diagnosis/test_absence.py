@@ -132,6 +132,8 @@ def test_structure_that_was_held_back_has_one_reason_and_not_two() -> None:
     told = reason(gain=0.5, z=9.0, causes=(lag.EFFECT,), held=True)
     assert told.count("not named") == 1
     assert "do not tell it from what lag may leave over" in told
+    alone = reason(gain=0.5, z=9.0, held=True)
+    assert alone.endswith("do not tell it from what else no hysteresis here follows")
 
 
 def test_what_hysteresis_takes_up_of_an_effect_may_be_there_all_the_same() -> None:

@@ -12,8 +12,15 @@ import piezoid.diagnosis.search as search
 from piezoid.diagnosis.attribution import Simulated
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.effect import Fault
-from piezoid.diagnosis.effects import creep, initial_state, non_congruence, thermal_drift
+from piezoid.diagnosis.effects import (
+    creep,
+    cross_coupling,
+    initial_state,
+    non_congruence,
+    thermal_drift,
+)
 from piezoid.diagnosis.extended import SelectedEffect
+from piezoid.diagnosis.folds import CrossValidated
 from piezoid.diagnosis.model_comparison import compare_models
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
@@ -23,7 +30,15 @@ from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
 from .bench import healthy_view, view_of_recordings
-from .played import NOISE, cycled, forgotten, recordings_after, wobbling
+from .leaving import candidate_of, view_with
+from .played import (
+    NOISE,
+    cycled,
+    forgotten,
+    recordings_after,
+    with_another_axis,
+    wobbling,
+)
 
 DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times the noise, rms
 
@@ -74,16 +89,39 @@ def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first() -> None:
     assert [cause.effect.name for cause in dismissed] == ["creep"]
 
 
+@pytest.mark.parametrize(
+    ("gain", "else_left", "named"),
+    [
+        (0.2, 1.0, True),  # little is left: what it takes off is known
+        (0.2, 1.4, False),  # much is left that nothing here follows
+        (0.5, 1.4, True),  # but it takes off what nothing else looks like
+        (0.3, 2.4, False),  # half of what is no noise: something else is there as well
+        (0.5, 2.4, True),
+        (0.19, 0.5, True),
+    ],
+)
+def test_structure_is_named_where_hardly_anything_else_is_left(gain, else_left, named) -> None:
+    """How much else is left is told in times the noise."""
+    final = view_with(else_left)
+    brings = CrossValidated(
+        gain=gain, z=9.0, coefficient=np.ones(1), spread=np.zeros(1), loss=np.ones(40), rms=1.0
+    )
+    memory = candidate_of(initial_state.EFFECT, brings, without=final, view=final)
+    assert search.stands(memory, final) is named
+
+
 def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are() -> None:
     """A gain that wobbles leaves more than this memory, and the class that leaves it is none."""
-    recordings = recordings_after(cycled, nearly_cycled, cycled)
-    view = view_of_recordings(creeping(wobbling(recordings, 0.006), 0.01), Lab())
-    found = search.search(view)
-    assert "initial_state" not in {cause.effect.name for cause in found.causes}
+    stage = recordings_after(cycled, nearly_cycled, cycled)
+    wrong = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
+    coupled = tuple(cross_coupling.EFFECT.inject(one, 0.004) for one in wrong)
+    found = search.search(view_of_recordings(coupled, Lab()))
+    assert [cause.effect.name for cause in found.causes] == ["cross_coupling", "creep"]
     assert found.held_back == ("initial_state",)
     assert "initial_state" in {one.effect.name for one in found.dismissed}
     assert found.final.rms > 2.0 * found.final.noise
-    assert found.confounded["creep"][-1] == "initial_state"
+    # a memory looks like creep, and not like the drive of another axis
+    assert found.confounded == {"cross_coupling": (), "creep": ("initial_state",)}
 
 
 def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment() -> None:
