@@ -142,7 +142,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
         if judgement is None:
             continue
         found, structure = judgement
-        if structure.has_a_name and _stands(structure, final):
+        if structure.has_a_name and stands(structure, final):
             outcome = replace(outcome, causes=(*outcome.causes, structure))
             continue
         outcome = replace(outcome, screened={**outcome.screened, effect.name: found})
@@ -156,7 +156,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
     return outcome
 
 
-def _stands(structure: Candidate, final: View) -> bool:
+def stands(structure: Candidate, final: View) -> bool:
     """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
     gain = structure.cv.gain
     clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST

@@ -54,7 +54,7 @@ CONTROL = (
 )
 MAINS, CLIPPED, COARSE = "mains_interference", "amplifier_saturation", "quantisation"
 OF_LINES = ("frequency", "line_phase")
-ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
+ABOVE = 1.1  # times the noise: where less is left, nothing is
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
 UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave

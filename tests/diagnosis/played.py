@@ -1,16 +1,34 @@
-"""A stage that is a sum of plays alone and remembers what we say, recorded on drives of ours."""
+"""A stage that is a sum of plays alone and remembers what we say, recorded on drives of ours.
 
-from collections.abc import Callable, Sequence
+Some of them are parts of a healthy campaign's drives.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
+from piezoid.records.lab import Lab
 from piezoid.records.recording import Channel, Quantity, Recording
+
+from .bench import healthy, view_of_recordings
 
 WIDTH = np.linspace(0.05, 0.9, 12)
 WEIGHT = 0.12 * np.exp(-1.5 * WIDTH)
 HALF_STROKE_m = 1.5e-5
+EVERY = 4  # of the samples: a stage that does not know time needs no more
+STRETCH = {
+    "sweep": slice(6900, 12800, EVERY),
+    "staircase": slice(3000, 9000, EVERY),
+    "other_axis": slice(1500, 7000, EVERY),
+}
+GLIDE = 0.01  # of half the range for a sample, on the way to where the next recording begins
+NOISE = 3e-4  # of the stroke
 Before = Callable[[float], Sequence[float]]  # (first value) -> turns before it
 
 
@@ -25,6 +43,10 @@ def cycled(_: float) -> Sequence[float]:
 
 def cycled_the_other_way(_: float) -> Sequence[float]:
     return (1.0, -1.0)
+
+
+def forgotten(_: float) -> Sequence[float]:
+    return (-1.0, 0.6, -0.5, 0.3)
 
 
 def moved(drive: Array, memory: Array) -> tuple[Array, Array]:
@@ -44,3 +66,49 @@ def recorded_as(name: str, rate_Hz: float, drive: Array, moved_m: Array) -> Reco
         for quantity, signal in values.items()
     )
     return Recording(name=name, digest="", axis="x", sampling_rate_Hz=rate_Hz, channels=channels)
+
+
+@cache
+def recordings_after(*before: Before | None) -> tuple[Recording, ...]:
+    """Record three drives after some initial states; None: each goes on from the one before it."""
+    recordings, _ = healthy()
+    chance, memory, last = np.random.default_rng(1), np.zeros(len(WIDTH)), 0.0
+    made = []
+    for (name, part), reversals in zip(STRETCH.items(), before, strict=True):
+        whole = next(r for r in recordings if r.name.startswith(name))
+        drive = whole.voltage_V()[part] / 5.0 - 1.0
+        if reversals is None:
+            steps = max(int(abs(drive[0] - last) / GLIDE), 2)
+            drive = np.concatenate([np.linspace(last, drive[0], steps)[:-1], drive])
+        else:
+            memory = memory_after(reversals, float(drive[0]))
+        response, memory = moved(drive, memory)
+        noise = NOISE * float(np.ptp(response)) * chance.normal(size=len(drive))
+        rate_Hz = whole.sampling_rate_Hz / EVERY
+        made.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (response + noise)))
+        last = float(drive[-1])
+    return tuple(made)
+
+
+def with_another_axis(one: Recording) -> Recording:
+    """Return a recording with the drive of another axis."""
+    time_s = np.arange(one.samples) / one.sampling_rate_Hz
+    other_V = 40.0 * np.sin(2.3 * time_s + 1.0) + 15.0 * np.sin(12.1 * time_s)
+    channel = Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="y")
+    return replace(one, channels=(*one.channels, channel))
+
+
+def wobbling(recordings: Iterable[Recording], share: float) -> tuple[Recording, ...]:
+    """Return recordings whose gain goes up and down by a share, as no effect does."""
+    found = []
+    for k, one in enumerate(recordings):
+        turn = 2.0 * np.pi * (7.3 + k) * np.arange(one.samples) / one.samples
+        moved_m = one.displacement_m() - one.displacement_m().mean()
+        found.append(with_displacement(one, moved_m * (1.0 + share * np.sin(turn + k))))
+    return tuple(found)
+
+
+@cache
+def view_after(*before: Before | None) -> View:
+    """Return the view of these recordings."""
+    return view_of_recordings(recordings_after(*before), Lab())

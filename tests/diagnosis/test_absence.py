@@ -1,6 +1,6 @@
-"""Why what seems to be evidence by itself was not named is said; stand-ins for the search."""
+"""Why what seems to be evidence by itself was not named is said."""
 
-from types import SimpleNamespace
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
@@ -9,16 +9,21 @@ from piezoid.diagnosis.absence import absent
 from piezoid.diagnosis.candidate import MINIMUM_Z
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import NotDetected
-from piezoid.diagnosis.effect import BETWEEN, Effect
+from piezoid.diagnosis.effect import BETWEEN, Effect, Trial
 from piezoid.diagnosis.effects import gain_change, lag, slew_limit, thermal_drift
+from piezoid.diagnosis.folds import CrossValidated
+from piezoid.diagnosis.score_test import ScoreTest
+from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.view import View
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 from .bench import recorded
+from .leaving import STROKE_m, candidate_of, view_leaving
 
 DRIFT = thermal_drift.EFFECT
 DRIFT_m = 1e-8  # at the end, of 46 um
-STROKE_m = 1e-5
+NOISY = view_leaving(0.01)
 
 
 def reason(
@@ -46,6 +51,12 @@ def drift(
     return absent(DRIFT, outcome_of({DRIFT.name: found}, causes, held=held))
 
 
+def brings(gain: float, z: float) -> CrossValidated:
+    return CrossValidated(
+        gain=gain, z=z, coefficient=np.ones(1), spread=np.zeros(1), loss=np.ones(40), rms=0.01
+    )
+
+
 def seen(
     effect: Effect,
     *,
@@ -54,10 +65,11 @@ def seen(
     z: float = 0.0,
     veiled: float = 1.0,
     sound: bool = True,
-) -> SimpleNamespace:
-    return SimpleNamespace(
+) -> ScoreTest:
+    return ScoreTest(
         effect=effect,
-        cv=SimpleNamespace(gain=gain, z=z),
+        trial=Trial(columns=np.ones((1, 1))),
+        cv=brings(gain, z),
         placebo=None,
         share=0.001,
         bound=bound,
@@ -65,21 +77,27 @@ def seen(
         absorption=veiled,
         physical=sound,
         separable=True,
+        total_gain=gain,
     )
 
 
 def outcome_of(
-    screened: dict[str, SimpleNamespace],
+    screened: Mapping[str, ScoreTest],
     causes: tuple[Effect, ...] = (),
     *,
     held: bool = False,
-    noise: float = 0.01,
-) -> SimpleNamespace:
-    tracks = (SimpleNamespace(duration_s=1e3),)
-    return SimpleNamespace(
+    final: View = NOISY,
+) -> Outcome:
+    """Return a search that left a hundredth of half the stroke."""
+    named = (candidate_of(one, brings(0.5, 9.0), without=final, view=final) for one in causes)
+    return Outcome(
+        first=final,
+        clean=final,
+        final=final,
+        faults={},
+        causes=tuple(named),
+        confounded={},
         screened=screened,
-        final=SimpleNamespace(stroke_m=STROKE_m, rms=0.01, noise=noise, tracks=tracks),
-        causes=[SimpleNamespace(effect=effect) for effect in causes],
         held_back=(DRIFT.name,) if held else (),
     )
 
@@ -98,7 +116,7 @@ def test_what_is_sure_and_sound_may_be_what_the_causes_leave_over() -> None:
 
 def test_what_is_no_larger_than_the_structure_that_is_left_says_so() -> None:
     sure = seen(DRIFT, gain=0.5, z=9.0)
-    left = absent(DRIFT, outcome_of({DRIFT.name: sure}, noise=0.005))
+    left = absent(DRIFT, outcome_of({DRIFT.name: sure}, final=view_leaving(0.01, structure=2.0)))
     assert "no larger than what no hysteresis here follows" in left.reason
 
 
@@ -114,6 +132,8 @@ def test_structure_that_was_held_back_has_one_reason_and_not_two() -> None:
     told = reason(gain=0.5, z=9.0, causes=(lag.EFFECT,), held=True)
     assert told.count("not named") == 1
     assert "do not tell it from what lag may leave over" in told
+    alone = reason(gain=0.5, z=9.0, held=True)
+    assert alone.endswith("do not tell it from what else no hysteresis here follows")
 
 
 def test_what_hysteresis_takes_up_of_an_effect_may_be_there_all_the_same() -> None:

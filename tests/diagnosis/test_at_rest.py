@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid.diagnosis import effects
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
-from piezoid.diagnosis.effects import EFFECTS
-from piezoid.diagnosis.rest_columns import waves
+from piezoid.diagnosis.effects import EFFECTS, effect_named
+from piezoid.diagnosis.rest_columns import BLOCKS, held, rest_columns, waves
 from piezoid.numerics.arrays import Array
 from piezoid.records.ingest import ingest
+from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.signals import coloured_noise
 
 RATE_Hz, SAMPLES, NOISE_um = 500.0, 20_000, 0.003
@@ -62,18 +62,26 @@ def test_what_moves_a_stage_at_rest_is_named_and_sized(
     }
 
 
-def test_an_effect_that_needs_no_drive_is_asked_while_it_rests(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_that_needs_no_drive_is_asked_while_it_rests() -> None:
+    """One that nobody has thought of yet: what it adds leaves nothing but noise."""
     pump = replace(
-        effects.effect_named("mains_interference"),
+        effect_named("mains_interference"),
         name="pump",
         at_rest=lambda standing: waves(standing.time_s, [31.3]),
     )
-    monkeypatch.setattr(effects, "EFFECTS", (*EFFECTS, pump))
-    (finding,) = diagnosed(tmp_path, 0.004 * np.sin(2.0 * np.pi * 31.3 * TIME_s)).findings
-    assert finding.effect == "pump"
-    assert finding.size.value == pytest.approx(4.0 / np.sqrt(2.0), rel=0.1)
+    noise_um = NOISE_um * np.random.default_rng(6).standard_normal(SAMPLES)
+    reading_m = 1e-6 * (0.004 * np.sin(2.0 * np.pi * 31.3 * TIME_s) + noise_um)
+    recording = Recording.from_arrays(
+        time_s=TIME_s, voltage_V=np.full(SAMPLES, 20.0), displacement_m=reading_m
+    )
+    keep = np.arange(SAMPLES)
+    rest = rest_columns(recording, "x", keep, TIME_s, reading_m, [pump])
+    left_m = held(reading_m, [rest.columns["pump"]], keep * BLOCKS // SAMPLES)
+    assert 1e6 * float(np.std(left_m)) == pytest.approx(NOISE_um, rel=0.03)
+    silent = replace(pump, at_rest=lambda _: "the pump is off")
+    without = rest_columns(recording, "x", keep, TIME_s, reading_m, [silent])
+    assert without.unseen == {"pump": "the pump is off"}
+    assert "pump" not in without.columns
 
 
 def test_drift_that_slows_down_is_not_told_from_creep(tmp_path: Path) -> None:

@@ -6,17 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import piezoid.diagnosis.diagnose as engine
-from piezoid.diagnosis import something_else
-from piezoid.diagnosis.attribution import mending, repaired
+from piezoid.diagnosis.attribution import attributed, mending, repaired
 from piezoid.diagnosis.candidate import Candidate
-from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.diagnose import diagnose, view_on
 from piezoid.diagnosis.effect import Fault
 from piezoid.diagnosis.effects import delay, rate_dependence
 from piezoid.diagnosis.extended import SelectedEffect, extended
 from piezoid.diagnosis.folds import compared
 from piezoid.diagnosis.search import Outcome
 from piezoid.diagnosis.sizes import size_of
+from piezoid.diagnosis.something_else import Explained, Rest
 from piezoid.identification.extensions import Delay
 from piezoid.identification.hysteresis.pieces import scales_of
 from piezoid.identification.simulation import simulate_recording
@@ -56,39 +55,39 @@ def outcome_of(recordings: Sequence[Recording], *found: SelectedEffect) -> Outco
     )
 
 
-def test_a_diagnosis_of_a_model_carries_it_with_what_was_found(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_model_is_returned_with_what_a_search_came_to() -> None:
     recordings = recordings_of(Delay(delay_s=DELAY_s))
     late = SelectedEffect(
         effect=delay.EFFECT, parameters={"delay_s": 1.3 * DELAY_s}, free={"delay_s": 1.5}
     )
     outcome = outcome_of(recordings, late)
-    monkeypatch.setattr(something_else, "search", lambda *_: outcome)
-    found = engine.diagnose(recordings, axis="x", model=known_model())
-    (finding,) = found.findings
-    assert found.model is not None
-    assert found.model.lag.kind == "delay"
-    assert found.model.lag.time_s == pytest.approx(DELAY_s, rel=0.05)
-    assert found.final.rms_m < 1.5 * NOISE_m
-    assert finding.held_out_rms_after_m == found.final.rms_m
-    assert finding.held_out_gain == 1.0 - found.final.rms_m / finding.held_out_rms_before_m
-    assert finding.held_out_rms_before_m == pytest.approx(found.baseline.rms_m, rel=0.05)
+    rest = Rest(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0, score=0.0)
+    numbers = attributed(
+        Explained(raw=outcome.first, outcome=outcome, unexplained=rest),
+        recordings,
+        model=known_model(),
+        lab=Lab(),
+        scales=scales_of(recordings, "x"),
+    )
+    stroke_m = outcome.first.stroke_m
+    assert numbers.model is not None
+    assert numbers.model.lag.kind == "delay"
+    assert numbers.model.lag.time_s == pytest.approx(DELAY_s, rel=0.05)
+    assert stroke_m * numbers.final < 1.5 * NOISE_m
+    assert stroke_m * numbers.baseline > 10.0 * NOISE_m
+    assert numbers.without == {"delay": pytest.approx(numbers.baseline, rel=0.05)}
     for recording in recordings:
-        error_m = simulate_recording(found.model, recording) - recording.displacement_m()
+        error_m = simulate_recording(numbers.model, recording) - recording.displacement_m()
         assert np.std(error_m) < 1.5 * NOISE_m
 
 
-def test_a_model_in_which_nothing_is_wrong_stays_as_it_was(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    recordings, model = recordings_of(), known_model()
-    outcome = outcome_of(recordings)
-    monkeypatch.setattr(something_else, "search", lambda *_: outcome)
-    found = engine.diagnose(recordings, axis="x", model=model)
+def test_a_model_in_which_nothing_is_wrong_stays_as_it_was() -> None:
+    model = known_model()
+    found = diagnose(recordings_of(), axis="x", model=model)
     assert found.findings == ()
     assert found.model is model
     assert found.final.rms_m == pytest.approx(found.baseline.rms_m, rel=0.02)
+    assert found.final.rms_m == pytest.approx(NOISE_m, rel=0.05)
 
 
 def test_a_repair_changes_the_recording_where_it_was_and_nothing_else() -> None:

@@ -1,12 +1,11 @@
 """What counts as evidence: how much, how sure, and how much better than a placebo."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.candidate import Candidate, exceeds_structure
+from piezoid.diagnosis.candidate import exceeds_structure
 from piezoid.diagnosis.effects import (
     creep,
     initial_state,
@@ -15,7 +14,11 @@ from piezoid.diagnosis.effects import (
 )
 from piezoid.diagnosis.folds import CrossValidated
 
+from .leaving import candidate_of, view_with
+
 BLOCKS = 40
+NOISY = view_with(0.0)  # leaves nothing but noise
+BENT = view_with(3.0)  # leaves three times as much that is none
 
 
 def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> CrossValidated:
@@ -29,34 +32,33 @@ def held(*, rms: float = 1.0, gain: float = 0.5, z: float = 6.0, loss=None) -> C
     )
 
 
-def judged(
-    effect,
-    mine: CrossValidated,
-    placebo: CrossValidated | None = None,
-    *,
-    left: float,
-    noise: float,
-) -> Candidate:
-    return Candidate(
-        selected=SimpleNamespace(effect=effect),
-        cv=mine,
-        placebo=placebo,
-        share=0.01,
-        physical=True,
-        without=SimpleNamespace(rms=left, noise=noise),
-        view=SimpleNamespace(rms=mine.rms, noise=noise),
-    )
-
-
 def test_an_initial_state_has_a_name_where_it_takes_a_quarter_of_the_error_however_sure_it_is():
     for gain, named in ((0.26, True), (0.24, False)):
-        found = judged(initial_state.EFFECT, held(gain=gain, z=20.0), left=1.0, noise=1.0)
+        found = candidate_of(
+            initial_state.EFFECT, held(gain=gain, z=20.0), without=NOISY, view=NOISY
+        )
         assert found.is_significant is named
 
 
 @pytest.mark.parametrize(("of_placebo", "speaks"), [(0.25, True), (0.45, False)])
 def test_an_effect_beats_its_placebo_by_far(of_placebo, speaks):
-    one = judged(creep.EFFECT, held(gain=0.5), held(gain=of_placebo), left=2.0, noise=0.0)
+    one = candidate_of(
+        creep.EFFECT, held(), placebo=held(gain=of_placebo), without=BENT, view=NOISY
+    )
+    assert one.is_significant is speaks
+
+
+@pytest.mark.parametrize(
+    ("times", "uneven", "speaks"),
+    [(1.5, 0.0, True), (1.02, 0.0, False), (1.5, 9.0, False)],
+    ids=["clearly", "hardly", "in some blocks"],
+)
+def test_an_effect_that_leaves_its_placebo_no_room_leaves_clearly_less(times, uneven, speaks):
+    """No gain is 1.6 times one of 0.7: what counts is the rms above the noise, and blocks."""
+    rms = 3.0 * NOISY.noise
+    loss = 2.0 + uneven * np.where(np.arange(BLOCKS) % 2, 1.0, -1.0)
+    own, others = held(gain=0.8, rms=rms), held(gain=0.7, rms=times * rms, loss=loss)
+    one = candidate_of(creep.EFFECT, own, placebo=others, without=BENT, view=NOISY)
     assert one.is_significant is speaks
 
 
@@ -81,23 +83,23 @@ def test_an_effect_is_larger_than_the_structure_that_is_left_or_has_no_name(
     assert exceeds_structure(share, rms, noise) is larger
 
 
-@pytest.mark.parametrize(
-    ("rms", "noise", "strength"),
-    [
-        (0.025, 0.020, 0.02 / 0.015),  # the structure that is left, of half the stroke
-        (0.020, 0.020, 0.02 / (0.020 * 0.03**0.5)),  # none, but what the noise may be wrong by
-    ],
-)
-def test_the_strength_of_evidence_is_its_rms_over_that_of_the_structure(rms, noise, strength):
-    found = judged(creep.EFFECT, held(rms=rms), left=1.0, noise=noise)
-    assert found.strength == pytest.approx(strength)
-
-
-@pytest.mark.parametrize(("noise", "named"), [(1.0, True), (0.9999, False)])
-def test_what_is_sure_and_small_beside_what_is_left_is_significant_and_has_no_name(noise, named):
-    """Of half the stroke 0.02 is added, and 0.014 of structure is left or none."""
-    found = replace(
-        judged(thermal_drift.EFFECT, held(gain=0.5, z=20.0), left=1.0, noise=noise), share=0.001
+def test_the_strength_of_evidence_is_its_rms_over_that_of_the_structure():
+    bent, quiet = (
+        candidate_of(creep.EFFECT, held(), without=view, view=view) for view in (BENT, NOISY)
     )
-    assert found.is_significant
-    assert found.has_a_name is named
+    structure = np.sqrt(BENT.rms**2 - BENT.noise**2)
+    assert structure == pytest.approx(3.0 * NOISY.rms, rel=0.1)
+    assert bent.strength == pytest.approx(0.02 / structure)
+    # no structure is left there, but what the noise may be wrong by
+    assert quiet.strength == pytest.approx(0.02 / (NOISY.noise * 0.03**0.5))
+
+
+@pytest.mark.parametrize(("view", "named"), [(NOISY, True), (BENT, False)], ids=["noise", "bent"])
+def test_what_is_sure_and_small_beside_what_is_left_is_significant_and_has_no_name(view, named):
+    """Half of the structure is added, or any part of none."""
+    share = 0.25 * float(np.sqrt(BENT.rms**2 - BENT.noise**2))
+    one = candidate_of(thermal_drift.EFFECT, held(z=20.0), without=view, view=view, share=share)
+    assert one.is_significant
+    assert one.has_a_name is named
+    larger = replace(one, share=2.0 * share)
+    assert larger.has_a_name

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import pytest
 
-from piezoid.diagnosis import extended as engine
+from piezoid.diagnosis.effect import Parameters
 from piezoid.diagnosis.effects import lag, slew_limit
 from piezoid.diagnosis.extended import SETTLED, SelectedEffect, driven, extended
 from piezoid.diagnosis.refinement import refined
+from piezoid.diagnosis.view import View
+from piezoid.numerics.arrays import Array
 
 from .bench import healthy_view
 
@@ -19,20 +21,24 @@ def limited(speed: float) -> SelectedEffect:
     return SelectedEffect(effect=slew_limit.EFFECT, parameters={"limit_per_s": speed})
 
 
-def rounds_of(monkeypatch, near) -> tuple[int, float]:
-    """Return how many rounds a view takes, and the error it ends with."""
-    made = []
-    work = engine.offset_of
-    monkeypatch.setattr(engine, "offset_of", lambda *a: made.append(1) or work(*a))
-    view = extended(healthy_view(), [LATER], near)
-    monkeypatch.undo()
-    return len(made), view.rms
+def work_of(near: View | None) -> tuple[int, float]:
+    """Return how often a lag filtered a response until all settled, and the error that is left."""
+    filtered: list[float] = []
+
+    def counting(response: Array, rate_Hz: float, parameters: Parameters) -> Array:
+        filtered.append(rate_Hz)
+        assert lag.EFFECT.response_filter is not None
+        return lag.EFFECT.response_filter(response, rate_Hz, parameters)
+
+    counted = replace(LATER, effect=replace(lag.EFFECT, response_filter=counting))
+    view = extended(healthy_view(), [counted], near)
+    return len(filtered), view.rms
 
 
-def test_rounds_that_begin_near_are_fewer_and_end_at_the_same_error(monkeypatch) -> None:
+def test_rounds_that_begin_near_are_fewer_and_end_at_the_same_error() -> None:
     near = extended(healthy_view(), [LAG])
-    from_afar, error = rounds_of(monkeypatch, None)
-    from_near, same = rounds_of(monkeypatch, near)
+    from_afar, error = work_of(None)
+    from_near, same = work_of(near)
     assert from_near < from_afar
     assert same == pytest.approx(error, rel=2.0 * SETTLED)
     assert extended(healthy_view(), [LATER], near).guess is None

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.history import History, states_at
+from piezoid.diagnosis.history import CHUNK, History, states_at
 from piezoid.diagnosis.initial_states import memory_after
-from piezoid.diagnosis.nuisance import MEMORY, NuisanceClass
+from piezoid.diagnosis.nuisance import KEPT, MEMORY, NuisanceClass
 from piezoid.diagnosis.shape import (
     SHARED,
     THRESHOLD,
@@ -85,17 +85,27 @@ def test_first_states_are_kept_until_a_play_moves(reversals) -> None:
     assert 0.0 < expected.mean() < 1.0
 
 
-def test_the_static_response_is_the_shape_of_all_states_kept_or_not(monkeypatch) -> None:
+def test_the_static_response_is_the_shape_of_all_states() -> None:
     nuisance = healthy_view().nuisance
     weight = np.random.default_rng(5).normal(size=SHARED)
     history = nuisance.histories[0]
     states = every_state(history.track.drive, history.reversals)
     expected = shape_columns(*states, history.track.drive) @ weight
     np.testing.assert_allclose(nuisance.static(0, weight), expected, rtol=1e-9, atol=1e-9)
-    monkeypatch.setattr("piezoid.diagnosis.nuisance.KEPT", 0)
-    fresh = NuisanceClass(histories=(History(track=history.track, reversals=history.reversals),))
-    np.testing.assert_allclose(fresh.static(0, weight), expected, rtol=1e-9, atol=1e-9)
-    assert "states" not in vars(fresh.histories[0])
+
+
+def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response() -> None:
+    """Made chunk by chunk: the ends of two of them are compared, where memory is handed on."""
+    weight = np.random.default_rng(5).normal(size=SHARED)
+    drive = np.resize(drive_with_holds(), KEPT + 1)
+    reversals = RANDOM_HYPOTHESES[2]
+    long = NuisanceClass(histories=(History(track=track(drive), reversals=reversals),))
+    head = drive[: 2 * CHUNK + 1000]
+    expected = shape_columns(*every_state(head, reversals), head) @ weight
+    static = long.static(0, weight)
+    assert static.shape == drive.shape
+    np.testing.assert_allclose(static[: len(head)], expected, rtol=1e-9, atol=1e-9)
+    assert "states" not in vars(long.histories[0])
 
 
 def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:

@@ -3,10 +3,6 @@
 The stage is a sum of plays that begins where we say, on parts of a healthy campaign's drives.
 """
 
-from collections.abc import Sequence
-from functools import cache
-
-import numpy as np
 import pytest
 
 from piezoid.diagnosis.candidate import Candidate, structural_candidate
@@ -18,56 +14,10 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.view import View, with_free_memory
-from piezoid.records.lab import Lab
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
-from .bench import healthy, recorded, view_of_recordings
-from .played import (
-    WIDTH,
-    Before,
-    HALF_STROKE_m,
-    at_rest,
-    cycled,
-    cycled_the_other_way,
-    memory_after,
-    moved,
-    recorded_as,
-)
-
-EVERY = 4  # of the samples: a stage that does not know time needs no more
-STRETCH = {
-    "sweep": slice(6900, 12800, EVERY),
-    "staircase": slice(3000, 9000, EVERY),
-    "other_axis": slice(1500, 7000, EVERY),
-}
-GLIDE = 0.01  # of half the range for a sample, on the way to where the next recording begins
-NOISE = 3e-4  # of the stroke
-
-
-def forgotten(_: float) -> Sequence[float]:
-    return (-1.0, 0.6, -0.5, 0.3)
-
-
-@cache
-def view_after(*before: Before | None) -> View:
-    """Record three drives after some initial states; None: each goes on from the one before it."""
-    recordings, _ = healthy()
-    chance, memory, last = np.random.default_rng(1), np.zeros(len(WIDTH)), 0.0
-    found = []
-    for (name, part), reversals in zip(STRETCH.items(), before, strict=True):
-        whole = next(r for r in recordings if r.name.startswith(name))
-        drive = whole.voltage_V()[part] / 5.0 - 1.0
-        if reversals is None:
-            steps = max(int(abs(drive[0] - last) / GLIDE), 2)
-            drive = np.concatenate([np.linspace(last, drive[0], steps)[:-1], drive])
-        else:
-            memory = memory_after(reversals, float(drive[0]))
-        response, memory = moved(drive, memory)
-        noise = NOISE * float(np.ptp(response)) * chance.normal(size=len(drive))
-        rate_Hz = whole.sampling_rate_Hz / EVERY
-        found.append(recorded_as(name, rate_Hz, drive, HALF_STROKE_m * (response + noise)))
-        last = float(drive[-1])
-    return view_of_recordings(tuple(found), Lab())
+from .bench import recorded, view_of_recordings
+from .played import at_rest, cycled, cycled_the_other_way, forgotten, view_after
 
 
 def structure_of(view: View) -> Candidate:

@@ -1,9 +1,15 @@
 """Pasts: what is left of a drive once later turns have wiped out earlier ones."""
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
-from piezoid.diagnosis import initial_state_search
+from piezoid.diagnosis.initial_state_search import (
+    with_own_initial_states,
+    with_shared_initial_state,
+)
 from piezoid.diagnosis.initial_states import (
     FREE,
     HABITS,
@@ -12,13 +18,18 @@ from piezoid.diagnosis.initial_states import (
     shared_hypotheses,
 )
 from piezoid.diagnosis.shape import THRESHOLD
-from piezoid.diagnosis.view import with_commands
+from piezoid.diagnosis.view import with_reversals
 from piezoid.numerics.arrays import Array
 from piezoid.operators.play import play_columns
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
 
-from .bench import healthy_view
+from .bench import view_of_recordings
+from .play_stage import drive
+from .played import NOISE, WIDTH, HALF_STROKE_m, moved, recorded_as
 
 ZERO_VOLTS = -1.3  # in half ranges from the middle of the drive
+SELDOM = 6  # samples of a drive for one that is recorded
 AT_REST = 0.05  # of half the range: the smallest turns that a laboratory makes on purpose
 
 
@@ -86,17 +97,39 @@ def test_a_decaying_past_leaves_every_play_near_the_first_value(first) -> None:
     assert max(cycled, other_way) > 0.4
 
 
-@pytest.mark.parametrize("reversals", [(-1.0, 1.0), (0.0,), (1.0, 0.3, 0.7, -0.2)])
-def test_a_sketch_misses_what_the_whole_response_does_behind_a_past(
-    monkeypatch, reversals
+def after_turns(kind: str, turns: Sequence[float], part: float) -> Recording:
+    """Record a part of a drive with a stage of plays and friction that turned there before."""
+    rate_Hz, whole = drive(kind)
+    field = part * whole[::SELDOM]
+    ways = pairwise([0.0, *turns, float(field[0])])
+    before = [np.linspace(here, there, 400)[:-1] for here, there in ways]
+    way = np.concatenate([*before, field])
+    response, _ = moved(way, np.zeros(len(WIDTH)))
+    rub = np.zeros(len(way))
+    for i, step in enumerate(np.diff(way), start=1):
+        rub[i] = rub[i - 1] + step - 2.0 * abs(step) * rub[i - 1]
+    response = (response + rub)[-len(field) :]
+    noise = np.random.default_rng(len(kind)).normal(0.0, NOISE * np.ptp(response), len(field))
+    return recorded_as(kind, rate_Hz / SELDOM, field, HALF_STROKE_m * (response + noise))
+
+
+@pytest.mark.parametrize(
+    ("last", "near"), [((-1.0, 1.0), 1.5), ((0.0,), 1.8)], ids=["cycled", "switched on"]
+)
+def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell(
+    last, near
 ) -> None:
-    whole = healthy_view()
-    view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
-    track, weight = view.tracks[1], whole.weight
-    monkeypatch.setattr(initial_state_search, "POINTS", len(track.drive))
-    missed = view.nuisance.along(track.drive, reversals, weight) - track.response
-    sketch = initial_state_search._sketch(view, 1, weight)
-    assert sketch.misfit(reversals) == pytest.approx(float(np.std(missed)), rel=1e-9)
+    """They go over three fifths of the range, and each began after other turns."""
+    turns = ((-1.0, 1.0), (1.0, -1.0), last)
+    kinds = {"sweep": 1.0, "walk": 0.6, "waves": 0.6}
+    recordings = [
+        after_turns(kind, before, part)
+        for (kind, part), before in zip(kinds.items(), turns, strict=True)
+    ]
+    view = view_of_recordings(tuple(recordings), Lab())
+    own = with_own_initial_states(view, with_shared_initial_state(view))
+    assert own.rms < near * with_reversals(own, turns).rms
+    assert own.rms < 0.5 * view.rms
 
 
 @pytest.mark.parametrize("phase", np.linspace(0.1, 6.0, 7))

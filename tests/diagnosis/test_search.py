@@ -1,136 +1,163 @@
-"""What a search keeps, takes back, and says of the rest; stand-ins for the fits."""
+"""What a search keeps, takes back, and says of the rest."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
 
+import numpy as np
 import pytest
 
 import piezoid.diagnosis.diagnose as diagnose
-import piezoid.diagnosis.model_comparison as confounded
 import piezoid.diagnosis.search as search
 from piezoid.diagnosis.attribution import Simulated
-from piezoid.diagnosis.diagnosis import Finding, Size
-from piezoid.diagnosis.effect import Effect, Fault
-from piezoid.diagnosis.effects import creep, initial_state, non_congruence, thermal_drift
-from piezoid.diagnosis.something_else import without_names
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.effect import Fault
+from piezoid.diagnosis.effects import (
+    creep,
+    cross_coupling,
+    initial_state,
+    non_congruence,
+    thermal_drift,
+)
+from piezoid.diagnosis.extended import SelectedEffect
+from piezoid.diagnosis.folds import CrossValidated
+from piezoid.diagnosis.model_comparison import compare_models
+from piezoid.diagnosis.score_test import score_test
+from piezoid.diagnosis.signals import with_displacement
+from piezoid.diagnosis.something_else import Explained, without_names
 from piezoid.numerics.executor import SERIAL
+from piezoid.records.lab import Lab
+from piezoid.records.recording import Recording
 
-from .bench import healthy_view
+from .bench import healthy_view, view_of_recordings
+from .leaving import candidate_of, view_with
+from .played import (
+    NOISE,
+    cycled,
+    forgotten,
+    recordings_after,
+    with_another_axis,
+    wobbling,
+)
 
-
-@dataclass(frozen=True)
-class Cause:
-    """A cause that is judged already."""
-
-    name: str
-    gain: float
-    has_a_name: bool = True
-    quiet: float = float("inf")
-
-    @property
-    def selected(self) -> str:
-        return self.name
-
-    @property
-    def effect(self) -> SimpleNamespace:
-        return SimpleNamespace(
-            name=self.name,
-            structural=SimpleNamespace(largest_noise_ratio=self.quiet),
-            minimum_gain=0.1,
-        )
-
-    @property
-    def cv(self) -> SimpleNamespace:
-        return SimpleNamespace(gain=self.gain)
+DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times the noise, rms
 
 
-def of_noise(times: float) -> SimpleNamespace:
-    return SimpleNamespace(rms=times, noise=1.0)
+def nearly_cycled(_: float) -> tuple[float, float]:
+    return (-1.0, 0.7)
 
 
-def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first(monkeypatch) -> None:
-    asked = []
+def drifting() -> tuple[Recording, ...]:
+    """Return recordings that all drift along a straight line."""
+    found = []
+    for one in recordings_after(cycled, cycled, cycled):
+        moved_m = one.displacement_m()
+        line_m = DRIFT * float(np.ptp(moved_m)) * np.linspace(-1.0, 1.0, one.samples)
+        found.append(with_displacement(one, moved_m + line_m))
+    return tuple(found)
 
-    def each(_, selected, __):
-        asked.append(tuple(selected))
-        gains = {"creep": 0.5, "lag": 0.1, "delay": 0.2}
-        # the delay is evidence once the lag is gone
-        return [
-            Cause(name, gains[name], has_a_name=name == "creep" or "lag" not in selected)
-            for name in selected
-        ], {}
 
-    monkeypatch.setattr(confounded, "_compare_each", each)
-    causes, _, dismissed = confounded.compare_models(None, ["creep", "lag", "delay"], SERIAL)
-    assert asked == [("creep", "lag", "delay"), ("creep", "delay")]
-    assert [cause.name for cause in causes] == ["creep", "delay"]
-    assert [cause.name for cause in dismissed] == ["lag"]
+def creeping(recordings: Iterable[Recording], share: float) -> tuple[Recording, ...]:
+    return tuple(creep.EFFECT.inject(one, share) for one in recordings)
+
+
+def finding_of(diagnosis: Diagnosis, name: str) -> Finding:
+    return next(one for one in diagnosis.findings if one.effect == name)
+
+
+@cache
+def creep_and_an_unknown_memory(share: float) -> Diagnosis:
+    """Diagnose creep in recordings of which the second began from turns that nobody knows."""
+    return diagnose.diagnose(creeping(recordings_after(cycled, forgotten, cycled), share))
+
+
+@cache
+def drift_alone() -> Diagnosis:
+    return diagnose.diagnose(drifting())
+
+
+def test_of_causes_that_are_no_evidence_any_more_the_least_goes_first() -> None:
+    """Creep and drift are none beside each other; without the creep the drift is beyond doubt."""
+    view = view_of_recordings(drifting(), Lab())
+    both = [
+        SelectedEffect(effect=seen.effect, parameters=seen.trial.parameters)
+        for seen in (score_test(effect, view) for effect in (creep.EFFECT, thermal_drift.EFFECT))
+    ]
+    causes, confounded, dismissed = compare_models(view, both, SERIAL)
+    assert [cause.effect.name for cause in causes] == ["thermal_drift"]
+    assert confounded == {"thermal_drift": ("creep",)}
+    assert [cause.effect.name for cause in dismissed] == ["creep"]
 
 
 @pytest.mark.parametrize(
-    ("gain", "left", "stands"),
+    ("gain", "else_left", "named"),
     [
-        (0.2, 1.4, True),  # little is left: what it takes off is known
-        (0.2, 1.7, False),  # much is left that nothing here follows
-        (0.5, 1.7, True),  # but it takes off what nothing else looks like
-        (0.3, 2.6, False),  # half of what is no noise: something else is there as well
-        (0.5, 2.6, True),
-        (0.19, 1.1, True),
+        (0.2, 1.0, True),  # little is left: what it takes off is known
+        (0.2, 1.4, False),  # much is left that nothing here follows
+        (0.5, 1.4, True),  # but it takes off what nothing else looks like
+        (0.3, 2.4, False),  # half of what is no noise: something else is there as well
+        (0.5, 2.4, True),
+        (0.19, 0.5, True),
     ],
 )
-def test_structure_is_named_where_hardly_anything_else_is_left(gain, left, stands) -> None:
-    structure = Cause("initial_state", gain, quiet=1.6)
-    assert search._stands(structure, of_noise(left)) is stands
-
-
-def test_structure_that_is_held_back_is_a_rival_of_what_it_may_be() -> None:
-    found = search._with_confounded({"asymmetry": (), "creep": ("lag",)}, non_congruence.EFFECT)
-    assert found == {"asymmetry": ("non_congruence",), "creep": ("lag",)}
-
-
-def creep_beside(monkeypatch, *near: str, found: Sequence[Effect] = (), z: float = 4.0) -> Finding:
-    """Return the finding of a creep of 0.74 % a decade that was not told from others."""
-    size = Size(value=0.74, unit=creep.EFFECT.unit, ci95=(0.39, 1.09))
-    monkeypatch.setattr(diagnose, "size_of", lambda _: size)
-    cause = SimpleNamespace(
-        effect=creep.EFFECT,
-        share=0.01,
-        strength=3.0,
-        cv=SimpleNamespace(gain=0.1, p_value=1e-6, z=z),
-        selected=SimpleNamespace(parameters={}, from_jumps=False),
+def test_structure_is_named_where_hardly_anything_else_is_left(gain, else_left, named) -> None:
+    """How much else is left is told in times the noise."""
+    final = view_with(else_left)
+    brings = CrossValidated(
+        gain=gain, z=9.0, coefficient=np.ones(1), spread=np.zeros(1), loss=np.ones(40), rms=1.0
     )
-    outcome = SimpleNamespace(
-        first=SimpleNamespace(stroke_m=1e-5),
-        confounded={"creep": near},
-        causes=[cause, *(SimpleNamespace(effect=effect) for effect in found)],
-    )
-    numbers = SimpleNamespace(without={"creep": 0.02}, final=0.018)
-    return diagnose._of_cause(cause, outcome, numbers)
+    memory = candidate_of(initial_state.EFFECT, brings, without=final, view=final)
+    assert search.stands(memory, final) is named
 
 
-def test_a_cause_that_may_be_structure_may_also_be_none_at_all(monkeypatch) -> None:
-    found = creep_beside(monkeypatch, "thermal_drift", "initial_state")
-    assert found.size.ci95 == (0.0, 1.09)
-    assert "A part of it, or all, may be initial state" in found.explanation
-    assert found.next_experiment == f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
+def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are() -> None:
+    """A gain that wobbles leaves more than this memory, and the class that leaves it is none."""
+    stage = recordings_after(cycled, nearly_cycled, cycled)
+    wrong = map(with_another_axis, creeping(wobbling(stage, 0.01), 0.01))
+    coupled = tuple(cross_coupling.EFFECT.inject(one, 0.004) for one in wrong)
+    found = search.search(view_of_recordings(coupled, Lab()))
+    assert [cause.effect.name for cause in found.causes] == ["cross_coupling", "creep"]
+    assert found.held_back == ("initial_state",)
+    assert "initial_state" in {one.effect.name for one in found.dismissed}
+    assert found.final.rms > 2.0 * found.final.noise
+    # a memory looks like creep, and not like the drive of another axis
+    assert found.confounded == {"cross_coupling": (), "creep": ("initial_state",)}
 
 
-def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment(monkeypatch) -> None:
-    found = creep_beside(monkeypatch, "thermal_drift")
-    assert found.size.ci95 == (0.39, 1.09)
-    assert "A part of it" not in found.explanation
-    assert found.next_experiment == creep.EFFECT.experiment
+def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment() -> None:
+    drift = finding_of(drift_alone(), "thermal_drift")
+    assert drift.not_separable_from == ("creep",)
+    assert drift.size.ci95[0] > 0.5 * drift.size.value
+    assert "A part of it" not in drift.explanation
+    assert drift.next_experiment == thermal_drift.EFFECT.experiment
 
 
-def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it(monkeypatch) -> None:
-    found = [initial_state.EFFECT, thermal_drift.EFFECT]
-    doubtful, sure = (creep_beside(monkeypatch, found=found, z=z) for z in (4.0, 9.0))
-    assert doubtful.size.ci95 == (0.0, 1.09)
+def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() -> None:
+    found = creep_and_an_unknown_memory(0.004)
+    assert found.names == ("initial_state", "creep")
+    doubtful = finding_of(found, "creep")
     assert doubtful.not_separable_from == ("initial_state",)
-    assert initial_state.EFFECT.experiment in doubtful.next_experiment
-    assert (sure.size.ci95, sure.not_separable_from) == ((0.39, 1.09), ())
-    assert creep_beside(monkeypatch, found=[thermal_drift.EFFECT]).size.ci95 == (0.39, 1.09)
+    assert doubtful.size.ci95[0] == 0.0
+    assert doubtful.size.ci95[1] > doubtful.size.value
+    assert "A part of it, or all, may be initial state: hence an interval that" in (
+        doubtful.explanation
+    )
+    assert doubtful.next_experiment == (
+        f"{creep.EFFECT.experiment} {initial_state.EFFECT.experiment}"
+    )
+
+
+def test_a_sure_cause_beside_structure_that_was_found_is_no_part_of_it() -> None:
+    found = creep_and_an_unknown_memory(0.02)
+    assert set(found.names) == {"initial_state", "creep"}
+    sure, memory = finding_of(found, "creep"), finding_of(found, "initial_state")
+    assert (sure.not_separable_from, memory.not_separable_from) == ((), ())
+    assert sure.size.ci95[0] > 0.5 * sure.size.value
+    assert "A part of it" not in sure.explanation
+    assert sure.next_experiment == creep.EFFECT.experiment
+    for one in (sure, memory):
+        assert one.held_out_rms_after_m == found.final.rms_m
+        assert one.held_out_gain == 1.0 - found.final.rms_m / one.held_out_rms_before_m
 
 
 def test_an_effect_that_was_dropped_is_bounded_and_not_called_untestable() -> None:
@@ -151,15 +178,20 @@ def test_twice_the_same_fault_keeps_what_it_was_not_told_from() -> None:
     assert both.alike == ("lag", "delay")
 
 
+@cache
+def nothing_named() -> Explained:
+    view = healthy_view()
+    return without_names(view, search.without_causes(view, ""))
+
+
 @pytest.mark.parametrize(
     ("undone", "kept", "is_told"),
     [(0.010, 0.009, True), (0.009, 0.009, False), (0.009, 0.010, False)],
 )
 def test_a_slip_is_told_only_where_undoing_it_helps_the_simulation(undone, kept, is_told) -> None:
     """Other faults need not help: what is coarse stays coarse."""
-    view = healthy_view()
+    view, nothing = healthy_view(), nothing_named()
     slip = Fault(tracks=view.tracks, value=3.0, spread=0.5, p_value=1e-6)
-    nothing = without_names(view, search.without_causes(view, ""))
     faults = {"timestamp_fault": slip, "quantisation": slip}
     found = replace(nothing, outcome=replace(nothing.outcome, faults=faults))
     numbers = Simulated(baseline=0.02, final=kept, without=dict.fromkeys(faults, undone))

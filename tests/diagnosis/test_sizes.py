@@ -14,11 +14,11 @@ from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.sizes import size_of
-from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_datasets.virtual_lab.campaign import Campaign, draw_campaign
 
 from .bench import recorded, view_of_recordings
 from .play_stage import recording
+from .played import with_another_axis
 
 
 def cut_off_percent(campaign: Campaign) -> float:
@@ -104,13 +104,6 @@ def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds(t
     assert low < 1.0 < high
     # two standard errors of the law alone, which is known to 15 %
     assert high - low >= 2 * 2.0 * 0.15 * found.size.value
-
-
-def with_another_axis(one: Recording) -> Recording:
-    time_s = np.arange(one.samples) / one.sampling_rate_Hz
-    other_V = 40.0 * np.sin(2.3 * time_s + 1.0) + 15.0 * np.sin(12.1 * time_s)
-    channel = Channel(quantity=Quantity.VOLTAGE, axis="y", values=other_V, label="y")
-    return replace(one, channels=(*one.channels, channel))
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Slips of a clock are found, sized, undone, and told from delays of the stage."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -139,7 +138,8 @@ def test_where_a_fault_is_is_told_of_five_places_and_the_rest_is_counted():
 
 
 def test_a_time_is_told_only_of_recordings_that_are_whole():
-    tracks = [SimpleNamespace(name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
+    track = healthy().tracks[0]
+    tracks = [replace(track, name=name, rate_Hz=100.0) for name in ("a", "b", "b")]
     slips = [Slip(track=k, instant=250, samples=1.0, gain=0.5) for k in range(3)]
     assert places_of(slips, tracks) == ("a from 2.5 s on", "b", "b")
 
@@ -158,4 +158,6 @@ def test_a_clock_that_slips_in_a_fast_stretch_has_no_delay_beside_it() -> None:
     The past of these records moves them by 1 % of the stroke, so an initial state may be named.
     """
     recordings, lab = recorded(drawn(stage("duhem", "single", 0, 2_100_000)))
-    assert set(diagnose(recordings, lab=lab).names) - {"initial_state"} == {"timestamp_fault"}
+    some = [one for one in recordings if one.name != "long_hold.csv"]
+    assert len(some) == len(recordings) - 1
+    assert set(diagnose(some, lab=lab).names) - {"initial_state"} == {"timestamp_fault"}
