@@ -18,6 +18,7 @@ from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
 from piezoid.diagnosis.shape import (
     SHARED,
+    SWITCHED,
     THRESHOLD,
     BoucWenLaw,
     bouc_wen_columns,
@@ -116,13 +117,20 @@ def _error(view: View) -> float:
 
 
 def _forgetful_weight(view: View) -> Array:
-    """Return the shared coefficients from rows where every initial state is forgotten."""
+    """Return the shared coefficients from rows where every initial state is forgotten.
+
+    Those of states that switch are zero: which hypothesis they favour depends on rows that are
+    left out here, and with them the past of the bundled stage is not found.
+    """
     kept = np.concatenate([_forgotten(t.drive)[t.place] for t in view.tracks])
-    columns = np.hstack([view.nuisance.columns, view.selected])
+    switched = slice(SHARED - SWITCHED, SHARED)
+    columns = np.hstack([np.delete(view.nuisance.columns, switched, axis=1), view.selected])
     if np.count_nonzero(kept) < FEWEST * columns.shape[1]:
-        return view.weight
+        kept = np.ones(len(kept), dtype=bool)
     null = Null(columns=columns[kept], response=view.response[kept], block=view.block[kept])
-    return null.fit(null.response)[: view.nuisance.shared]
+    return np.insert(null.fit(null.response), [SHARED - SWITCHED] * SWITCHED, 0.0)[
+        : view.nuisance.shared
+    ]
 
 
 def _forgotten(drive: Array) -> Array:

@@ -114,7 +114,7 @@ def after_turns(kind: str, turns: Sequence[float], part: float) -> Recording:
 
 
 @pytest.mark.parametrize(
-    ("last", "near"), [((-1.0, 1.0), 1.5), ((0.0,), 1.8)], ids=["cycled", "switched on"]
+    ("last", "near"), [((-1.0, 1.0), 1.15), ((0.0,), 1.8)], ids=["cycled", "switched on"]
 )
 def test_what_a_stage_with_friction_remembers_is_found_though_drives_hardly_tell(
     last, near
