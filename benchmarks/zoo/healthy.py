@@ -23,9 +23,9 @@ from typing import Any
 
 from scipy.stats import kstest
 
-from benchmarks.zoo.score import ELSE, PAST, diagnosed
+from benchmarks.zoo.score import PAST, diagnosed
 from benchmarks.zoo.stages import NAMES, drawn, stage
-from piezoid.diagnosis.healthy import chance_of
+from piezoid.diagnosis.healthy import chance_of, score_of
 from piezoid.errors import PiezoidError
 
 TABLE = Path(__file__).parents[2] / "piezoid/diagnosis/healthy_scores.json"
@@ -115,11 +115,11 @@ def _scored(wanted: tuple[str, int], *, first: int, ends_s: float) -> dict[str, 
         return {**row, "failed": str(error)[:200]}
     rest = found.unexplained
     assert rest is not None
-    strengths = [v for name, v in found.strengths.items() if name not in (PAST, ELSE)]
+    strengths = [v for name, v in found.strengths.items() if name != PAST]
     left = found.envelope_rms_m / found.noise_floor_rms_m
     return {
         **row,
-        "score": round(found.strengths[ELSE], DIGITS),
+        "score": round(score_of(rest.gain, left, 1.0), DIGITS),
         "strength": round(max(strengths, default=0.0), DIGITS),
         "said": [[one.effect, one.p_value] for one in found.findings],
         "times_noise": round(left, DIGITS),

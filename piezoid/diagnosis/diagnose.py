@@ -30,8 +30,8 @@ from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.noise_level import noise_level
 from piezoid.diagnosis.search import Outcome, without_causes
 from piezoid.diagnosis.sizes import size_of
-from piezoid.diagnosis.something_else import ABOVE, SURE, Explained, explained, without_names
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.something_else import SURE, Explained, explained, without_names
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.unnamed import of_discovered, of_noise
 from piezoid.diagnosis.view import View, view_of
@@ -143,17 +143,14 @@ def _worth_most(
     """Return what was discovered, or what names alone make of it where that is no worse.
 
     On data left out the simulation may be as good without the curve: the class of the search then
-    did not follow the hysteresis, and the simulation does, unless it leaves more than the noise
-    and no healthy stage of any law leaves as much. Or it may be as good with the names in whose
-    place the curve stands. Beyond the end of a sensor's range the rows are not the same, and the
-    second comparison is not made.
+    did not follow the hysteresis, and the simulation does, unless no healthy stage of any law
+    leaves as much. Or it may be as good with the names in whose place the curve stands. Beyond the
+    end of a sensor's range the rows are not the same, and the second comparison is not made.
     """
     numbers, otherwise, discovered = weighed(found), found.otherwise, found.discovered
     if otherwise is None or discovered is None:
         return found, numbers
-    bare = numbers.without[SOMETHING_ELSE]
-    is_followed = bare < ABOVE * otherwise.outcome.final.noise
-    if numbers.final >= bare and (is_followed or not discovered.is_unheard_of):
+    if not discovered.is_unheard_of and numbers.final >= numbers.without[SOMETHING_ELSE]:
         return otherwise, weighed(otherwise)
     if discovered.end is None and _names_of(otherwise) - _names_of(found):
         named = weighed(otherwise)
@@ -258,8 +255,7 @@ def _diagnosis(
             gain=rest.gain,
         ),
         model=numbers.model,
-        strengths={SOMETHING_ELSE: rest.score}
-        | {
+        strengths={
             one.effect.name: one.strength
             for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)
         },

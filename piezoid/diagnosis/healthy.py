@@ -27,18 +27,17 @@ from functools import cache
 from importlib.resources import files
 
 
-def score_of(gain: float, rms: float, noise: float, doubt: float = 0.0) -> float:
+def score_of(gain: float, rms: float, noise: float) -> float:
     """Return the power that one coordinate explains, in units of the noise's.
 
-        gain rms^2 / (min(noise^2, (1 - gain) rms^2) + doubt^2)
+        gain rms^2 / min(noise^2, (1 - gain) rms^2)
 
-    gain   part of the remainder's power that the coordinate explains on blocks left out
-    doubt  rms of what the laws of causes at work beside it may be wrong by
+    gain  part of the remainder's power that the coordinate explains on blocks left out
 
     What repeats within a few samples passes for white noise; what a coordinate explains is none.
     """
     gain = min(max(gain, 0.0), 1.0)
-    left = min(noise**2, (1.0 - gain) * rms**2) + doubt**2
+    left = min(noise**2, (1.0 - gain) * rms**2)
     return gain * rms**2 / max(left, 1e-300)
 
 

@@ -11,13 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.diagnosis.initial_states import Reversals, memory_after
-from piezoid.diagnosis.shape import (
-    SHARED,
-    THRESHOLD,
-    shape,
-    states_that_forget,
-    states_that_forget_after,
-)
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape
 from piezoid.diagnosis.tracks import Places, Track
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Once
@@ -25,7 +19,7 @@ from piezoid.operators.play import play_columns, way_to
 
 CHUNK = 65536
 ONCE_BEYOND = (0.0, 0.5)  # of half the range: where walls are moved for good
-States = tuple[Array, Array]  # of plays, and those that forget gradually
+States = tuple[Array, Array]  # of plays, of friction
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,17 +51,17 @@ class History:
 
     @Once
     def rows(self) -> States:
-        """Return the states at the track's rows, (rows, plays) and (rows, states that forget)."""
+        """Return the states at the track's rows, (rows, plays) and (rows, friction states)."""
         return _states_on(*self.track.way, self.reversals)
 
     @Once
     def states(self) -> States:
-        """Return the states at every sample, (samples, plays) and (samples, states)."""
+        """Return the states at every sample, (samples, plays) and (samples, friction states)."""
         if self.other is not None:
             return self.other.states
         drive = self.track.drive
         plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, self.reversals))
-        return plays, states_that_forget(drive, states_that_forget_after(drive, self.reversals))
+        return plays, rubbing(drive, rubbed(drive, self.reversals))
 
     def static(self, weight: Array) -> Array:
         """Return what the shared columns make of the drive, (samples,); all states are kept."""
@@ -114,9 +108,7 @@ def states_at(drive: Array, reversals: Reversals, place: Places) -> States:
 
 def _states_on(path: Array, rows: Places, reversals: Reversals) -> States:
     plays, _ = play_columns(path, THRESHOLD, memory_after(path, reversals))
-    return _rows(plays, rows), _rows(
-        states_that_forget(path, states_that_forget_after(path, reversals)), rows
-    )
+    return _rows(plays, rows), _rows(rubbing(path, rubbed(path, reversals)), rows)
 
 
 def _rows(columns: Array, place: Places) -> Array:
@@ -127,10 +119,10 @@ def _rows(columns: Array, place: Places) -> Array:
 def static_of(drive: Array, reversals: Reversals, weight: Array) -> Array:
     """Return what shared columns make of any drive that turned before, keeping no states."""
     memory = memory_after(drive, reversals)
-    forgetful = states_that_forget(drive, states_that_forget_after(drive, reversals))
+    friction = rubbing(drive, rubbed(drive, reversals))
     parts = []
     for first in range(0, len(drive), CHUNK):
         part = np.asarray(drive[first : first + CHUNK])
         states, memory = play_columns(part, THRESHOLD, memory)
-        parts.append(shape(states, forgetful[first : first + CHUNK], part, weight[:SHARED]))
+        parts.append(shape(states, friction[first : first + CHUNK], part, weight[:SHARED]))
     return np.concatenate(parts)

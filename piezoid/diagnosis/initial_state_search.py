@@ -17,14 +17,14 @@ import numpy as np
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.initial_states import Reversals, hypotheses, memory_after, shared_hypotheses
 from piezoid.diagnosis.shape import (
+    REACH,
     SHARED,
-    SWITCHED,
     THRESHOLD,
     BoucWenLaw,
     bouc_wen_columns,
+    rubbed,
+    rubbing,
     shape,
-    states_that_forget,
-    states_that_forget_after,
     states_under,
 )
 from piezoid.diagnosis.view import (
@@ -117,20 +117,13 @@ def _error(view: View) -> float:
 
 
 def _forgetful_weight(view: View) -> Array:
-    """Return the shared coefficients from rows where every initial state is forgotten.
-
-    Those of states that switch are zero: which hypothesis they favour depends on rows that are
-    left out here, and with them the past of the bundled stage is not found.
-    """
+    """Return the shared coefficients from rows where every initial state is forgotten."""
     kept = np.concatenate([_forgotten(t.drive)[t.place] for t in view.tracks])
-    switched = slice(SHARED - SWITCHED, SHARED)
-    columns = np.hstack([np.delete(view.nuisance.columns, switched, axis=1), view.selected])
+    columns = np.hstack([view.nuisance.columns, view.selected])
     if np.count_nonzero(kept) < FEWEST * columns.shape[1]:
-        kept = np.ones(len(kept), dtype=bool)
+        return view.weight
     null = Null(columns=columns[kept], response=view.response[kept], block=view.block[kept])
-    return np.insert(null.fit(null.response), [SHARED - SWITCHED] * SWITCHED, 0.0)[
-        : view.nuisance.shared
-    ]
+    return null.fit(null.response)[: view.nuisance.shared]
 
 
 def _forgotten(drive: Array) -> Array:
@@ -162,8 +155,8 @@ def _turned(reversals: Reversals, place: int, step: float) -> Reversals:
 class _Sketch:
     """A track at few samples and its reversals, on which hypotheses are tried.
 
-    began      (states,)         states that forget, after a drive that was cycled before
-    forgetful  (points, states)  from there
+    began      (states,)         friction after a drive that was cycled before
+    friction   (points, states)  from there
     remembers  (points, states)  the part of its beginning that is not forgotten
     """
 
@@ -172,15 +165,14 @@ class _Sketch:
     drive: Array
     response: Array
     began: Array
-    forgetful: Array
+    friction: Array
     remembers: Array
 
     def misfit(self, reversals: Reversals) -> float:
         """Return the standard deviation of the residual under a hypothesis."""
         states, _ = play_columns(self.drive, THRESHOLD, memory_after(self.drive, reversals))
-        began = states_that_forget_after(self.drive, reversals)
-        others = self.forgetful + (began - self.began) * self.remembers
-        model = shape(states, others, self.drive, self.weight[:SHARED])
+        rubs = self.friction + (rubbed(self.drive, reversals) - self.began) * self.remembers
+        model = shape(states, rubs, self.drive, self.weight[:SHARED])
         if self.bouc_wen:
             bent = states_under(self.bouc_wen, reversals, self.drive)
             model = model + bouc_wen_columns(bent, self.drive) @ self.weight[SHARED:]
@@ -193,15 +185,14 @@ def _sketch(view: View, k: int, weight: Array) -> _Sketch:
     reversals = np.flatnonzero(step[1:] * step[:-1] < 0) + 1
     spread = np.linspace(0, len(track.drive) - 1, POINTS).astype(int)
     points = np.unique([*spread, *reversals[:POINTS]])
-    began = states_that_forget_after(track.drive, hypotheses(track.drive)[0])
-    along = states_that_forget(track.drive, began)[points]
+    began = rubbed(track.drive, hypotheses(track.drive)[0])
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.drive)))])
     return _Sketch(
         weight=weight,
         bouc_wen=view.nuisance.bouc_wen,
         drive=np.asarray(track.drive[points]),
         response=np.asarray(track.response[points]),
         began=began,
-        forgetful=along,
-        # Each forgets at a rate that its own value does not change.
-        remembers=states_that_forget(track.drive, began + 1.0)[points] - along,
+        friction=rubbing(track.drive, began)[points],
+        remembers=np.exp(-way[points][:, None] / REACH),
     )

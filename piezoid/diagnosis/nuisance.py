@@ -1,22 +1,21 @@
 """The nuisance class: hysteresis of nearly any kind, without rate, time or other axes.
 
     y = sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
-        + sum_k h_k s_k + zero of the track
+        + zero of the track
 
 z_i plays, n = 1 .. 4; x_jn friction states that forget exponentially with the way the drive went,
 
     dx/dt = d(u^n)/dt - |du/dt| x / r,
 
-f_j powers of the first and their products with the drive; s_k states that switch about fields of
-their own; and, where that beats every effect, one Bouc-Wen state of free parameters, because its
-small loops do not close. Plays with powers of their states are Preisach operators in play form;
-friction states are Dahl's, and with the powers of the drive those of walls drawn to a curved
-anhysteretic; switching states are Duhem's; products with the drive let loops change with bias.
-The class is far wider than any model that ships: what it can follow is no evidence of a cause, and
-effects are decided on what it cannot.
+f_j powers of the first and their products with the drive; and, where that beats every effect, one
+Bouc-Wen state of free parameters, because its small loops do not close. Plays with powers of their
+states are Preisach operators in play form; friction states are Dahl's, and with the powers of the
+drive those of walls drawn to a curved anhysteretic; products with the drive let loops change with
+bias. The class is far wider than any model that ships: what it can follow is no evidence of a
+cause, and effects are decided on what it cannot.
 
-Source: Krejci (1996); Dahl (1968); Jiles & Atherton (1986); Duhem (1897); Bouc (1967); a wide
-class of nulls, Box (1980).
+Source: Krejci (1996); Dahl (1968); Jiles & Atherton (1986); Bouc (1967); a wide class of nulls,
+Box (1980).
 """
 
 from dataclasses import dataclass

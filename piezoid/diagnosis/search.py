@@ -66,23 +66,9 @@ class Outcome:
     against: str = ""
 
 
-def search(
-    view: View,
-    executor: Executor = SERIAL,
-    *,
-    known: tuple[View, Mapping[str, Fault]] | None = None,
-) -> Outcome:
-    """Find the causes of what the nuisance class cannot follow.
-
-    known  the view without the faults of the data, and these, where they are known: a curve that
-           was taken off the readings hides the converter's lattice, and its edges look like spikes
-    """
-    if known is None:
-        clean, faults, initial = repaired(view, executor)
-    else:
-        clean, faults = known[0], dict(known[1])
-        believed, _, initial = _initialised(clean, executor)
-        clean = with_shared_reversals(clean, believed.nuisance.reversals)
+def search(view: View, executor: Executor = SERIAL) -> Outcome:
+    """Find the causes of what the nuisance class cannot follow."""
+    clean, faults, initial = repaired(view, executor)
     state = select_forward(clean, faults, executor, initial)
     causes, confounded, dismissed = compare_models(state.clean, state.selected, executor)
     final = extended(state.clean, [cause.selected for cause in causes])
@@ -183,7 +169,12 @@ def repaired(
     but  name of a fault that is not looked for
     """
     faults: dict[str, Fault] = {}
-    believed, view, initial = _initialised(view, executor)
+    shared = with_shared_initial_state(view, executor)
+    own = with_own_initial_states(view, shared)
+    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
+    believed = shared if evident else view
+    # a wrong initial state looks like readings that are lost
+    view = own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed
     for effect in every_effect():
         if effect.fault is None or effect.name == but:
             continue
@@ -196,22 +187,5 @@ def repaired(
             if all(a is b for a, b in zip(fault.tracks, view.tracks, strict=True)):
                 break
             view = with_tracks(view, fault.tracks)
-    known = initial if view.tracks == believed.tracks else None
+    known = (shared, own) if view.tracks == own.tracks else None
     return with_shared_reversals(view, believed.nuisance.reversals), faults, known
-
-
-def _initialised(view: View, executor: Executor) -> tuple[View, View, InitialStates]:
-    """Return the view with the believed initial state, with that of each track where it matters.
-
-    The last value are the best shared initial state and that of every track.
-    """
-    shared = with_shared_initial_state(view, executor)
-    own = with_own_initial_states(view, shared)
-    evident = shared.rms < EVIDENT * view.rms and shared_does_as_well(shared, own, view)
-    believed = shared if evident else view
-    # a wrong initial state looks like readings that are lost
-    return (
-        believed,
-        own if own.rms < OTHER_INITIAL_STATES * believed.rms else believed,
-        (shared, own),
-    )

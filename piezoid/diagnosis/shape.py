@@ -3,8 +3,7 @@
     sum_(i, n) c_in z_i^n + (d_i u + e_i u^2) z_i + sum_j f_j(x_j1, u) + g_j2 x_j2 + g_j3 x_j3
 
 z_0 the drive itself, z_i plays, n = 1 .. 4, x_jn friction states of the n-th power of the drive,
-f_j powers of x_j1 up to the third and its products with the drive and its square, s_k states that
-switch about fields of their own, a sum of h_k s_k. A Bouc-Wen state
+f_j powers of x_j1 up to the third and its products with the drive and its square. A Bouc-Wen state
 may stand beside them: its minor loops do not close and may vary with bias.
 
 Source: Bouc (1967); Wen, J. Eng. Mech. Div. 102 (1976); Al Janaideh, Rakheja & Su (2009).
@@ -18,7 +17,6 @@ from piezoid.numerics.arrays import Array
 from piezoid.operators.friction import friction_states
 from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.operators.polynomials import sum_of_polynomials
-from piezoid.operators.switching import switching_states
 
 PLAYS = 18
 POWERS = 4
@@ -33,28 +31,24 @@ RESTS = (2.0, 3.0)  # of which these are the powers of the drive beside the firs
 REACH = np.concatenate([FRICTION, *[PINNING for _ in RESTS]])
 POWER = np.concatenate([np.ones(len(FRICTION)), np.repeat(RESTS, len(PINNING))])
 RUBS = len(FRICTION)
-FIELDS = np.array([0.35, 0.65, 0.95])  # about which walls switch up, and down with a minus
-PASSAGE, SPREAD = 1.8, 0.5  # of these fields: how much a passage switches, and how wide it is
-SWITCHED = len(FIELDS) ** 2
-FORGETFUL = len(REACH) + SWITCHED
-LINEAR = len(REACH) - RUBS + SWITCHED  # states that only their first power stands for
-SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * RUBS + LINEAR
+CURVED = len(REACH) - RUBS
+SHARED = (PLAYS + 1) * POWERS + 2 * PLAYS + 5 * RUBS + CURVED
 BOUC_WEN_COLUMNS = 5
 
 
-def shape_columns(states: Array, forgetful: Array, drive: Array) -> Array:
+def shape_columns(states: Array, friction: Array, drive: Array) -> Array:
     """Return all shared columns at some rows: first powers of the drive and of the plays.
 
-    states     (rows, plays)
-    forgetful  (rows, states)  as ``states_that_forget`` gives them
-    drive      (rows,)
+    states    (rows, plays)
+    friction  (rows, friction states)
+    drive     (rows,)
     """
     columns = np.empty((len(drive), SHARED), order="F")
-    write_shape(columns, states, forgetful, drive)
+    write_shape(columns, states, friction, drive)
     return columns
 
 
-def write_shape(columns: Array, states: Array, forgetful: Array, drive: Array) -> None:
+def write_shape(columns: Array, states: Array, friction: Array, drive: Array) -> None:
     """Write the shared columns where they shall stand: a copy of them costs as much again."""
     plays, u = PLAYS + 1, drive[:, None]
     base = columns[:, :plays]
@@ -68,20 +62,20 @@ def write_shape(columns: Array, states: Array, forgetful: Array, drive: Array) -
         np.multiply(u, lower, out=columns[:, first : first + PLAYS])
         first += PLAYS
     parts = [columns[:, first + RUBS * n : first + RUBS * (n + 1)] for n in range(5)]
-    np.divide(forgetful[:, :RUBS], np.minimum(FRICTION, 1.0), out=parts[0])
+    np.divide(friction[:, :RUBS], np.minimum(FRICTION, 1.0), out=parts[0])
     np.multiply(parts[0], parts[0], out=parts[1])
     np.multiply(parts[1], parts[0], out=parts[2])
     np.multiply(u, parts[0], out=parts[3])
     np.multiply(u, parts[3], out=parts[4])
-    columns[:, SHARED - LINEAR : SHARED] = forgetful[:, RUBS:]
+    columns[:, SHARED - CURVED : SHARED] = friction[:, RUBS:]
 
 
-def shape(states: Array, forgetful: Array, drive: Array, weight: Array) -> Array:
+def shape(states: Array, friction: Array, drive: Array, weight: Array) -> Array:
     """Return ``shape_columns(...) @ weight`` without making the columns, (rows,)."""
     plays = PLAYS + 1
     power = weight[: plays * POWERS].reshape(POWERS, plays)
     bias = weight[plays * POWERS :][: 2 * PLAYS].reshape(2, PLAYS)
-    rub = weight[plays * POWERS + 2 * PLAYS : SHARED - LINEAR].reshape(5, RUBS)
+    rub = weight[plays * POWERS + 2 * PLAYS : SHARED - CURVED].reshape(5, RUBS)
     u = drive
     of_drive = sum_of_polynomials(
         u[:, None], u, scale=np.ones(1), power=power[:, :1], bias=np.zeros((2, 1))
@@ -90,17 +84,17 @@ def shape(states: Array, forgetful: Array, drive: Array, weight: Array) -> Array
         states, u, scale=1.0 / (1.05 - THRESHOLD), power=power[:, 1:], bias=bias
     )
     of_friction = sum_of_polynomials(
-        forgetful[:, :RUBS], u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
+        friction[:, :RUBS], u, scale=1.0 / np.minimum(FRICTION, 1.0), power=rub[:3], bias=rub[3:]
     )
-    linear = forgetful[:, RUBS:] @ weight[SHARED - LINEAR : SHARED]
-    return np.asarray(of_drive + of_plays + of_friction + linear)
+    curved = friction[:, RUBS:] @ weight[SHARED - CURVED : SHARED]
+    return np.asarray(of_drive + of_plays + of_friction + curved)
 
 
 def bias_places() -> tuple[int, ...]:
     """Return which of the shared columns are products with the drive."""
     plays = (PLAYS + 1) * POWERS
     friction = plays + 2 * PLAYS + 3 * RUBS
-    return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED - LINEAR))
+    return (*range(plays, plays + 2 * PLAYS), *range(friction, SHARED - CURVED))
 
 
 def bouc_wen_columns(state: Array, drive: Array) -> Array:
@@ -110,24 +104,15 @@ def bouc_wen_columns(state: Array, drive: Array) -> Array:
     return np.array(columns).T
 
 
-def states_that_forget(drive: Array, first: Array) -> Array:
-    """Return all states that forget gradually along a drive, (samples, states), column-major.
-
-    Friction states come first, those that switch behind them.
-    """
-    states = np.empty((len(drive), FORGETFUL), order="F")
-    friction = len(REACH)
-    states[:, :friction] = friction_states(drive, REACH, first[:friction], power=POWER)
-    states[:, friction:] = switching_states(
-        drive, FIELDS, -FIELDS, first[friction:], passage=PASSAGE, width=SPREAD
-    )
-    return states
+def rubbing(drive: Array, first: Array) -> Array:
+    """Return all friction states along a drive, (samples, states)."""
+    return friction_states(drive, REACH, first, power=POWER)
 
 
-def states_that_forget_after(drive: Array, reversals: Sequence[float]) -> Array:
-    """Return these states after a drive turned at some values before its first sample."""
+def rubbed(drive: Array, reversals: Sequence[float]) -> Array:
+    """Return the friction states after a drive turned at these values before the first sample."""
     way = np.array([*reversals, float(drive[0])])
-    return np.asarray(states_that_forget(way, np.zeros(FORGETFUL))[-1])
+    return np.asarray(rubbing(way, np.zeros(len(REACH)))[-1])
 
 
 BoucWenLaw = tuple[float, float, float, float]

@@ -24,7 +24,6 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.coordinates import Signals, along_displacement
 from piezoid.diagnosis.discovery import (
     SHIFTS,
@@ -52,9 +51,9 @@ CONTROL = (
     "No model of a controller has it. What is in the reading alone the loop will follow, so find "
     "out first whether the stage moves."
 )
-MAINS, CLIPPED, COARSE = "mains_interference", "amplifier_saturation", "quantisation"
+MAINS, CLIPPED = "mains_interference", "amplifier_saturation"
 OF_LINES = ("frequency", "line_phase")
-ABOVE = 1.1  # times the noise: where less is left, nothing is
+ABOVE = 1.1  # times the noise: where less is left, a limit of the amplifier explains a plateau
 SURE = 0.02  # p-value of one coordinate: the least but one of 99 shifts
 UNUSUAL = 0.05  # probability that a healthy stage leaves as much in one coordinate
 CLEARLY = 0.9  # of the error that a cause leaves: what a curve in its place must leave
@@ -147,7 +146,6 @@ class Rest:
     p_value     that a healthy stage leaves as much of it in one coordinate
     coordinate  that explains most of it
     gain        part of its power that this explains, on blocks left out
-    score       of which the p-value is the rank among healthy stages
     """
 
     rms: float
@@ -155,7 +153,6 @@ class Rest:
     p_value: float
     coordinate: str
     gain: float
-    score: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -216,8 +213,8 @@ def explained(view: View, executor: Executor) -> Explained:
 
 def without_names(view: View, outcome: Outcome) -> Explained:
     """Say where the rest lives where the class of model does not apply, and name nothing."""
-    remainder = Remainder.of(outcome.final, ())
-    return Explained(raw=view, outcome=outcome, unexplained=rest_of(remainder, ()))
+    lives = everywhere(Remainder.of(outcome.final, ()))
+    return Explained(raw=view, outcome=outcome, unexplained=rest_of(outcome, lives))
 
 
 def with_something_else(view: View, first: Outcome, executor: Executor) -> Explained:
@@ -229,11 +226,11 @@ def with_something_else(view: View, first: Outcome, executor: Executor) -> Expla
     executor.report("asking where the rest lives")
     remainder = Remainder.of(first.final, tangents_of(first, first.final))
     lives = everywhere(remainder)
-    plain = Explained(raw=view, outcome=first, unexplained=rest_of(remainder, first.causes, lives))
+    plain = Explained(raw=view, outcome=first, unexplained=rest_of(first, lives))
     best, least = plain, BETTER * first.final.rms
     for found in _sought(remainder, lives, first):
         executor.report("searching again without it")
-        again = _searched_without(found, first, executor)
+        again = search(without(view, found), executor)
         if again.final.rms < least:
             least = again.final.rms
             best = replace(plain, outcome=again, discovered=found, otherwise=plain)
@@ -247,38 +244,22 @@ def _sought(
     end = _beyond_range(first)
     if end is not None:
         yield end
-    curve = _instead(first) or _named(remainder, lives, first, first.causes)
+    curve = _instead(first) or _named(remainder, lives, first)
     if curve is not None:
         yield curve
 
 
-def _searched_without(found: Discovered, first: Outcome, executor: Executor) -> Outcome:
-    """Search readings less a curve; faults of the data are those that were found beside it.
+def without(view: View, found: Discovered) -> View:
+    """Return the view of readings less a curve.
 
     Beyond the end of the sensor's range nothing was measured, and those rows are left out.
     """
-    lowered: dict[tuple[int, int], Track] = {}
-
-    def less(tracks: Sequence[Track]) -> tuple[Track, ...]:
-        for k, (track, curve) in enumerate(zip(tracks, found.curve, strict=True)):
-            if (k, id(track)) not in lowered:  # what a repair left alone stays the same track
-                kept = ~_beyond(found, curve)[track.place]
-                lowered[k, id(track)] = replace(
-                    track,
-                    response=track.response - curve,
-                    place=track.place[kept],
-                    block=track.block[kept],
-                )
-        return tuple(lowered[k, id(track)] for k, track in enumerate(tracks))
-
-    return search(
-        with_tracks(first.first, less(first.first.tracks)),
-        executor,
-        known=(
-            with_tracks(first.clean, less(first.clean.tracks)),
-            {n: replace(fault, tracks=less(fault.tracks)) for n, fault in first.faults.items()},
-        ),
-    )
+    tracks = []
+    for track, one in zip(view.tracks, found.curve, strict=True):
+        kept = ~_beyond(found, one)[track.place]
+        place, block = track.place[kept], track.block[kept]
+        tracks.append(replace(track, response=track.response - one, place=place, block=block))
+    return with_tracks(view, tracks)
 
 
 def with_it(view: View, found: Discovered) -> View:
@@ -306,43 +287,21 @@ def tangents_of(outcome: Outcome, view: View, but: str = "") -> list[Array]:
 
 
 def _named(
-    remainder: Remainder,
-    lives: Sequence[CoordinateScore],
-    outcome: Outcome,
-    beside: Sequence[Candidate],
+    remainder: Remainder, lives: Sequence[CoordinateScore], outcome: Outcome
 ) -> Discovered | None:
-    """Return the coordinate that surely explains more than healthy stages leave, if one does.
-
-    beside  causes that are at work
-    """
+    """Return the coordinate that surely explains more than healthy stages leave, if one does."""
     hum = MAINS in {cause.effect.name for cause in outcome.causes}
     for one in lives:
-        if one.coordinate == "reading" and _is_of_converter(one, outcome):
-            continue
         if hum and one.coordinate in OF_LINES and of_grid(one.basis.per_unit):
             continue  # a phase that wanders, or harmonics that die out, faster than allowed for
-        chance = chance_of(_score(remainder, one, beside))
-        if one.p_value <= SURE and chance <= UNUSUAL:
-            return _discovered(remainder, one, chance)
+        if one.p_value <= SURE and _chance(remainder, one) <= UNUSUAL:
+            return _discovered(remainder, one)
     return None
 
 
-def _is_of_converter(lives: CoordinateScore, outcome: Outcome) -> bool:
-    """Tell whether a wave along the reading is the saw that a named lattice of readings makes."""
-    lattice = outcome.faults.get(COARSE)
-    if lattice is None or not lives.basis.per_unit:
-        return False
-    step = 1e-9 * lattice.value / outcome.first.stroke_m
-    order = round(lives.basis.per_unit * step)
-    # A period is told to a part of a cycle of all that the reading has covered.
-    range_covered = max(float(np.ptp(static)) for static in outcome.final.static)
-    return order > 0 and abs(lives.basis.per_unit - order / step) * range_covered < 1.0
-
-
-def _score(remainder: Remainder, lives: CoordinateScore, causes: Sequence[Candidate]) -> float:
-    """Return how much of a remainder lives in one coordinate, beside the noise and its causes."""
-    doubt = sqrt(sum((2.0 * cause.share * cause.effect.model_error) ** 2 for cause in causes))
-    return score_of(lives.gain, remainder.null.rms, remainder.view.noise, doubt)
+def _chance(remainder: Remainder, lives: CoordinateScore) -> float:
+    """Return the probability that a healthy stage leaves as much in one coordinate."""
+    return chance_of(score_of(lives.gain, remainder.null.rms, remainder.view.noise))
 
 
 def _share(remainder: Remainder, gain: float) -> float:
@@ -357,7 +316,7 @@ def _above(power: float, noise: float, gain: float) -> float:
     return max(power - min(noise, (1.0 - gain) * power), 0.0)
 
 
-def _discovered(remainder: Remainder, lives: CoordinateScore, chance: float) -> Discovered:
+def _discovered(remainder: Remainder, lives: CoordinateScore) -> Discovered:
     """Return the curve once more, with what tangents would have taken of it."""
     whole = Remainder.of(remainder.view, ())
     if lives.coordinate == "time":
@@ -370,7 +329,7 @@ def _discovered(remainder: Remainder, lives: CoordinateScore, chance: float) -> 
         share=_share(remainder, lives.gain),
         left=whole.left,
         view=whole.view,
-        chance=chance,
+        chance=_chance(remainder, lives),
     )
 
 
@@ -429,8 +388,7 @@ def _instead(outcome: Outcome) -> Discovered | None:
             continue
         tangents = tangents_of(outcome, cause.without, cause.effect.name)
         remainder = Remainder.of(cause.without, tangents)
-        others = [other for other in outcome.causes if other is not cause]
-        found = _named(remainder, everywhere(remainder), outcome, others)
+        found = _named(remainder, everywhere(remainder), outcome)
         if found is None:
             continue
         left = remainder.null.rms * sqrt(max(1.0 - found.lives.gain, 0.0)) / cause.cv.rms
@@ -439,23 +397,15 @@ def _instead(outcome: Outcome) -> Discovered | None:
     return best
 
 
-def rest_of(
-    remainder: Remainder, causes: Sequence[Candidate], lives: Sequence[CoordinateScore] = ()
-) -> Rest:
-    """Return how much is left, how often healthy stages leave as much, and where it lives.
-
-    causes  that are at work
-    lives   what ``everywhere`` says of the remainder, where that is known already
-    """
-    final, lives = remainder.view, lives or everywhere(remainder)
+def rest_of(outcome: Outcome, lives: Sequence[CoordinateScore]) -> Rest:
+    """Return how much is left, how often healthy stages leave as much, and where it lives."""
+    final = outcome.final
     known = max((one.gain for one in lives if one.p_value <= SURE), default=0.0)
     above = _above(final.rms**2, final.noise**2, min(known, 1.0))
-    score = _score(remainder, lives[0], causes)
     return Rest(
         rms=sqrt(above),
         share=above / max(final.rms**2, 1e-300),
-        p_value=chance_of(score),
+        p_value=chance_of(score_of(lives[0].gain, final.rms, final.noise)),
         coordinate=lives[0].coordinate,
         gain=float(np.clip(lives[0].gain, 0.0, 1.0)),
-        score=score,
     )

@@ -50,12 +50,6 @@ _SIGNATURES: dict[str, tuple[type, ...]] = {
         *(_DOUBLE, _SIZE),
         *[_POINTER] * 4,
     ),
-    "pk_switching": (
-        *(_SIZE, _POINTER),
-        *(_SIZE, _POINTER) * 2,
-        *[_DOUBLE] * 2,
-        *(_POINTER, _SIZE, _POINTER),
-    ),
     "pk_friction": (_SIZE, _POINTER, _SIZE, *[_POINTER] * 4, _SIZE, _POINTER),
     "pk_polynomials": (_SIZE, _POINTER, _SIZE, _SIZE, *[_POINTER] * 5),
     "pk_activated": (_SIZE, _POINTER, _DOUBLE, _DOUBLE, _POINTER),

@@ -199,51 +199,6 @@ void pk_friction(size_t samples, const double *input, size_t states, const doubl
     }
 }
 
-/* What a state keeps of its distance from its rest while the input passes a field. */
-static void passing(size_t samples, const double *input, double before, double field,
-                    double passage, double width, double *kept) {
-    double from = erf((before - field) / width);
-    for (size_t k = 0; k < samples; ++k) {
-        const double to = erf((input[k] - field) / width);
-        kept[k] = exp(-0.5 * passage * fabs(to - from));
-        from = to;
-    }
-}
-
-/* One switching state along some samples. */
-static double switched(size_t samples, const double *input, double before, double x,
-                       const double *rising, const double *falling, double *own) {
-    for (size_t k = 0; k < samples; ++k) {
-        if (input[k] > before) {
-            x = 1.0 + (x - 1.0) * rising[k];
-        } else if (input[k] < before) {
-            x = -1.0 + (x + 1.0) * falling[k];
-        }
-        own[k] = x;
-        before = input[k];
-    }
-    return x;
-}
-
-void pk_switching(size_t samples, const double *input, size_t rising, const double *up,
-                  size_t falling, const double *down, double passage, double width, double *state,
-                  size_t stride, double *column) {
-    double kept[PK_FIELDS][RUN];
-    for (size_t first = 0; first < samples; first += RUN) {
-        const size_t count = samples - first < RUN ? samples - first : RUN;
-        const double *given = input + first, before = first > 0 ? input[first - 1] : input[0];
-        for (size_t i = 0; i < rising + falling; ++i) {
-            const double field = i < rising ? up[i] : down[i - rising];
-            passing(count, given, before, field, passage, width, kept[i]);
-        }
-        for (size_t j = 0; j < rising * falling; ++j) {
-            const double *rise = kept[j / falling], *fall = kept[rising + j % falling];
-            double *own = column + j * stride + first;
-            state[j] = switched(count, given, before, state[j], rise, fall, own);
-        }
-    }
-}
-
 WIDER
 void pk_polynomials(size_t samples, const double *input, size_t columns, size_t stride,
                     const double *column, const double *scale, const double *power,

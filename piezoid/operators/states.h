@@ -3,8 +3,8 @@
  *
  * Nothing is allocated, nothing is kept. A function without a state among its arguments begins at
  * its first sample. Where the first sample is where a state already stands (pk_bouc_wen,
- * pk_friction, pk_switching), a signal may be cut with that sample in both parts; pk_first_order
- * may be cut anywhere.
+ * pk_friction), a signal may be cut with that sample in both parts; pk_first_order may be cut
+ * anywhere.
  */
 #ifndef PIEZOID_STATES_H
 #define PIEZOID_STATES_H
@@ -65,21 +65,6 @@ void pk_lasting_extremes(size_t samples, const double *input, size_t first, size
 void pk_friction(size_t samples, const double *input, size_t states, const double *reach,
                  const double *power, const double *place, double *state, size_t stride,
                  double *column);
-
-/* Switching states: each is drawn to 1 while the input rises past one field and to -1 while it
- * falls past another,
- *   dx = (1 - x) dF_i  rising,   dx = (1 + x) dG_j  falling,
- *   F_i = passage / 2 erf((u - up_i) / width),   G_j likewise with down_j
- *   over a straight part  x[k] = s + (x[k-1] - s) exp(-|F[k] - F[k-1]|),   s = sgn(du)
- *   up (rising,)  down (falling,)  fields, at most PK_FIELDS in all; state and column i, j is
- *   falling * i + j
- *   state  (rising * falling,)           in/out: at the first sample, then at the last one
- *   column (rising * falling, stride)    out
- */
-enum { PK_FIELDS = 8 };
-void pk_switching(size_t samples, const double *input, size_t rising, const double *up,
-                  size_t falling, const double *down, double passage, double width, double *state,
-                  size_t stride, double *column);
 
 /* Add a polynomial of every column, whose first coefficient goes with the input u:
  *   output += sum_i z (c_i1 + u a_i + u^2 b_i + z (c_i2 + z (c_i3 + z c_i4))),  z = column_i

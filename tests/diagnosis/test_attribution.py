@@ -61,7 +61,7 @@ def test_a_model_is_returned_with_what_a_search_came_to() -> None:
         effect=delay.EFFECT, parameters={"delay_s": 1.3 * DELAY_s}, free={"delay_s": 1.5}
     )
     outcome = outcome_of(recordings, late)
-    rest = Rest(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0, score=0.0)
+    rest = Rest(rms=0.0, share=0.0, p_value=1.0, coordinate="", gain=0.0)
     numbers = attributed(
         Explained(raw=outcome.first, outcome=outcome, unexplained=rest),
         recordings,

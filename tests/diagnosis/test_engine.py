@@ -17,7 +17,7 @@ from piezoid.diagnosis.initial_state_search import (
 )
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
-from piezoid.diagnosis.shape import FORGETFUL, PLAYS, SHARED, shape, shape_columns
+from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.view import View, cycled
 from piezoid.identification.hysteresis.filters import later
@@ -42,7 +42,7 @@ def late_view() -> View:
 
 def test_the_response_without_columns_is_the_response_with_them():
     chance = np.random.default_rng(1)
-    states, rubs = chance.normal(size=(50, PLAYS)), chance.normal(size=(50, FORGETFUL))
+    states, rubs = chance.normal(size=(50, PLAYS)), chance.normal(size=(50, len(REACH)))
     drive, weight = chance.normal(size=50), chance.normal(size=SHARED)
     expected = shape_columns(states, rubs, drive) @ weight
     np.testing.assert_allclose(shape(states, rubs, drive, weight), expected, rtol=1e-10, atol=1e-9)
@@ -106,7 +106,7 @@ def test_one_bouc_wen_state_follows_a_bouc_wen_ceramic_to_its_noise():
     recordings, lab = recorded(campaign)
     view = view_of_recordings(recordings, lab)
     noise = campaign.answer.noise_rms_m / view.stroke_m
-    assert view.rms > 1.5 * noise
+    assert view.rms > 2.0 * noise
     assert with_best_bouc_wen(view).rms < 1.4 * noise
 
 

@@ -48,10 +48,6 @@ def test_what_a_coordinate_explains_is_no_noise() -> None:
     assert score_of(0.99, 1.0, 1.0) == pytest.approx(99.0)
 
 
-def test_what_the_laws_of_causes_may_be_wrong_by_counts_as_noise_does() -> None:
-    assert score_of(0.9, 5.0, 1.0, doubt=2.0) == pytest.approx(22.5 / 5.0)
-
-
 @pytest.mark.parametrize("kind", ["scores", "strengths"])
 def test_the_table_holds_healthy_stages_of_every_law(kind) -> None:
     scores = table(kind)

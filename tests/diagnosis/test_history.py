@@ -8,14 +8,7 @@ import pytest
 from piezoid.diagnosis.history import CHUNK, History, states_at
 from piezoid.diagnosis.initial_states import memory_after
 from piezoid.diagnosis.nuisance import KEPT, MEMORY, NuisanceClass
-from piezoid.diagnosis.shape import (
-    SHARED,
-    THRESHOLD,
-    shape_columns,
-    states_that_forget,
-    states_that_forget_after,
-    states_under,
-)
+from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape_columns, states_under
 from piezoid.diagnosis.tracks import Track
 from piezoid.diagnosis.view import with_commands, with_free_memory, with_reversals, with_tracks
 from piezoid.operators.play import play_columns, way_to
@@ -49,7 +42,7 @@ def track(drive: np.ndarray) -> Track:
 
 def every_state(drive: np.ndarray, reversals: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
     plays, _ = play_columns(drive, THRESHOLD, memory_after(drive, reversals))
-    return plays, states_that_forget(drive, states_that_forget_after(drive, reversals))
+    return plays, rubbing(drive, rubbed(drive, reversals))
 
 
 @pytest.mark.parametrize("reversals", RANDOM_HYPOTHESES)

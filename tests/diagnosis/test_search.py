@@ -44,7 +44,7 @@ DRIFT = 10.0 * NOISE * np.sqrt(3.0)  # of the stroke, at either end: ten times t
 
 
 def nearly_cycled(_: float) -> tuple[float, float]:
-    return (-1.0, 0.7)
+    return (-1.0, 0.85)
 
 
 def drifting() -> tuple[Recording, ...]:
@@ -113,7 +113,7 @@ def test_structure_is_named_where_hardly_anything_else_is_left(gain, else_left, 
 def test_structure_is_no_name_where_much_else_is_left_and_may_be_what_causes_are() -> None:
     """A gain that wobbles leaves more than this memory, and the class that leaves it is none."""
     stage = recordings_after(cycled, nearly_cycled, cycled)
-    wrong = map(with_another_axis, creeping(wobbling(stage, 0.01), 0.01))
+    wrong = map(with_another_axis, creeping(wobbling(stage, 0.006), 0.01))
     coupled = tuple(cross_coupling.EFFECT.inject(one, 0.004) for one in wrong)
     found = search.search(view_of_recordings(coupled, Lab()))
     assert [cause.effect.name for cause in found.causes] == ["cross_coupling", "creep"]

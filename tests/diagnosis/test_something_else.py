@@ -15,8 +15,6 @@ import numpy as np
 import pytest
 
 from benchmarks.goldens import artefacts_of
-from benchmarks.zoo.stages import drawn
-from benchmarks.zoo.stages import stage as stage_of_zoo
 from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
@@ -120,15 +118,6 @@ def test_what_healthy_stages_leave_as_often_is_nothing_else():
     assert found.unexplained is not None
     assert found.unexplained.p_value > 0.05
     assert NAME not in found.names
-
-
-def test_a_coarse_converter_is_named_beside_what_its_readings_hold_besides():
-    """Less a curve they are on no lattice any more, and the converter has steps all the same."""
-    recordings, lab = recorded(drawn(stage_of_zoo("bouc_wen", "pair", 0, 3_500_000)))
-    found = diagnose(recordings, lab=lab)
-    assert set(found.names) == {"quantisation", NAME}
-    converter = next(f for f in found.findings if f.effect == "quantisation")
-    assert converter.size.value == pytest.approx(423.2, rel=0.01)
 
 
 @pytest.mark.parametrize("effect", ["mains_interference"])

@@ -11,7 +11,7 @@ from piezoid.diagnosis.effects import non_congruence
 from piezoid.diagnosis.folds import Null
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.search import search
-from piezoid.diagnosis.shape import LINEAR, SHARED, SWITCHED
+from piezoid.diagnosis.shape import CURVED, SHARED
 from piezoid.diagnosis.view import View, with_bouc_wen, with_tracks
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
@@ -28,18 +28,10 @@ def sound_stage(truth: str, seed: int) -> View:
 @pytest.mark.parametrize("seed", [1, 3])
 def test_walls_drawn_to_a_curved_rest_are_followed_to_the_noise_and_open_by_nothing(seed) -> None:
     view = sound_stage("wall_pinning", seed)
-    straight = np.delete(view.null.every, range(SHARED - LINEAR, SHARED), axis=1)
+    straight = np.delete(view.null.every, range(SHARED - CURVED, SHARED), axis=1)
     assert view.rms < 1.1 * view.noise
     assert Null(columns=straight, response=view.response, block=view.block).rms > 1.14 * view.noise
     assert abs(float(score_test(non_congruence.EFFECT, view).cv.coefficient[0])) < 0.05
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_walls_that_switch_about_fields_of_their_own_are_followed_by_states_that_do(seed) -> None:
-    view = sound_stage("duhem", seed)
-    without = np.delete(view.null.every, range(SHARED - SWITCHED, SHARED), axis=1)
-    left = Null(columns=without, response=view.response, block=view.block).rms
-    assert view.rms < 0.6 * left
 
 
 @pytest.mark.parametrize("seed", [3, 17])
@@ -66,7 +58,7 @@ def test_a_bouc_wen_ceramic_behind_a_bent_scale_is_followed_by_a_bent_state_only
     *law, bend = bent.nuisance.bouc_wen
     assert abs(bend) > 0.1
     assert bent.rms < 1.1 * bent.noise
-    assert with_bouc_wen(bent, (*law, 0.0)).rms > 1.15 * bent.noise
+    assert with_bouc_wen(bent, (*law, 0.0)).rms > 1.2 * bent.noise
 
 
 def test_columns_behind_the_others_and_products_that_are_known_change_nothing() -> None:
