@@ -35,6 +35,7 @@ from piezoid.numerics.executor import on_one_thread
 from piezoid.records import lab as laboratory
 from piezoid.records.collection import Collection, collect
 from piezoid.records.comparison import refuse_misfits
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.table import RawTable
@@ -87,12 +88,14 @@ def fit(
     *,
     lab: Lab | Place | None = None,
     sweeps: Sequence[RawTable] = (),
+    responses: Sequence[FrequencyResponseRecord] = (),
     progress: Progress = None,
 ) -> ActuatorModel:
     """Fit hysteresis and dynamics of every axis, and the junction of a tunnelling tip.
 
     recordings  one or more of one stage
     sweeps      tables of the current over the height; a Collection brings its own
+    responses   measured frequency responses; a Collection brings its own
 
     Raises ``RecordingError`` for two of one name, ``ExcitationError`` where nothing can be
     fitted. A model that does not apply is returned, and ``applies`` is False.
@@ -106,6 +109,7 @@ def fit(
         held.recordings,
         lab=_lab(lab),
         sweeps=(*held.sweeps, *sweeps),
+        responses=(*held.responses, *responses),
         progress=_told(progress),
     )
 
@@ -420,6 +424,7 @@ def report(
         unshipped=unshipped,
         files=files,
         lab=_lab(lab),
+        responses=held.responses,
     )
     return page
 

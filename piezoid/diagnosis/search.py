@@ -32,8 +32,7 @@ from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
 from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.readable import words
 
-CLEARLY = 0.2  # of the error: what structure takes off that nothing else here looks like,
-MOST = 0.65  # and of what is no noise, in power
+MOST = 0.65  # of what is no noise, in power: what structure takes off that nothing else looks like
 MOST_REPAIRS = 3
 EVIDENT = 0.5  # of the error: what a shared initial state leaves that is beyond doubt
 
@@ -144,8 +143,7 @@ def _with_structure(outcome: Outcome, executor: Executor) -> Outcome:
 
 def stands(structure: Candidate, final: View) -> bool:
     """Tell whether structure may be named: what a class that does not fit leaves looks like it."""
-    gain = structure.cv.gain
-    clear = gain > CLEARLY and part_explained(gain, final.rms, final.noise) > MOST
+    clear = part_explained(structure.cv.gain, final.rms, final.noise) > MOST
     own = structure.effect.structural
     return clear or own is None or final.rms < own.largest_noise_ratio * final.noise
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from piezoid import design, fit, read
+from piezoid import design, fit, read, report
 from piezoid.export.parameter_file import from_json
-from piezoid.identification.store import read_model
+from piezoid.identification.store import read_model, write_model
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import cascade, first_order, resonance, sample
 from piezoid.operators.play import play_columns
@@ -109,6 +109,21 @@ def test_the_report_draws_the_response_and_draws_it_again(folder: Path) -> None:
     done = piezoid("report", "stage", "sweep.csv", "response.csv", place=folder)
     assert done.returncode == 0, done.stderr
     assert (folder / "stage" / "report.html").read_text() == page
+
+
+@pytest.mark.usefixtures("fitted")
+def test_a_notebook_takes_the_response_as_the_command_line_does(folder: Path) -> None:
+    lab = folder / "lab.toml"
+    held = read(folder / "sweep.csv", folder / "response.csv", lab=lab)
+    model = fit(held, lab=lab)
+    (here,), (there,) = (
+        json.loads(content)["axes"].values()
+        for content in (write_model(model), (folder / "stage" / "model.json").read_bytes())
+    )
+    for part in ("dynamics", "response", "hysteresis"):
+        assert here[part] == there[part]
+    assert fit(held[0], responses=held.responses, lab=lab).axes["x"].response is not None
+    assert "gain as measured, response.csv" in report(model, held, lab=lab)
 
 
 @pytest.mark.usefixtures("fitted")
