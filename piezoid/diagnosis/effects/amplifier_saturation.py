@@ -88,13 +88,18 @@ def inject(recording: Recording, share: float) -> Recording:
 
 
 def extend(found: Found, setting: Setting) -> tuple[Extension, ...]:
-    """Return the part of the model that begins where a search found it."""
+    """Return the part of the model that begins where a search found it.
+
+    A limit that no drive came to, all of which lie between -1 and 1, is not in the data.
+    """
     level_V = {
-        f"{side}_V": setting.voltage_offset_V + setting.voltage_V * found.parameters[side]
+        side: setting.voltage_offset_V + setting.voltage_V * found.parameters[side]
         for side in ("low", "high")
-        if side in found.parameters
+        if abs(found.parameters.get(side, np.inf)) < 1.0
     }
-    return (AmplifierLimits(low_V=level_V.get("low_V"), high_V=level_V.get("high_V")),)
+    if not level_V:
+        return ()
+    return (AmplifierLimits(low_V=level_V.get("low"), high_V=level_V.get("high")),)
 
 
 EFFECT = Effect(

@@ -32,8 +32,7 @@ class PeriodicError(Extension):
         within("wavelength_m", self.wavelength_m, 1e-12, 1.0)
         if len(self.cosine_m) != len(self.sine_m) or not self.cosine_m:
             raise ValueError(f"{len(self.cosine_m)} cosines, {len(self.sine_m)} sines")
-        orders = np.arange(1, len(self.cosine_m) + 1)
-        within("steepness", float(orders @ self.amplitude_m), 0.0, LARGEST * self.wavelength_m)
+        within("steepness", float(_orders(self.cosine_m) @ self.amplitude_m), 0.0, LARGEST * self.wavelength_m)
 
     @property
     def amplitude_m(self) -> Array:
@@ -53,18 +52,26 @@ class PeriodicError(Extension):
         return LoopEffect(reading_m=float(self.amplitude_m.sum()))
 
     def free(self) -> Free:
-        """Return wavelength and amplitudes."""
+        """Return wavelength and amplitudes: each as large as it may be beside no other."""
         value = (self.wavelength_m, *self.cosine_m, *self.sine_m)
-        most = LARGEST * self.wavelength_m / (2.0 * len(self.cosine_m) ** 2)
-        lower = (0.99 * self.wavelength_m, *[-most] * (len(value) - 1))
-        upper = (1.01 * self.wavelength_m, *[most] * (len(value) - 1))
+        most = LARGEST * self.wavelength_m / np.tile(_orders(self.cosine_m), 2)
+        lower = (0.99 * self.wavelength_m, *-most)
+        upper = (1.01 * self.wavelength_m, *most)
         steps = (1e-6 * self.wavelength_m, *[1e-5 * self.wavelength_m] * (len(value) - 1))
         return free(value, lower, upper, steps)
 
     def moved_to(self, value: Array) -> Self:
-        """Return another wavelength and other amplitudes."""
-        wavelength_m, *rest = value.tolist()
-        orders = len(self.cosine_m)
+        """Return another wavelength and other amplitudes, the steepest that it may be at most."""
+        wavelength_m, amplitudes_m = float(value[0]), value[1:].reshape(2, -1)
+        steepness_m = float(_orders(self.cosine_m) @ np.hypot(*amplitudes_m))
+        allowed_m = (1.0 - 1e-12) * LARGEST * wavelength_m
+        cosine_m, sine_m = amplitudes_m * min(1.0, allowed_m / max(steepness_m, 1e-300))
         return type(self)(
-            wavelength_m=wavelength_m, cosine_m=tuple(rest[:orders]), sine_m=tuple(rest[orders:])
+            wavelength_m=wavelength_m,
+            cosine_m=tuple(cosine_m.tolist()),
+            sine_m=tuple(sine_m.tolist()),
         )
+
+
+def _orders(amplitude_m: tuple[float, ...]) -> Array:
+    return np.arange(1.0, len(amplitude_m) + 1.0)
