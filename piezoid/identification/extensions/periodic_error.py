@@ -32,7 +32,8 @@ class PeriodicError(Extension):
         within("wavelength_m", self.wavelength_m, 1e-12, 1.0)
         if len(self.cosine_m) != len(self.sine_m) or not self.cosine_m:
             raise ValueError(f"{len(self.cosine_m)} cosines, {len(self.sine_m)} sines")
-        within("steepness", float(_orders(self.cosine_m) @ self.amplitude_m), 0.0, LARGEST * self.wavelength_m)
+        steepness_m = float(_orders(self.cosine_m) @ self.amplitude_m)
+        within("steepness", steepness_m, 0.0, LARGEST * self.wavelength_m)
 
     @property
     def amplitude_m(self) -> Array:
