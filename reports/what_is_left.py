@@ -89,20 +89,29 @@ def left_of(found: Diagnosis | None, axis: AxisModel | None = None) -> Left:
 def shape_lacked(found: Diagnosis, axis: AxisModel | None) -> str:
     """Say of a simulation how much of its error a wider class of hysteresis does not make.
 
-    Empty where that class, on the same blocks left out, leaves as much of the power itself; and
-    where speed, size or repetition were never varied, or the class does not apply: then a wide
-    class imitates a lag, a drift, or whatever else the recordings do not tell from a loop.
+    Empty where that class, on the same blocks left out, leaves as much of the power itself; where
+    a zero moves by as much as lies between, which a wide class follows as if it were a loop; and
+    where speed, size or repetition were never varied, or the class does not apply: then it
+    imitates a lag, or whatever else the recordings do not tell from a loop.
     """
     left_m, wide_m = found.final.rms_m, found.envelope_rms_m
     if axis is None or not axis.verdict.applies or axis.quality.limits:
         return ""
     if not wide_m**2 < (1.0 - MOST) * left_m**2:
         return ""
+    if _moved_zero_m2(axis) > MOST * (left_m**2 - wide_m**2):
+        return ""
     return (
         f"where the simulation leaves {told(left_m, 'm')}, the widest class of hysteresis leaves "
         f"{told(wide_m, 'm')}; between them lie loops of a shape that plays and dead zones do not "
         "have"
     )
+
+
+def _moved_zero_m2(axis: AxisModel) -> float:
+    """Return the power of straight lines from where zeros began to where they ended, m^2."""
+    moved_m2 = [(start.zero_m[-1] - start.zero_m[0]) ** 2 / 12.0 for start in axis.starts]
+    return sum(moved_m2) / max(len(moved_m2), 1)
 
 
 def largest_first(found: Diagnosis) -> tuple[Finding, ...]:

@@ -96,13 +96,16 @@ def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -
 
 
 def test_the_shape_of_the_loops_is_no_cause_where_the_recordings_could_not_tell_it() -> None:
-    """A wide class imitates a lag at one speed, and whatever a refused class does not follow."""
+    """A wide class imitates a lag at one speed, a zero that moves, and what a class refuses."""
     found = replace(diagnosed(), envelope_rms_m=8e-9)
     axis = axis_model()
     one_speed = Limit(lack="speed", reason="there is one speed", most=50)
     narrow = replace(axis, quality=replace(axis.quality, limits=(one_speed,)))
     refused = replace(axis, verdict=ClassVerdict(applies=False, reason="a butterfly"))
     assert shape_lacked(found, axis)
+    for moved_m, is_shape in ((5e-8, True), (1.2e-7, False)):  # a line's rms: 14 and 35 nm
+        starts = tuple(replace(one, zero_m=np.array([0.0, moved_m])) for one in axis.starts)
+        assert bool(shape_lacked(found, replace(axis, starts=starts))) is is_shape
     assert not shape_lacked(found, narrow)
     assert not shape_lacked(found, refused)
     beside = replace(diagnosed(finding("creep")), envelope_rms_m=8e-9)
