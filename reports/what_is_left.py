@@ -6,6 +6,8 @@ is the next experiment, and no other is proposed beside it.
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.effects import effect_named
@@ -109,8 +111,16 @@ def shape_lacked(found: Diagnosis, axis: AxisModel | None) -> str:
 
 
 def _moved_zero_m2(axis: AxisModel) -> float:
-    """Return the power of straight lines from where zeros began to where they ended, m^2."""
-    moved_m2 = [(start.zero_m[-1] - start.zero_m[0]) ** 2 / 12.0 for start in axis.starts]
+    """Return the power of what zeros do during recordings, straight between their knots, m^2."""
+    moved_m2 = []
+    for start in axis.starts:
+        first_m, last_m = start.zero_m[:-1], start.zero_m[1:]
+        if not len(first_m):
+            moved_m2.append(0.0)
+            continue
+        mean_m = float(np.mean(first_m + last_m)) / 2.0
+        square_m2 = float(np.mean(first_m**2 + first_m * last_m + last_m**2)) / 3.0
+        moved_m2.append(square_m2 - mean_m**2)
     return sum(moved_m2) / max(len(moved_m2), 1)
 
 

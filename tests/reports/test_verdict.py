@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Limit
 from piezoid.identification.quality import Verdict as ClassVerdict
 from piezoid.readable import words
@@ -84,12 +85,19 @@ def test_a_diagnosis_that_finds_nothing_is_not_answered_by_what_it_has_already_t
     assert "three speeds" not in page
 
 
+def moving(*zero_m: float) -> AxisModel:
+    """Return an axis whose zeros went through these during every recording."""
+    axis = axis_model()
+    starts = tuple(replace(one, zero_m=np.array(zero_m)) for one in axis.starts)
+    return replace(axis, starts=starts)
+
+
 def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -> None:
     """Error 31.6 nm: a class that leaves less than 22.3 nm makes less than half of its power."""
     for wide_m, is_shape in ((8e-9, True), (30e-9, False)):
         found = replace(diagnosed(), envelope_rms_m=wide_m)
         found = replace(found, final=replace(found.final, rms_m=31.6e-9))
-        page = render(stage_model(axis_model()), [recording()], diagnoses=(found,))
+        page = render(stage_model(moving(0.0)), [recording()], diagnoses=(found,))
         assert ("which lies in the shape of its loops" in _verdict(page)) == is_shape
         assert ("finds no cause" in _verdict(page)) != is_shape
         assert ("the widest class of hysteresis leaves 8.00 nm" in page) == is_shape
@@ -98,14 +106,16 @@ def test_an_error_that_a_wider_class_does_not_make_is_the_shape_of_the_loops() -
 def test_the_shape_of_the_loops_is_no_cause_where_the_recordings_could_not_tell_it() -> None:
     """A wide class imitates a lag at one speed, a zero that moves, and what a class refuses."""
     found = replace(diagnosed(), envelope_rms_m=8e-9)
-    axis = axis_model()
+    axis = moving(0.0)
     one_speed = Limit(lack="speed", reason="there is one speed", most=50)
     narrow = replace(axis, quality=replace(axis.quality, limits=(one_speed,)))
     refused = replace(axis, verdict=ClassVerdict(applies=False, reason="a butterfly"))
     assert shape_lacked(found, axis)
-    for moved_m, is_shape in ((5e-8, True), (1.2e-7, False)):  # a line's rms: 14 and 35 nm
-        starts = tuple(replace(one, zero_m=np.array([0.0, moved_m])) for one in axis.starts)
-        assert bool(shape_lacked(found, replace(axis, starts=starts))) is is_shape
+    # rms of a line 14 and 35 nm, of two lines to and fro as much
+    assert shape_lacked(found, moving(0.0, 5e-8))
+    assert shape_lacked(found, moving(0.0, 5e-8, 0.0))
+    assert not shape_lacked(found, moving(0.0, 1.2e-7))
+    assert not shape_lacked(found, moving(0.0, 1.2e-7, 0.0))
     assert not shape_lacked(found, narrow)
     assert not shape_lacked(found, refused)
     beside = replace(diagnosed(finding("creep")), envelope_rms_m=8e-9)
