@@ -227,3 +227,27 @@ def test_bridged_samples_are_neither_compared_nor_steps_of_a_converter():
     )
     assert not np.isin(view.tracks[0].place, lost).any()
     assert within(quantisation.EFFECT.fault.find(view), 1e9 * step_m)
+
+
+@pytest.mark.parametrize("long", [1, 2, 3])
+def test_a_few_wrong_readings_are_spikes_and_more_side_by_side_are_none(long):
+    spiky = with_added(driven(np.linspace(-0.9, 0.9, 6000)), range(2000, 2000 + long), 0.05)
+    assert found_in(spiky, spiky.drive) == list(range(2000, 2000 + long))
+    for sign in (1.0, -1.0):
+        places = range(2000, 2004 + long)
+        dip = with_added(driven(np.linspace(-0.9, 0.9, 6000)), places, sign * 0.05)
+        assert found_in(dip, dip.drive) == []
+
+
+def test_a_spike_as_high_as_might_hide_is_found_at_most_places_and_a_tenth_of_it_at_none():
+    height = outliers.EFFECT.fault.bound(healthy()) * 2.0 * healthy().stroke_m
+    places = np.linspace(300, 8600, 24).astype(int)
+    found = {}
+    for times in (1.2, 0.1):
+        found[times] = 0
+        for place in places:
+            reading_m = np.array(clean("walk")[2])
+            reading_m[place] += times * height
+            found[times] += outliers.EFFECT.fault.find(view_with(walk=reading_m)) is not None
+    assert found[1.2] > 0.9 * len(places)
+    assert found[0.1] == 0

@@ -5,6 +5,7 @@ import pytest
 
 from piezoid.diagnosis.candidate import judged
 from piezoid.diagnosis.effects import resonance
+from piezoid.diagnosis.extended import SelectedEffect, undisturbed_for
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.signals import mode
@@ -55,3 +56,21 @@ def test_a_sharp_mode_on_a_harmonic_of_the_drive_is_found_at_its_frequency_and_a
     assert one.parameters["frequency_Hz"] == pytest.approx(FREQUENCY_Hz, rel=0.005)
     assert one.parameters["quality"] == pytest.approx(QUALITY, rel=0.3)
     assert there.rms < 0.1 * view.rms
+
+
+def test_what_drives_a_mode_is_told_by_the_recordings_it_leaves_alone() -> None:
+    """Plays that may follow the ringing are off by several times as much there."""
+    view = ringing_view()
+    parameters = {"frequency_Hz": FREQUENCY_Hz, "quality": QUALITY}
+    ringing = SelectedEffect(effect=resonance.EFFECT, parameters=parameters)
+    calm = undisturbed_for(view, [ringing])
+    assert calm.guess is not None
+    drive = view.tracks[2].drive
+    truth, _ = moved(drive, memory_after(cycled, float(drive[0])))
+
+    off = [
+        np.std(truth - np.polyval(np.polyfit(static, truth, 1), static))
+        for static in (calm.guess[2], view.static[2])
+    ]
+    assert off[0] < 0.3 * off[1]
+    assert undisturbed_for(view, []) is view
