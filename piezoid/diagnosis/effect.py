@@ -98,7 +98,8 @@ Filter = Callable[[Array, float, Parameters], Array]  # (signal, rate_Hz, parame
 class Trial:
     """One way in which an effect may be present.
 
-    columns              (rows, columns)  what it would add to the response
+    columns              (rows, columns)  what it would add to the response; zeros: nothing tells
+                         in advance, and it is only put in place where its effect is refitted
     parameters           nonlinear ones, by name with unit
     physical             False: a placebo of the same freedom, to calibrate by
     coefficient_range    of the first coefficient, as physics allows it

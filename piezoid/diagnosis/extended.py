@@ -8,7 +8,7 @@ import numpy as np
 
 from piezoid.diagnosis.effect import Effect, Parameters
 from piezoid.diagnosis.folds import Null
-from piezoid.diagnosis.view import View, with_commands
+from piezoid.diagnosis.view import View, with_let_through
 from piezoid.numerics.arrays import Array
 
 CURVE = 3  # degree
@@ -113,15 +113,13 @@ def driven(clean: View, selected: Sequence[SelectedEffect]) -> View:
 
 
 def _behind_limits(clean: View, limits: Sequence[SelectedEffect]) -> View:
-    commands = []
-    for track in clean.tracks:
-        command = track.command
+    def let_through(command: Array, rate_Hz: float) -> Array:
         for one in limits:
             assert one.effect.drive_filter is not None
-            command = one.effect.drive_filter(command, track.rate_Hz, one.parameters)
-        commands.append(command)
-    same = all(a is b.command for a, b in zip(commands, clean.tracks, strict=True))
-    return clean if same else with_commands(clean, commands)
+            command = one.effect.drive_filter(command, rate_Hz, one.parameters)
+        return command
+
+    return with_let_through(clean, let_through)
 
 
 def offset_of(view: View, selected: Sequence[SelectedEffect]) -> Array:

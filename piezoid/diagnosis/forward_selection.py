@@ -23,7 +23,7 @@ from piezoid.diagnosis.initial_state_search import (
     with_shared_initial_state,
 )
 from piezoid.diagnosis.jumps import modes_behind_jumps
-from piezoid.diagnosis.refinement import initial_guess, refined, refined_together
+from piezoid.diagnosis.refinement import initial_guess, refined, refined_together, stepped
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.slips import slips_in_place
 from piezoid.diagnosis.view import (
@@ -39,6 +39,7 @@ TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted a
 LEAST_GAIN = 0.012  # of the error: tangents err by factors
 NEAR_PLACEBO = 0.9  # times its placebo's gain, below which a refit will not help it
 NEAR = 3.0  # times the least error left: how far a first refit may lie behind to be refined
+ABOUT = (-6, -5, -4, -3, -2, -1, 1, 2, 3, 4, 5, 6)  # steps from a trial to beyond the next
 CLEARLY = 0.98  # of the error that another place leaves, or another effect beside it
 MOST_CAUSES = 5
 SLIP = "timestamp_fault"
@@ -83,7 +84,7 @@ def _refined(
     telling: Sequence[ScoreTest], beside: SelectionContext, executor: Executor
 ) -> list[Candidate]:
     """Return effects with everything refitted, but those that begin far behind the best."""
-    first = [initial_guess(f.effect, f.trial, float(f.cv.coefficient[0])) for f in telling]
+    first = executor.map(lambda found: _beginning(found, beside), telling)
     left = executor.map(lambda one: extended(beside.clean, [*beside.selected, one]).rms, first)
     least = min(left, default=0.0)
 
@@ -99,6 +100,26 @@ def _refined(
         if rms <= NEAR * least
     ]
     return executor.map(refit, near)
+
+
+def _beginning(found: ScoreTest, beside: SelectionContext) -> SelectedEffect:
+    """Return where a refit begins: at the best tangent, or in front of the hysteresis at the best.
+
+    A static response fitted to the command follows a part of what the stage was never given: its
+    tangents lead astray, and the error has a second lowest place where the response makes up for
+    the wrong limit. So there each trial is put in place, and each step about the best of them.
+    """
+    guess = initial_guess(found.effect, found.trial, float(found.cv.coefficient[0]))
+    if found.effect.drive_filter is None or found.effect.trials is None:
+        return guess
+
+    def left(one: SelectedEffect) -> float:
+        return extended(beside.clean, [*beside.selected, one]).rms
+
+    trials = [trial for trial in found.effect.trials(beside.view) if trial.physical]
+    best = min((guess, *(initial_guess(found.effect, trial, 1.0) for trial in trials)), key=left)
+    near = [stepped(best, name, part) for name in best.free for part in ABOUT]
+    return min((best, *near), key=left)
 
 
 def _refined_together(alone: Candidate, beside: SelectionContext, seen: ScoreTest) -> Candidate:

@@ -79,6 +79,11 @@ def drive_change(view: View, passed: Filter, parameters: Parameters) -> Array:
     return np.concatenate(parts)[:, None]
 
 
+def untested(view: View) -> Array:
+    """Return the columns of a trial that no tangent stands for: it is only put in place."""
+    return np.zeros((len(view.response), 1))
+
+
 def with_displacement(recording: Recording, displacement_m: Array) -> Recording:
     """Return a recording of which the displacement reads otherwise."""
     channels = tuple(

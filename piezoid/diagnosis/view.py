@@ -21,6 +21,7 @@ from piezoid.numerics.executor import Once
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.faults import step_size
 
+SLOWLY_Hz = 1e-9  # of turns before a recording: nothing is too fast for what lets them through
 DIGITS = 9  # of half the stroke that count: a step is the same however it was rounded
 
 
@@ -178,15 +179,27 @@ def with_bouc_wen(view: View, bouc_wen: BoucWenLaw | None) -> View:
     return replace(view, nuisance=replace(view.nuisance, bouc_wen=bouc_wen))
 
 
-def with_commands(view: View, commands: Sequence[Array]) -> View:
-    """Return the view with other commands on the same tracks, and nothing selected."""
+def with_let_through(view: View, let_through: Callable[[Array, float], Array]) -> View:
+    """Return the view of what is let through of commands, and nothing selected.
+
+    let_through  (drive, rate_Hz) -> what reaches the stage
+
+    What does not reach the stage did not before a recording either, when all was slow.
+    """
+    commands = [let_through(track.command, track.rate_Hz) for track in view.tracks]
+    if all(a is b.command for a, b in zip(commands, view.tracks, strict=True)):
+        return view
     tracks = tuple(
         track
         if np.array_equal(command, track.command)
         else replace(track, command=command, drive=track.read(command))
         for track, command in zip(view.tracks, commands, strict=True)
     )
-    return with_tracks(view, tracks)
+    before = tuple(
+        tuple(let_through(np.array(reversals), SLOWLY_Hz).tolist()) if reversals else ()
+        for reversals in view.nuisance.reversals
+    )
+    return with_tracks(with_reversals(view, before), tracks)
 
 
 def with_tracks(view: View, tracks: Sequence[Track]) -> View:

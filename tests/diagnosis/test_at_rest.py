@@ -205,3 +205,15 @@ def test_a_small_jump_beside_drift_is_no_jump_and_a_larger_one_is() -> None:
             assert one.seen is not None
             assert one.seen.unit == "s"
             assert one.seen.fitted_m[-1] - one.seen.fitted_m[0] == pytest.approx(jump_m, rel=0.1)
+
+
+def test_sizes_of_a_reading_in_counts_are_counts() -> None:
+    """A count stands where a metre would: 4e-9 of them, not 4."""
+    found = at_rest(4e-9 * np.sin(2.0 * np.pi * 50.0 * TIME_s))
+    (told,), (size,) = (
+        [one.size for one in each.findings]
+        for each in (found, found.told_in_counts(("displacement",)))
+    )
+    assert size.value == pytest.approx(1e-9 * told.value)
+    assert size.ci95 == pytest.approx((1e-9 * told.ci95[0], 1e-9 * told.ci95[1]))
+    assert "nm" not in size.unit

@@ -15,11 +15,13 @@ from scipy.signal import lfilter, lsim
 
 from piezoid import diagnose, fit
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.effects import effect_named
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
+from piezoid.operators.play import play_columns
 from piezoid.records.recording import Recording
 
-from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as, with_another_axis
+from .played import HALF_STROKE_m, memory_after, moved, recorded_as, with_another_axis
 
 RATE_Hz = 500.0
 TIME_s = np.arange(3000) / RATE_Hz
@@ -44,15 +46,21 @@ WITH_TONES = ONE_SPEED | {"tones": TONES / 30.0}
 
 
 def recorded(
-    drives: Mapping[str, Array], read: Reading, *, reaches: Callable[[Array], Array] = np.array
+    drives: Mapping[str, Array],
+    read: Reading,
+    *,
+    reaches: Callable[[Array], Array] = np.array,
+    highest: float = 1.0,
 ) -> tuple[Recording, ...]:
     """Record the stage.
 
     reaches  (drive) -> what reaches the ceramic
+    highest  that did before
     """
     chance, found = np.random.default_rng(1), []
     for name, drive in drives.items():
-        response, _ = moved(reaches(drive), memory_after(cycled, float(drive[0])))
+        first = min(float(drive[0]), highest)
+        response, _ = moved(reaches(drive), memory_after(lambda _: (-1.0, highest), first))
         shown = read(name, drive, response) + NOISE * chance.normal(size=len(drive))
         found.append(recorded_as(name, RATE_Hz, drive, HALF_STROKE_m * shown))
     return tuple(found)
@@ -107,10 +115,15 @@ def coupled() -> tuple[Recording, ...]:
     return tuple(map(with_another_axis, recorded(ONE_SPEED, lambda _, __, x: x + other)))
 
 
+def ended_at(highest: float) -> tuple[Recording, ...]:
+    """Let the supply end at a part of the half range."""
+    return recorded(
+        ONE_SPEED, as_it_is, reaches=lambda drive: np.minimum(drive, highest), highest=highest
+    )
+
+
 STAGES: Mapping[str, Callable[[], tuple[Recording, ...]]] = {
-    "amplifier_saturation": lambda: recorded(
-        ONE_SPEED, as_it_is, reaches=lambda drive: np.minimum(drive, 0.8)
-    ),
+    "amplifier_saturation": lambda: ended_at(0.8),
     "creep": lambda: recorded(ONE_SPEED, crept),
     "cross_coupling": coupled,
     "delay": lambda: recorded(SPEEDS, lambda _, __, x: np.interp(TIME_s - 1.3e-3, TIME_s, x)),
@@ -160,7 +173,7 @@ def test_the_model_is_better_with_its_part(name: str) -> None:
 
 def test_a_supply_that_ends_is_a_limit_at_its_voltage_and_none_where_no_drive_came() -> None:
     part = part_of("amplifier_saturation")
-    assert part.high_V == pytest.approx(9.0, abs=0.01)
+    assert part.high_V == pytest.approx(9.0, abs=0.03)
     assert part.low_V is None
 
 
@@ -225,3 +238,48 @@ def test_a_periodic_error_has_its_wavelength_and_amplitude_however_steep() -> No
 def test_a_slew_limit_is_told_in_volts_for_each_second() -> None:
     part = part_of("slew_limit")
     assert part.limit_V_per_s == pytest.approx(0.03 * 5.0 * RATE_Hz, rel=0.02)
+
+
+@pytest.mark.parametrize("highest", [0.4, 0.0])
+def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past(highest: float) -> None:
+    """Half of the command never comes, nor did it before: all turns are at the end."""
+    recordings = ended_at(highest)
+    found = diagnose(recordings)
+    (finding,) = found.findings
+    assert finding.effect == "amplifier_saturation"
+    top_V = max(float(one.voltage_V().max()) for one in recordings)
+    cut_percent = 100.0 * (top_V - 5.0 - 5.0 * highest) / top_V
+    assert finding.size.ci95[0] < cut_percent < finding.size.ci95[1]
+    assert found.final.rms_m < 1.5 * found.noise_floor_rms_m
+
+
+@pytest.mark.parametrize(
+    ("drives", "limit_V_per_s"), [(SPEEDS, 25.0), (SPEEDS, 12.5), (FASTER | WITH_TONES, 125.0)]
+)
+def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly(
+    drives: Mapping[str, Array], limit_V_per_s: float
+) -> None:
+    """The fastest recording goes against its drive; slow ones say that the ceramic does not."""
+    step = limit_V_per_s / (5.0 * RATE_Hz)
+    found = diagnose(recorded(drives, as_it_is, reaches=lambda drive: slewed(drive, step)))
+    (finding,) = found.findings
+    assert finding.effect == "slew_limit"
+    assert finding.size.value == pytest.approx(limit_V_per_s, rel=2e-3)
+    assert finding.size.ci95[0] < limit_V_per_s < finding.size.ci95[1]
+
+
+def test_without_what_is_known_of_its_past_a_stage_was_cycled_over_its_range() -> None:
+    _, without, _ = known("gain_change")
+    recording = STAGES["gain_change"]()[0]
+    cycled = effect_named("initial_state").without(without, recording)
+    assert cycled is not None
+    assert [start.recording for start in cycled.starts].count(recording.name) == 1
+    (start,) = [start for start in cycled.starts if start.recording == recording.name]
+    first_V = float(recording.voltage_V()[start.first])
+    low_V, high_V = without.voltage_V
+    # up to the top and down to the first value: each play is dragged, or has stayed at the top
+    threshold_V = without.hysteresis.plays.threshold
+    from_centre = np.array([low_V, high_V, first_V]) - without.hysteresis.voltage_offset_V
+    states_V, expected_V = play_columns(from_centre, threshold_V, np.zeros(len(threshold_V)))
+    assert len(states_V) == 3
+    np.testing.assert_allclose(start.memory_V, expected_V, atol=1e-9)

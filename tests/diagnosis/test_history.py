@@ -10,7 +10,12 @@ from piezoid.diagnosis.initial_states import memory_after
 from piezoid.diagnosis.nuisance import KEPT, MEMORY, NuisanceClass
 from piezoid.diagnosis.shape import SHARED, THRESHOLD, rubbed, rubbing, shape_columns, states_under
 from piezoid.diagnosis.tracks import Track
-from piezoid.diagnosis.view import with_commands, with_free_memory, with_reversals, with_tracks
+from piezoid.diagnosis.view import (
+    with_free_memory,
+    with_let_through,
+    with_reversals,
+    with_tracks,
+)
 from piezoid.operators.play import play_columns, way_to
 
 from .bench import healthy_view
@@ -103,7 +108,9 @@ def test_a_recording_too_long_to_keep_its_states_has_the_same_static_response() 
 
 def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
     whole = healthy_view()
-    view = with_commands(whole, [0.5 * track.command for track in whole.tracks])
+    view = with_let_through(
+        whole, lambda command, rate_Hz: command * (1.0 if rate_Hz < 1.0 else 0.5)
+    )
     first = view.nuisance.histories[0]
     assert not np.array_equal(first.states[0], whole.nuisance.histories[0].states[0])
     mended = [replace(track, response=track.response + 1.0) for track in view.tracks]
@@ -111,6 +118,14 @@ def test_states_are_known_again_where_drive_and_past_are_the_same() -> None:
     other = with_reversals(view, ((0.0,),) * len(view.tracks)).nuisance.histories[0]
     assert not np.array_equal(other.states[0], first.states[0])
     assert other.after((0.0,)) is other
+
+
+def test_what_ends_a_drive_ended_it_before_the_recording_as_well() -> None:
+    whole = healthy_view()
+    limited = with_let_through(whole, lambda command, _: np.minimum(command, 0.6))
+    assert limited.nuisance.reversals[0] == (whole.nuisance.reversals[0][0], 0.6)
+    assert max(float(track.drive.max()) for track in limited.tracks) == pytest.approx(0.6)
+    assert with_let_through(whole, lambda command, _: command) is whole
 
 
 def test_branches_lead_from_turns_to_where_the_drive_is_away_from_them() -> None:

@@ -26,7 +26,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
+from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.amplifier_limits import AmplifierLimits
 from piezoid.identification.extensions.extension import Extension
@@ -35,6 +35,8 @@ from piezoid.records.recording import Recording
 
 ALLOWED = (0.4, 1.8)
 DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
+DEEPER = (0.4, 0.6, 0.8, 1.0, 1.2)  # and where a tangent would look like anything
+SHORTEST, STEP = 0.015, 0.06  # a step of the refit, of the depth: seven reach the next depth
 CLIPPED_AT = 0.94  # of the range, about its middle, in a plan
 
 
@@ -48,18 +50,23 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
 def _trials(view: View) -> list[Trial]:
     high = max(float(track.command.max()) for track in view.tracks)
     low = min(float(track.command.min()) for track in view.tracks)
-    ways: list[dict[str, float]] = []
-    for depth in DEPTHS:
-        ways += [{"high": high - depth}, {"low": low + depth}]
-        ways.append({"high": high - depth, "low": low + depth})
+    ways = [
+        (depth, way)
+        for depth in (*DEPTHS, *DEEPER)
+        for way in (
+            {"high": high - depth},
+            {"low": low + depth},
+            {"high": high - depth, "low": low + depth},
+        )
+    ]
     return [
         Trial(
-            columns=drive_change(view, _clip, way),
+            columns=drive_change(view, _clip, way) if depth in DEPTHS else untested(view),
             parameters=way,
             coefficient_range=ALLOWED,
-            free={name: 0.015 for name in way},
+            free=dict.fromkeys(way, max(SHORTEST, STEP * depth)),
         )
-        for way in ways
+        for depth, way in ways
     ]
 
 

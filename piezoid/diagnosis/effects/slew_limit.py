@@ -24,7 +24,7 @@ from piezoid.diagnosis.effect import (
     without_part,
 )
 from piezoid.diagnosis.planning.driven import Driven
-from piezoid.diagnosis.signals import drive_change, stroke_of, with_displacement
+from piezoid.diagnosis.signals import drive_change, stroke_of, untested, with_displacement
 from piezoid.diagnosis.view import View
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.numerics.arrays import Array
@@ -33,6 +33,7 @@ from piezoid.records.recording import Recording
 
 ALLOWED = (0.4, 1.8)
 SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85, 0.92)  # of the fastest drive
+SLOWER = (0.06, 0.09, 0.13, 0.18)  # and where a tangent would look like anything
 QUICK = 0.999  # quantile of the speed: single jumps of a staircase settle nothing
 PLANNED = 0.7  # of the fastest speed along the drive, in a plan
 
@@ -47,16 +48,16 @@ def _trials(view: View) -> list[Trial]:
         float(np.quantile(np.abs(np.diff(track.command)), QUICK)) * track.rate_Hz
         for track in view.tracks
     )
-    ways = [{"limit_per_s": share * fastest} for share in SHARES]
+    ways = [(share, {"limit_per_s": share * fastest}) for share in (*SLOWER, *SHARES)]
     return [
         Trial(
-            columns=drive_change(view, _limited, way),
+            columns=drive_change(view, _limited, way) if share in SHARES else untested(view),
             parameters=way,
             coefficient_range=ALLOWED,
             needs_time=True,
             free={"limit_per_s": 1.12},
         )
-        for way in ways
+        for share, way in ways
     ]
 
 

@@ -27,6 +27,7 @@ WIDE = 0.01  # of the displacement range: a loop worth explaining
 CROSSING = 0.15  # of the widest opening: how far a loop may open the wrong way
 BINS = 20  # of the drive, in each of which the branches are averaged
 BUTTERFLY = 0.25  # of the displacement range: how far both ends stand from an extreme between
+BEYOND = 0.1  # of a drive's range at either end: less is driven over the same range
 TURNING = 0.05  # of the displacement range: how far a branch may turn back
 UNEXPLAINED = 0.08  # of the displacement range: held-out rms of a fit nobody should use
 FOLLOWED = 0.7  # of the rms of the motion: what leaves more follows half of its power at most
@@ -42,15 +43,16 @@ def _loops(piece: Piece) -> tuple[Loop, ...]:
 def reason_in_loops(pieces: Sequence[Piece]) -> str:
     """Return what in the loops themselves, before any fit, rules the class out.
 
-    A material contradicts the class wherever it is driven over its range. A branch that turns back
-    or a loop that opens the wrong way in less than half of the recordings with loops is a fault of
-    those: a clock that slipped, an initial state, creep between levels.
+    A material contradicts the class wherever it is driven over its range. A butterfly where more
+    recordings of as wide a drive show none is what is fast in its own: a slew limit, a long lag. A
+    branch that turns back or a loop that opens the wrong way in less than half of the recordings
+    with loops is a fault of those: a clock that slipped, an initial state, creep between levels.
     """
     against, looped = [], 0
+    butterfly = _butterfly_among(pieces)
+    if butterfly:
+        return butterfly
     for piece in pieces:
-        butterfly = _butterfly(piece)
-        if butterfly:
-            return f"{piece.name}: {butterfly}"
         loops = [loop for loop in _loops(piece) if loop.span > 0.4]
         if loops:
             looped += 1
@@ -60,6 +62,27 @@ def reason_in_loops(pieces: Sequence[Piece]) -> str:
             if reason:
                 against.append(f"{piece.name}: {reason}")
     return against[0] if against and 2 * len(against) >= looped else ""
+
+
+def _butterfly_among(pieces: Sequence[Piece]) -> str:
+    """Return which recording is a butterfly, if half of those driven over its range are."""
+    ranges = [_range_of(piece) for piece in pieces]
+    shapes = [_butterfly(piece) for piece in pieces]
+    for piece, (low, high), butterfly in zip(pieces, ranges, shapes, strict=True):
+        margin = BEYOND * (high - low)
+        alike = [
+            shape
+            for shape, (lowest, highest) in zip(shapes, ranges, strict=True)
+            if lowest <= low + margin and highest >= high - margin
+        ]
+        if butterfly and 2 * sum(map(bool, alike)) >= len(alike):
+            return f"{piece.name}: {butterfly}"
+    return ""
+
+
+def _range_of(piece: Piece) -> tuple[float, float]:
+    drive = piece.drive[piece.first : piece.last]
+    return float(drive.min()), float(drive.max())
 
 
 def _butterfly(piece: Piece) -> str:
