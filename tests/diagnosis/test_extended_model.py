@@ -254,7 +254,13 @@ def test_a_supply_that_ends_far_below_the_command_is_found_with_its_past(highest
 
 
 @pytest.mark.parametrize(
-    ("drives", "limit_V_per_s"), [(SPEEDS, 25.0), (SPEEDS, 12.5), (FASTER | WITH_TONES, 125.0)]
+    ("drives", "limit_V_per_s"),
+    [
+        (SPEEDS, 25.0),
+        (SPEEDS, 12.5),
+        ({name: SPEEDS[name] for name in ("loops", "fast")}, 25.0),
+        (FASTER | WITH_TONES, 125.0),
+    ],
 )
 def test_an_amplifier_many_times_too_slow_is_found_and_is_no_butterfly(
     drives: Mapping[str, Array], limit_V_per_s: float

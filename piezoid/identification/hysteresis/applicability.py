@@ -43,40 +43,42 @@ def _loops(piece: Piece) -> tuple[Loop, ...]:
 def reason_in_loops(pieces: Sequence[Piece]) -> str:
     """Return what in the loops themselves, before any fit, rules the class out.
 
-    A material contradicts the class wherever it is driven over its range. A butterfly where more
-    recordings of as wide a drive show none is what is fast in its own: a slew limit, a long lag. A
+    A material contradicts the class wherever it is driven over its range. What as many recordings
+    over the same range do not show is their own: a fast one's slew limit or long lag. So is a
     branch that turns back or a loop that opens the wrong way in less than half of the recordings
-    with loops is a fault of those: a clock that slipped, an initial state, creep between levels.
+    with loops: a clock that slipped, an initial state, creep between levels.
     """
-    against, looped = [], 0
-    butterfly = _butterfly_among(pieces)
+    butterfly = _of_material(pieces, [_butterfly(piece) for piece in pieces])
     if butterfly:
         return butterfly
+    looped, against = [], []
     for piece in pieces:
         loops = [loop for loop in _loops(piece) if loop.span > 0.4]
         if loops:
-            looped += 1
+            looped.append(piece)
             height = float(np.ptp(piece.response[piece.first : piece.last]))
             noise = white_noise_rms(piece.response)
-            reason = _turning(loops, height, noise) or _crossing(loops, height, noise)
-            if reason:
-                against.append(f"{piece.name}: {reason}")
-    return against[0] if against and 2 * len(against) >= looped else ""
+            against.append(_turning(loops, height, noise) or _crossing(loops, height, noise))
+    if 2 * sum(map(bool, against)) < len(looped):
+        return ""
+    return _of_material(looped, against)
 
 
-def _butterfly_among(pieces: Sequence[Piece]) -> str:
-    """Return which recording is a butterfly, if half of those driven over its range are."""
+def _of_material(pieces: Sequence[Piece], against: Sequence[str]) -> str:
+    """Return the first reason that most recordings over the same range have; empty: none.
+
+    against  (pieces)  reasons, empty where there is none
+    """
     ranges = [_range_of(piece) for piece in pieces]
-    shapes = [_butterfly(piece) for piece in pieces]
-    for piece, (low, high), butterfly in zip(pieces, ranges, shapes, strict=True):
+    for piece, (low, high), reason in zip(pieces, ranges, against, strict=True):
         margin = BEYOND * (high - low)
         alike = [
-            shape
-            for shape, (lowest, highest) in zip(shapes, ranges, strict=True)
+            bool(other)
+            for other, (lowest, highest) in zip(against, ranges, strict=True)
             if lowest <= low + margin and highest >= high - margin
         ]
-        if butterfly and 2 * sum(map(bool, alike)) >= len(alike):
-            return f"{piece.name}: {butterfly}"
+        if reason and 2 * sum(alike) > len(alike):
+            return f"{piece.name}: {reason}"
     return ""
 
 
