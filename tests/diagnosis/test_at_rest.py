@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.diagnose import diagnose
-from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis import Diagnosis, Size
 from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.rest_columns import BLOCKS, held, rest_columns, waves
 from piezoid.numerics.arrays import Array
@@ -217,3 +217,7 @@ def test_sizes_of_a_reading_in_counts_are_counts() -> None:
     assert size.value == pytest.approx(1e-9 * told.value)
     assert size.ci95 == pytest.approx((1e-9 * told.ci95[0], 1e-9 * told.ci95[1]))
     assert "nm" not in size.unit
+    (finding,) = found.findings
+    slope = Size(value=3.0, unit="percent", ci95=(1.0, 5.0))
+    beside = replace(found, findings=(replace(finding, size=slope),))
+    assert beside.told_in_counts(("displacement",)).findings[0].size == slope
