@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from piezoid.diagnosis.effect import Parameters
-from piezoid.diagnosis.effects import lag, slew_limit
+from piezoid.diagnosis.effects import amplifier_saturation, lag, slew_limit
 from piezoid.diagnosis.extended import SETTLED, SelectedEffect, driven, extended
-from piezoid.diagnosis.refinement import refined
+from piezoid.diagnosis.refinement import initial_guess, refined, stepped
 from piezoid.diagnosis.view import View
 from piezoid.numerics.arrays import Array
 
@@ -72,3 +73,21 @@ def test_a_drive_whose_room_another_thread_takes_at_once_is_returned_all_the_sam
     clean = replace(healthy_view())
     vars(clean)["driven"] = TakenAtOnce()
     assert driven(clean, [limited(30.0)]).rms == driven(clean, [limited(30.0)]).rms
+
+
+def test_no_limit_that_is_tried_stops_the_drive_altogether() -> None:
+    """Both ends at once would meet in the middle, and steps go on from there."""
+    view = healthy_view()
+    width = max(float(np.ptp(track.command)) for track in view.tracks)
+    effect = amplifier_saturation.EFFECT
+    assert effect.trials is not None
+    assert effect.drive_filter is not None
+    trials = effect.trials(view)
+    assert any("low" in trial.parameters for trial in trials)
+    for trial in trials:
+        one = initial_guess(effect, trial, 1.0)
+        for name in one.free:
+            for part in (-60.0, -6.0, 0.0, 6.0, 60.0):
+                limits = stepped(one, name, part).parameters
+                left = [effect.drive_filter(t.command, t.rate_Hz, limits) for t in view.tracks]
+                assert max(map(np.ptp, left)) > 0.04 * width

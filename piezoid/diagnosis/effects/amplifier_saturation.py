@@ -36,6 +36,7 @@ from piezoid.records.recording import Recording
 ALLOWED = (0.4, 1.8)
 DEPTHS = (0.01, 0.02, 0.04, 0.07, 0.11, 0.16, 0.24)  # below the end of the drive
 DEEPER = (0.4, 0.6, 0.8, 1.0, 1.2)  # and where a tangent would look like anything
+LEAST = 0.05  # of the drive's range that gets through: less moves no stage that was recorded
 SHORTEST, STEP = 0.015, 0.06  # a step of the refit, of the depth: seven reach the next depth
 CLIPPED_AT = 0.94  # of the range, about its middle, in a plan
 
@@ -50,13 +51,17 @@ def _clip(drive: Array, _: float, parameters: Parameters) -> Array:
 def _trials(view: View) -> list[Trial]:
     high = max(float(track.command.max()) for track in view.tracks)
     low = min(float(track.command.min()) for track in view.tracks)
+    least, middle = LEAST * (high - low), 0.5 * (high + low)
     ways = [
-        (depth, way)
+        (depth, way, limits)
         for depth in (*DEPTHS, *DEEPER)
-        for way in (
-            {"high": high - depth},
-            {"low": low + depth},
-            {"high": high - depth, "low": low + depth},
+        for way, limits in (
+            ({"high": high - depth}, {"high": (low + least, np.inf)}),
+            ({"low": low + depth}, {"low": (-np.inf, high - least)}),
+            (
+                {"high": high - depth, "low": low + depth},
+                {"high": (middle + least, np.inf), "low": (-np.inf, middle - least)},
+            ),
         )
     ]
     return [
@@ -65,8 +70,10 @@ def _trials(view: View) -> list[Trial]:
             parameters=way,
             coefficient_range=ALLOWED,
             free=dict.fromkeys(way, max(SHORTEST, STEP * depth)),
+            limits=limits,
         )
-        for depth, way in ways
+        for depth, way, limits in ways
+        if all(limits[side][0] < level < limits[side][1] for side, level in way.items())
     ]
 
 
