@@ -33,7 +33,7 @@ from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, first_table, next_table, refuse_changed
 from piezoid.numerics.executor import on_one_thread
 from piezoid.records import lab as laboratory
-from piezoid.records.collection import Collection, collect
+from piezoid.records.collection import Collection, collect, collection_of
 from piezoid.records.comparison import refuse_misfits
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
@@ -104,7 +104,7 @@ def fit(
     >>> fitted.applies, fitted["x"].quality.held_out_rms_percent < 1.0
     (True, True)
     """
-    held = _recordings(recordings)
+    held = collection_of(recordings)
     return identification.fit(
         held.recordings,
         lab=_lab(lab),
@@ -140,7 +140,7 @@ def diagnose(
     """
     declared = _lab(lab)
     coupled = None if model is None else model.coupled
-    held = as_single_axes(_recordings(recordings).recordings, declared, coupled)
+    held = as_single_axes(collection_of(recordings).recordings, declared, coupled)
     refuse_misfits(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
     known = None if model is None else _known(model, wanted, held)
@@ -186,7 +186,7 @@ def plan(
         model,
         diagnosis,
         lab=_lab(lab),
-        recordings=_recordings(recordings).recordings,
+        recordings=collection_of(recordings).recordings,
         effect=effect,
         clock_Hz=clock_Hz,
         seed=seed,
@@ -368,18 +368,7 @@ def learn(
         )
     if before is None or period is None:
         return first_table(known, plant, reference_m, parameters=own, gain=gain, sources=sources)
-    refuse_changed(before, reference_m)
-    if before.sources != sources or before.closed_loop != (own is not None):
-        raise ParameterFileError(
-            f"axis {known.axis}: the table was learnt "
-            + (
-                "of another model"
-                if before.sources != sources
-                else f"{'with' if before.closed_loop else 'without'} a controller"
-            ),
-            needed="model and loop of the table that was played",
-            remedy="Pass those, or begin anew without a recorded period.",
-        )
+    refuse_changed(before, reference_m, sources=sources, closed_loop=own is not None)
     return next_table(before, known, plant, period, parameters=own)
 
 
@@ -400,7 +389,7 @@ def report(
     >>> page.startswith("<!DOCTYPE html>")
     True
     """
-    held = _recordings(recordings)
+    held = collection_of(recordings)
     files = {"model.json": write_model(model)}
     if diagnoses:
         files["diagnosis.json"] = write_diagnosis(diagnoses[0], others=diagnoses[1:])
@@ -459,31 +448,12 @@ def _known(model: ActuatorModel, axis: str | None, held: Sequence[Recording]) ->
     return known if own else replace(known, starts=())
 
 
-def _recordings(given: object) -> Collection:
-    """Return recordings as a collection, or refuse what is none."""
-    if isinstance(given, Collection):
-        return given
-    several = (
-        (given,) if isinstance(given, Recording) or not isinstance(given, Iterable) else given
-    )
-    held = tuple(several)
-    for one in held:
-        if not isinstance(one, Recording):
-            raise RecordingError(
-                f"{type(one).__name__} given as a recording",
-                needed="a Recording, what piezoid.read returned, or several of them",
-                remedy="Read files with piezoid.read, arrays with Recording.from_arrays, a data "
-                "frame with Recording.from_frame.",
-            )
-    return Collection(recordings=held)
-
-
 def _collected(given: object, lab: Lab | None) -> Collection:
     if isinstance(given, str | Path):
         return collect([path_of(given)], lab)
     if isinstance(given, list | tuple) and given and isinstance(given[0], str | Path):
         return collect([path_of(one) for one in given], lab)
-    return _recordings(given)
+    return collection_of(given)
 
 
 def _lab(given: object) -> Lab | None:

@@ -247,8 +247,10 @@ def _complex(parts: Array) -> Response | None:
     return parts[:, 0] + 1j * parts[:, 1] if len(parts) else None
 
 
-def refuse_changed(before: Learned, reference_m: ArrayLike) -> None:
-    """Refuse another reference than that of the table, with where it differs most."""
+def refuse_changed(
+    before: Learned, reference_m: ArrayLike, *, sources: Mapping[str, str], closed_loop: bool
+) -> None:
+    """Refuse another reference, model or loop than the table's, with where it differs most."""
     wanted_m = np.asarray(reference_m, dtype=np.float64)
     if wanted_m.shape != before.wanted_m.shape:
         raise RecordingError(
@@ -264,6 +266,14 @@ def refuse_changed(before: Learned, reference_m: ArrayLike) -> None:
             f"{told(float(apart_m.max()), 'm')}, at point {int(np.argmax(apart_m))}",
             needed="the reference that the table was learnt for",
             remedy="Begin anew without --table, or pass the reference of before.",
+        )
+    if before.sources != sources or before.closed_loop != closed_loop:
+        loop = f"{'with' if before.closed_loop else 'without'} a controller"
+        raise ParameterFileError(
+            f"axis {before.axis}: the table was learnt "
+            + ("of another model" if before.sources != sources else loop),
+            needed="model and loop of the table that was played",
+            remedy="Pass those, or begin anew without a recorded period.",
         )
 
 

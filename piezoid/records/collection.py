@@ -56,6 +56,28 @@ class Collection:
         return shown(f"{len(self.recordings)} recordings", rows)
 
 
+def collection_of(given: object) -> Collection:
+    """Return what was passed for recordings as a collection, or refuse what is none.
+
+    given  a Collection, a Recording, or several of these
+    """
+    if isinstance(given, Collection):
+        return given
+    several = (
+        (given,) if isinstance(given, Recording) or not isinstance(given, Iterable) else given
+    )
+    held = tuple(several)
+    for one in held:
+        if not isinstance(one, Recording):
+            raise RecordingError(
+                f"{type(one).__name__} given as a recording",
+                needed="a Recording, what piezoid.read returned, or several of them",
+                remedy="Read files with piezoid.read, arrays with Recording.from_arrays, a data "
+                "frame with Recording.from_frame.",
+            )
+    return Collection(recordings=held)
+
+
 def collect(paths: Iterable[Path], lab: Lab | None = None) -> Collection:
     """Read files of any kind; a table whose columns lab.toml names is a recording.
 

@@ -156,4 +156,14 @@ def test_a_changed_reference_is_refused_with_where_it_differs():
     changed_m = triangle()
     changed_m[17] += 2e-9
     with pytest.raises(RecordingError, match=r"by up to 2\.00 nm, at point 17"):
-        refuse_changed(first(), changed_m)
+        refuse_changed(first(), changed_m, sources={}, closed_loop=True)
+
+
+def test_a_table_of_another_model_or_loop_is_refused():
+    before = first()
+    refuse_changed(before, triangle(), sources=before.sources, closed_loop=before.closed_loop)
+    with pytest.raises(ParameterFileError, match="learnt of another model"):
+        refuse_changed(before, triangle(), sources={"model": "x"}, closed_loop=True)
+    other = not before.closed_loop
+    with pytest.raises(ParameterFileError, match=r"learnt with(out)? a controller"):
+        refuse_changed(before, triangle(), sources=before.sources, closed_loop=other)
