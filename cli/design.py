@@ -100,7 +100,7 @@ def _table(
 ) -> "Table":
     from math import inf
 
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     def margin(delay_s: float | None) -> str:
         return "any" if delay_s is None else told(delay_s, "s")
@@ -126,7 +126,7 @@ def _table(
 def _bound(proven: "Certificate | None", range_m: float, *, is_verified: bool) -> str:
     from math import isfinite
 
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     if proven is None or not proven.is_guaranteed or not isfinite(proven.guaranteed_error_m):
         return "no bound"

@@ -164,7 +164,7 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
     from piezoid.counts import in_counts
     from piezoid.diagnosis.something_else import NAME
-    from piezoid.readable import told
+    from piezoid.formatting import told
     from piezoid_reports.what_is_left import largest_first, left_of, nothing_named
 
     console = Console()
@@ -190,7 +190,7 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
 
 def _table(found: "Diagnosis") -> "Table":
-    from piezoid.readable import significant
+    from piezoid.formatting import significant
     from piezoid_reports.what_is_left import largest_first
 
     rows = [

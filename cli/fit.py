@@ -245,7 +245,7 @@ def _show_tip(tip: "TunnellingModel") -> None:
 
 def _table(model: "ActuatorModel") -> "Table":
     from piezoid.counts import in_counts
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     rows = [
         (

@@ -204,7 +204,7 @@ def _state(column: "ColumnSummary") -> str:
 
 def response_lines(inspection: "Inspection") -> list[str]:
     """Return the band, what was measured through, each axis, and how they couple."""
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     found = inspection.response
     if found is None:
@@ -224,7 +224,7 @@ def response_lines(inspection: "Inspection") -> list[str]:
 
 
 def _path(path: "PathSummary", lines: int) -> str:
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     coherent = (
         f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
@@ -239,14 +239,14 @@ def _path(path: "PathSummary", lines: int) -> str:
 
 
 def _peak(peak: "Peak") -> str:
-    from piezoid.readable import significant, told
+    from piezoid.formatting import significant, told
 
     quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
     return f"{told(peak.frequency_Hz, 'Hz')}{quality}"
 
 
 def _coupling(coupling: "Coupling") -> str:
-    from piezoid.readable import significant
+    from piezoid.formatting import significant
 
     low, drive = significant(100.0 * coupling.low, 2), coupling.drive
     text = (

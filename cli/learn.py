@@ -126,7 +126,7 @@ def _axis(model: "ActuatorModel", file: "ParameterFile | None", asked: str | Non
 
 
 def _lines(found: "Learned", out: Path) -> list[str]:
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     lines = [
         f"axis {found.axis}, {told(found.frequency_Hz, 'Hz')}: a period leaves at most "

@@ -178,7 +178,7 @@ def show(found: "Verification", file: "ParameterFile") -> None:
 
 
 def _comparison(found: "Verification") -> "Table":
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     rows = [
         (
@@ -194,7 +194,7 @@ def _comparison(found: "Verification") -> "Table":
 
 
 def _bound_line(row: "ErrorBound") -> str:
-    from piezoid.readable import told
+    from piezoid.formatting import told
 
     bounded = "not bounded" if row.bound_m is None else f"bounded by {told(row.bound_m, 'm')}"
     if row.is_exceeded:

@@ -15,11 +15,11 @@ from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
 from piezoid.errors import PictureError
+from piezoid.formatting import told, words
 from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
 from piezoid.identification.prediction import Comparison
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told, words
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.verification import Verification

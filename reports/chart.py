@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.formatting import Scale
 from piezoid.numerics.arrays import Array
-from piezoid.readable import Scale
 from piezoid_reports.quantities import MINUS, scale_for
 
 SINGLY = 50_000  # samples that are worth splitting one by one

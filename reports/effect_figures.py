@@ -7,8 +7,8 @@ import numpy as np
 from piezoid.diagnosis.appearance import Appearance, over_time
 from piezoid.diagnosis.diagnosis import Finding
 from piezoid.diagnosis.effects import effect_named
+from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
-from piezoid.readable import words
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over, decades_over
 from piezoid_reports.compared import Compared
 from piezoid_reports.page import Figure

@@ -11,9 +11,9 @@ from piezoid.calibration.since import Since
 from piezoid.counts import DISPLACEMENT
 from piezoid.design.design import Design
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.formatting import Scale
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
-from piezoid.readable import Scale
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording

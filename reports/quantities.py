@@ -3,9 +3,9 @@
 import math
 from dataclasses import replace
 
-from piezoid import readable
+from piezoid import formatting
 from piezoid.diagnosis.diagnosis import Finding
-from piezoid.readable import UNKNOWN, Scale
+from piezoid.formatting import UNKNOWN, Scale
 
 NARROW = "\u202f"  # a narrow space at which no line breaks: number and unit stay together
 MINUS = "\N{MINUS SIGN}"
@@ -14,7 +14,7 @@ MICRO = "µ"
 
 def scale_for(largest: float, unit: str) -> Scale:
     """Return the scale in which a number of this size has one to three digits before the point."""
-    scale = readable.scale_for(largest, unit)
+    scale = formatting.scale_for(largest, unit)
     return replace(scale, unit=MICRO + unit) if scale.unit == f"u{unit}" else scale
 
 
@@ -41,7 +41,7 @@ def told_between(value: float, half: float, unit: str) -> str:
 
 def significant(value: float, digits: int = 3) -> str:
     """Return a number with so many significant digits, without an exponent where it can be."""
-    return readable.significant(value, digits).replace("-", MINUS)
+    return formatting.significant(value, digits).replace("-", MINUS)
 
 
 def percent(share: float) -> str:

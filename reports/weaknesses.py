@@ -4,10 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.formatting import words
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import wandering_zeros
 from piezoid.identification.quality import OTHER_RECORDINGS
-from piezoid.readable import words
 from piezoid_reports.quantities import percent, told
 from piezoid_reports.what_is_left import left_of, mover_of
 

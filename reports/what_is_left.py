@@ -13,8 +13,8 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
+from piezoid.formatting import told, words
 from piezoid.identification.model import AxisModel
-from piezoid.readable import told, words
 
 CHANCE = 0.05  # p-value: what more healthy stages leave is told to be usual
 LEAST = 0.01  # part of the power: less is told as living nowhere

@@ -17,8 +17,8 @@ from sphinx.application import Sphinx
 
 from piezoid.diagnosis.effect import HEADINGS, Effect
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
-from piezoid.readable import words
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import read_lab
 from piezoid.records.recording import Recording

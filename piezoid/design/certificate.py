@@ -11,11 +11,11 @@ from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.errors import UnstableLoopError
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import grid_Hz, response
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
 from piezoid.operators.linear import recursive_filter
-from piezoid.readable import told
 from piezoid.record_json import Unbounded
 
 _TAIL = 1e-12

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.design.joint_error import JointError, joint_error
+from piezoid.formatting import told
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
@@ -27,7 +28,6 @@ from piezoid.operators.preisach_bounds import (
 )
 from piezoid.operators.preisach_plays import PreisachPlays
 from piezoid.operators.worst_case import worst_case
-from piezoid.readable import told
 
 _DRAWS = 200
 

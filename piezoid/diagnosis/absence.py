@@ -7,7 +7,7 @@ from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.search import Outcome
-from piezoid.readable import told, words
+from piezoid.formatting import told, words
 
 SPEEDS = (
     "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "

@@ -48,9 +48,9 @@ from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.unnamed import NEXT, seen_in_classes
+from piezoid.formatting import significant, told
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
-from piezoid.readable import significant, told
 from piezoid.records.recording import Recording
 
 SURE = 3.3  # standard errors of the gain of blocks: as every effect asks for

@@ -14,6 +14,7 @@ import numpy as np
 
 from piezoid.counts import in_counts
 from piezoid.errors import RecordingError
+from piezoid.formatting import significant, told
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
@@ -24,7 +25,6 @@ from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import simulate_recording
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.readable import significant, told
 from piezoid.records.comparison import counted_in
 from piezoid.records.recording import Quantity, Recording
 

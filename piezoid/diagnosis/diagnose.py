@@ -35,13 +35,13 @@ from piezoid.diagnosis.something_else import SURE, Explained, explained, without
 from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.unnamed import of_discovered, of_noise
 from piezoid.diagnosis.view import View, view_of
+from piezoid.formatting import words
 from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
 from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
-from piezoid.readable import words
 from piezoid.records.comparison import counted_in
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording

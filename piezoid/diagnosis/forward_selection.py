@@ -32,8 +32,8 @@ from piezoid.diagnosis.view import (
     with_free_memory,
     with_reversals,
 )
+from piezoid.formatting import words
 from piezoid.numerics.executor import Executor
-from piezoid.readable import words
 
 TELLING = 0.25  # of the best tangent's gain, from which an effect is refitted at first
 LEAST_GAIN = 0.012  # of the error: tangents err by factors

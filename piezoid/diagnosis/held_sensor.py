@@ -22,8 +22,8 @@ from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import seen_in_classes
+from piezoid.formatting import significant, told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import significant, told
 from piezoid.records.plausibility import held_stretch, is_held_throughout
 from piezoid.records.recording import Recording
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named
+from piezoid.formatting import told
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
@@ -20,7 +21,6 @@ from piezoid.identification.fit import rig_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.linear import sample
-from piezoid.readable import told
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

@@ -19,8 +19,8 @@ from piezoid.diagnosis.jumps import behind_jumps
 from piezoid.diagnosis.refinement import initial_guess, refined
 from piezoid.diagnosis.score_test import score_test
 from piezoid.diagnosis.view import View
+from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
-from piezoid.readable import words
 
 NEAR = 0.5  # of the gain: what a confounded effect's tangent must bring to be refitted
 SEPARABLE = 1.96  # standard errors between two that are told apart

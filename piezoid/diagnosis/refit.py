@@ -12,6 +12,7 @@ from functools import partial
 from piezoid.diagnosis.effect import Found, setting_of
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.something_else import NAME
+from piezoid.formatting import words
 from piezoid.identification.extensions.converter_hold import ConverterHold
 from piezoid.identification.extensions.creep_ladder import CreepLadder
 from piezoid.identification.extensions.delay import Delay
@@ -21,7 +22,6 @@ from piezoid.identification.joint.fit_extended import Extended, fit_extended
 from piezoid.identification.joint.vector import Structure
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.arrays import Array
-from piezoid.readable import words
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 

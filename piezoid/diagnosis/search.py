@@ -29,8 +29,8 @@ from piezoid.diagnosis.initial_state_search import (
 from piezoid.diagnosis.model_comparison import Confounded, compare_models
 from piezoid.diagnosis.score_test import ScoreTest, score_test
 from piezoid.diagnosis.view import View, with_shared_reversals, with_tracks
+from piezoid.formatting import words
 from piezoid.numerics.executor import SERIAL, Executor
-from piezoid.readable import words
 
 MOST = 0.65  # of what is no noise, in power: what structure takes off that nothing else looks like
 MOST_REPAIRS = 3

@@ -10,8 +10,8 @@ from piezoid.diagnosis.discovery import CoordinateScore
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.something_else import NAME, Discovered
 from piezoid.diagnosis.view import View
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 
 CLASSES = 40  # of the picture
 LEAST_ROWS = 8  # of one of them

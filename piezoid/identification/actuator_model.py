@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
+from piezoid.formatting import told
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.model import AxisModel
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 from piezoid.records.recording import Recording
 from piezoid.showing import shown
 from piezoid.upstairs import upstairs

@@ -23,6 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from piezoid.errors import IdentificationError
+from piezoid.formatting import told
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.hysteresis.certificate import DRAWS, SEED
 from piezoid.identification.hysteresis.jackknife import BLOCKS
@@ -37,7 +38,6 @@ from piezoid.numerics.quadratic_program import bounded_step
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_bounds import farthest_apart_m
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.readable import told
 from piezoid.records.recording import Recording
 
 EDGE_STEPS = 4  # thresholds from edge to edge: more edges brought nothing on the zoo

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from piezoid.design.from_model import lateral_task, unseen
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError
+from piezoid.formatting import told
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
-from piezoid.readable import told
 from piezoid.runtime.library import Values
 from piezoid.runtime.schema import METHODS
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from piezoid.errors import ParameterFileError, RecordingError
+from piezoid.formatting import told
 from piezoid.learning.learn import Learned
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 from piezoid.records.readers import read_table
 from piezoid.records.table import Column
 from piezoid.records.units import Dimension

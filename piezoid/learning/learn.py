@@ -18,13 +18,13 @@ from numpy.typing import ArrayLike
 
 from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import told
 from piezoid.identification.model import AxisModel
 from piezoid.learning.contraction import LearningFilter, learning_filter
 from piezoid.learning.period import LIMITED, learning_shares, mean_period, play
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.frequency import Response
 from piezoid.provenance import seal
-from piezoid.readable import told
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Status

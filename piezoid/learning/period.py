@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import RecordingError
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response
-from piezoid.readable import told
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller, Status
 from piezoid.runtime.library import Values

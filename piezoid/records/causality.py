@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.readable import told
 from piezoid.records.recording import Problem, Recording
 from piezoid.records.sweep import noise_of, reversals_of
 

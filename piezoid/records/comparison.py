@@ -16,8 +16,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.counts import record_in_counts
 from piezoid.errors import RecordingError
+from piezoid.formatting import significant, told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import significant, told
 from piezoid.records.faults import noise_rms
 from piezoid.records.plausibility import NOISE_ONLY, is_held_throughout
 from piezoid.records.recording import Quantity, Recording

@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 from piezoid.records.causality import told_early
 from piezoid.records.faults import noise_rms
 from piezoid.records.recording import Channel, Problem, Quantity, Recording

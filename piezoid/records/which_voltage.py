@@ -4,7 +4,7 @@ Between converter and ceramic stands an amplifier; what a loop is designed for, 
 clipped to are the volts in front of it. A recording of the other side is off by the gain.
 """
 
-from piezoid.readable import told
+from piezoid.formatting import told
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Problem, Quantity, Recording
 

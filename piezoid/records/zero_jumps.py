@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Problem, Quantity, Recording
 from piezoid.records.rest import is_at_rest

@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.errors import DesignError
 from piezoid.export.c_header import inert
-from piezoid.readable import told
+from piezoid.formatting import told
 from piezoid.targets.exported import Exported
 from piezoid.targets.held_sections import Held, held_axis
 from piezoid.targets.price import (

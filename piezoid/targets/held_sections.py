@@ -19,6 +19,7 @@ import numpy as np
 from piezoid.design.plant import Fraction
 from piezoid.errors import DesignError, ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import (
     Response,
@@ -27,7 +28,6 @@ from piezoid.numerics.frequency import (
     polynomial_response,
     unit_circle,
 )
-from piezoid.readable import told
 from piezoid.targets.box import Box, run_box
 from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid

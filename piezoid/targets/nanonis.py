@@ -19,8 +19,8 @@ import numpy as np
 from piezoid.errors import ParameterFileError
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import told
 from piezoid.targets.exported import Exported, shipped_position_m
 from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
 from piezoid.verification.approach import room_of

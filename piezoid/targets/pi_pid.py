@@ -9,9 +9,9 @@ from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid.readable import told
 from piezoid.targets.box import run_box
 from piezoid.targets.exported import Exported, shipped_position_m, tracked
 from piezoid.targets.pid import Pid, PidBox

@@ -10,10 +10,10 @@ from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
+from piezoid.formatting import told
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
-from piezoid.readable import told
 
 FREQUENCIES_Hz = np.geomspace(1.0, 1000.0, 61)
 _TOLD_Hz = (1.0, 10.0, 100.0)

@@ -17,9 +17,9 @@ from piezoid.design.from_model import plant_family
 from piezoid.errors import ParameterFileError
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import told
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
-from piezoid.readable import told
 from piezoid.targets.box import Box, run_box
 from piezoid.targets.exported import Exported, shipped_position_m
 from piezoid.verification.approach import room_of

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError
 from piezoid.export.parameter_file import AxisParameters
+from piezoid.formatting import significant, told
 from piezoid.numerics.arrays import Array
-from piezoid.readable import significant, told
 from piezoid.runtime.controller import Status
 from piezoid.toml_text import read_toml
 from piezoid.verification.closed_loop import LoopRecord

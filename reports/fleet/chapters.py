@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from piezoid.readable import Scale
+from piezoid.formatting import Scale
 from piezoid_reports.chart import Axis, Canvas, Layer, axis_over
 from piezoid_reports.fleet.findings import (
     FALSE_ALARMS,

@@ -5,7 +5,7 @@ from statistics import median
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, NotDetected
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.something_else import CONTROL, NAME
-from piezoid.readable import words
+from piezoid.formatting import words
 from piezoid_reports.compared import Compared, compared
 from piezoid_reports.effect_figures import figure_of, unnamed_figure
 from piezoid_reports.page import Fold, Heading, Page, Part, Prose, Section, Table

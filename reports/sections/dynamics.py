@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from piezoid.formatting import UNKNOWN
 from piezoid.identification.dynamics.behind_hysteresis import (
     excites_dynamics,
     measure_behind_hysteresis,
@@ -15,7 +16,6 @@ from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.robust import NORMAL_95
-from piezoid.readable import UNKNOWN
 from piezoid_reports.page import Figure, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import significant, told
 from piezoid_reports.response_figures import (

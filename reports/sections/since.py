@@ -3,8 +3,8 @@
 import numpy as np
 
 from piezoid.calibration.since import Cause, Curves, Moved, Since
+from piezoid.formatting import words
 from piezoid.numerics.arrays import Array
-from piezoid.readable import words
 from piezoid_reports.chart import Canvas, Layer, axis_over
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import MINUS, percent, significant, size_of, told, told_between

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
+from piezoid.formatting import Scale
 from piezoid.identification.displacement_budget import DisplacementBudget, displacement_budget
 from piezoid.numerics.uncertainty_budget import Contribution
-from piezoid.readable import Scale
 from piezoid_reports.chart import Axis, Canvas, axis_over
 from piezoid_reports.page import Figure, Listing, Page, Part, Prose, Section, Table, axis_heading
 from piezoid_reports.quantities import percent, significant, told

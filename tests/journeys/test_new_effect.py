@@ -12,9 +12,9 @@ from scipy.signal import lfilter
 import piezoid
 from piezoid.diagnosis import effects
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.formatting import words
 from piezoid.identification.store import read_model, write_model
 from piezoid.operators.linear import sample
-from piezoid.readable import words
 from piezoid.verification.plant import lateral_plant
 from piezoid_reports.compared import compared
 from piezoid_reports.traces import rms, traces_of

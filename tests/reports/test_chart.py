@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from piezoid.formatting import Scale
 from piezoid.numerics.arrays import Array
-from piezoid.readable import Scale
 from piezoid_reports.chart import (
     FINE,
     HEIGHT,

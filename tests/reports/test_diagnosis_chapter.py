@@ -8,10 +8,10 @@ import pytest
 
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.sealed_diagnosis import write_diagnosis
+from piezoid.formatting import words
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.extensions.linear_mode import LinearMode
 from piezoid.identification.model import Lag
-from piezoid.readable import words
 from piezoid.records.recording import Channel, Quantity, Recording
 from piezoid_reports.compared import compared
 from piezoid_reports.render import render, render_diagnosis

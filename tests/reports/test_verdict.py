@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from piezoid.diagnosis.effects import EFFECTS
+from piezoid.formatting import words
 from piezoid.identification.model import AxisModel
 from piezoid.identification.quality import Limit
 from piezoid.identification.quality import Verdict as ClassVerdict
-from piezoid.readable import words
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.verification import Verification
 from piezoid_reports.render import render

@@ -32,10 +32,10 @@ from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
+from piezoid.formatting import significant, told
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.readable import significant, told
 from piezoid.records.recording import Recording
 
 TWINS_Hz = (41.7, 46.3, 53.9, 56.1, 63.7, 66.9)

@@ -15,8 +15,8 @@ from piezoid.diagnosis.planning.question import (
 )
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.table import Alternative
+from piezoid.formatting import significant, told, words
 from piezoid.provenance import digest_of_bytes, seal
-from piezoid.readable import significant, told, words
 
 SCHEMA = "piezoid.plan/1"
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
+from piezoid.formatting import significant, told
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -18,7 +19,6 @@ from piezoid.identification.dynamics.modal_basis import Filter
 from piezoid.identification.dynamics.response_fit import ResponseFound, fit_response
 from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.model import AxisModel
-from piezoid.readable import significant, told
 from piezoid.records.frequency_response import FrequencyResponseRecord
 
 # Small drives move soft ceramics by 0.5 to 1 of what large ones do, and the least slope of a large

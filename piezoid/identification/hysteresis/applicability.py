@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from piezoid.formatting import told
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, no_lag
 from piezoid.identification.hysteresis.loops import Loop, loops_of
@@ -19,7 +20,6 @@ from piezoid.identification.hysteresis.pieces import Piece, Scales, widest_swing
 from piezoid.identification.hysteresis.search import Settings
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
-from piezoid.readable import told
 from piezoid.records.rest import answers
 from piezoid.records.sweep import noise_of
 

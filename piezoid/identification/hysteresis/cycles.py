@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
+from piezoid.formatting import told
 from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.robust import Trend, spread_of, trend_of
-from piezoid.readable import told
 
 FEWEST = 8  # cycles: a trend of fewer may be one cycle that was odd
 MOST = 1000  # that are compared: each with each

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from piezoid.formatting import told
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
@@ -50,7 +51,6 @@ from piezoid.identification.hysteresis.summary import summarise
 from piezoid.identification.model import AxisModel, Lag
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import FitQuality, Limit, Order, Verdict
-from piezoid.readable import told
 from piezoid.records.recording import Recording
 from piezoid.records.sweep import noise_of, reversals_of
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from piezoid.formatting import told
 from piezoid.identification.hysteresis.forgetting import Transient
 from piezoid.identification.hysteresis.jackknife import Jackknife
 from piezoid.identification.hysteresis.order import Choice
@@ -9,7 +10,6 @@ from piezoid.identification.hysteresis.search import Fitted
 from piezoid.identification.piece_start import PieceStart, wandering_zeros
 from piezoid.identification.quality import IN_SAMPLE, SECOND_HALF
 from piezoid.operators.play import forgetting_sample
-from piezoid.readable import told
 
 LOOSE_KKT = 1e-6
 

@@ -1,0 +1,84 @@
+"""Statements about the data, the model or the controller, made once where the fact is known.
+
+Checks, fits, diagnosis, design and verification return statements. The terminal, the report and
+the JSON files select and print them; they never judge a fact again.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+from piezoid.formatting import told
+
+
+class Kind(StrEnum):
+    """What a statement is about."""
+
+    FINDING = "finding"  # a property of the data, the stage or the model that was detected
+    LIMIT = "limit"  # what these data do not show, or what a figure does not cover
+
+
+class Level(IntEnum):
+    """How much a statement matters to the reader."""
+
+    NOTE = 0  # report only
+    WARNING = 1  # affects how far a result can be trusted
+    ACTION = 2  # the reader should do something; printed on the terminal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Statement:
+    """One fact, said in one to three sentences.
+
+    Args:
+        kind: finding or limit.
+        level: note, warning or action.
+        quantity: what was measured or is missing, as an identifier (``"baseline_step"``).
+        text: the sentence that a reader sees; complete without the other fields.
+        axis: name of the axis; empty if the statement concerns the whole stage.
+        recording: name of the recording; empty if it concerns all recordings of the axis.
+        value: the measured number in SI units; None if the statement has no number.
+        unit: SI unit of ``value``.
+
+    >>> Statement(
+    ...     kind=Kind.FINDING,
+    ...     level=Level.WARNING,
+    ...     quantity="baseline_step",
+    ...     text="The zero of sweep.csv jumps by 128 nm at 3.2 s.",
+    ...     axis="x",
+    ...     recording="sweep.csv",
+    ...     value=128e-9,
+    ...     unit="m",
+    ... ).formatted_value
+    '128 nm'
+    """
+
+    kind: Kind
+    level: Level
+    quantity: str
+    text: str
+    axis: str = ""
+    recording: str = ""
+    value: float | None = None
+    unit: str = ""
+
+    @property
+    def formatted_value(self) -> str:
+        """The value with its unit and a prefix; empty without a value."""
+        return "" if self.value is None else told(self.value, self.unit)
+
+
+def select(
+    statements: Iterable[Statement], *, axis: str | None = None, minimum: Level = Level.NOTE
+) -> tuple[Statement, ...]:
+    """Return the statements of an axis at or above a level, most important first, without repeats.
+
+    Args:
+        statements: statements in the order in which they were made.
+        axis: keep only the statements about this axis; None keeps all.
+        minimum: lowest level that is kept.
+    """
+    selected = dict.fromkeys(
+        s for s in statements if s.level >= minimum and axis in (None, s.axis)
+    )
+    return tuple(sorted(selected, key=lambda statement: -statement.level))
