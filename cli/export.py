@@ -31,7 +31,7 @@ def export(
     """Write params.json and bundle/: the controller of the stage as C source, ready to compile.
 
     --target fmu adds fmu/: each axis' controller and its identified plant as co-simulation units
-    of FMI 2.0 and 3.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
+    of FMI 2.0, for Simulink, OpenModelica and FMPy. --target library adds library/: a
     shared library for LabVIEW, MATLAB, EPICS, Rust and Python. Controllers hold the same source
     as the bundle. --target pi-pid adds settings for a box with PID and notches, --target biquad
     sections for Stabilizer, PyRPL and Linien, --target nanonis sensitivity and hysteresis tables,

@@ -1,4 +1,4 @@
-/* A controller as the unit of fmu.h. */
+/* A controller as the unit of fmu2.c. */
 #ifndef PIEZOID_FMU_CONTROLLER_H
 #define PIEZOID_FMU_CONTROLLER_H
 

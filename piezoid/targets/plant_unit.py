@@ -1,6 +1,6 @@
 """The target `fmu`: each axis' controller, and the identified plant that verification runs.
 
-Sources: Functional Mock-up Interface Specification 2.0.4 and 3.0.1, Modelica Association.
+Sources: Functional Mock-up Interface Specification 2.0.4, Modelica Association.
 
 plant_of_axis.h: an identified plant, at rest, as constants of plant_loop.c's structure.
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from piezoid.export.bundle import SAMPLES
 from piezoid.export.c_header import inert
-from piezoid.export.fmu_unit import Unit, variables
+from piezoid.export.fmu import Unit, variables
 from piezoid.numerics.arrays import Array
 from piezoid.verification.loop_library import Kept, Linear, LoopPlant, Map
 from piezoid.verification.loop_plant import begun_plant

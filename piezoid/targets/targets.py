@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from piezoid.errors import ParameterFileError
-from piezoid.export.fmu_unit import controller_units, packed
+from piezoid.export.fmu import controller_units, fmu_files
 from piezoid.export.shared_library import shared_library_files
 from piezoid.targets.biquad import biquad_files
 from piezoid.targets.exported import Exported
@@ -34,7 +34,7 @@ Made = tuple[Mapping[str, bytes], tuple[str, ...]]
 
 def _fmus(exported: Exported) -> Made:
     controllers = controller_units(exported.file)
-    return packed({**controllers, **plant_units(exported.file.name, exported.plants)})
+    return fmu_files({**controllers, **plant_units(exported.file.name, exported.plants)})
 
 
 def _library(exported: Exported) -> Made:

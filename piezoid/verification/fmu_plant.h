@@ -1,4 +1,4 @@
-/* The identified plant of an axis as the unit of fmu.h: the plant that verification runs.
+/* The identified plant of an axis as the unit of fmu2.c: the plant that verification runs.
  *
  * plant_of_axis.h, written by piezoid, holds its numbers, settled at the voltage it rests at.
  */

@@ -27,9 +27,7 @@ SHIPPED = {
     "example_main.c": EXAMPLE_LEFT_OUT,
     "piezoid_controller.c": LEFT_OUT,
     "controller/fmu2.c": LEFT_OUT,
-    "controller/fmu3.c": LEFT_OUT,
     "plant/fmu2.c": LEFT_OUT,
-    "plant/fmu3.c": LEFT_OUT,
 }
 # Units and the library are in double precision
 ASKED = [(name, "double") for name in SHIPPED] + [(name, "float") for name in list(SHIPPED)[:2]]
@@ -47,19 +45,11 @@ def sources(tmp_path_factory):
             which = "plant" if "_plant_" in place else "controller"
             with zipfile.ZipFile(io.BytesIO(content)) as unit:
                 inside = [name for name in unit.namelist() if name.startswith("sources/")]
-                version = place[-5]
-                kept = {name.split("/")[1]: unit.read(name) for name in inside}
-                # both versions have their own description of the axis
-                made |= {f"{which}{version}/{name}": text for name, text in kept.items()}
+                made |= {f"{which}/{name.split('/')[1]}": unit.read(name) for name in inside}
     for place, content in made.items():
         (folder / place).parent.mkdir(exist_ok=True)
         (folder / place).write_bytes(content)
     return folder
-
-
-def place_of(sources, name):
-    which, _, file = name.rpartition("/")
-    return sources / (f"{which}{file[3]}/{file}" if which else file)
 
 
 @pytest.mark.parametrize(("name", "precision"), ASKED)
@@ -68,7 +58,7 @@ def test_clang_tidy_finds_nothing(sources, name, precision):
     asked = ",".join(["-*", "bugprone-*", "cert-*", *(f"-{one}" for one in SHIPPED[name])])
     run(
         *(tool, "--quiet", f"--checks={asked}", "--warnings-as-errors=*"),
-        *(str(place_of(sources, name)), "--", "-std=c99", f"-I{sources}", *PRECISION[precision]),
+        *(str(sources / name), "--", "-std=c99", f"-I{sources}", *PRECISION[precision]),
     )
 
 
@@ -89,7 +79,7 @@ def test_cppcheck_finds_nothing(sources, name, precision):
     ]
     run(
         *(found("cppcheck"), *checks, *hidden, "--error-exitcode=1", "--quiet"),
-        *(*PRECISION[precision], f"-I{sources}", str(place_of(sources, name))),
+        *(*PRECISION[precision], f"-I{sources}", str(sources / name)),
     )
 
 
@@ -97,7 +87,7 @@ def test_cppcheck_finds_nothing(sources, name, precision):
 def test_the_analyser_of_gcc_finds_nothing(sources, name, precision, tmp_path):
     run(
         *(found("gcc"), *STRICT, "-fanalyzer", *PRECISION[precision], f"-I{sources}"),
-        *("-c", str(place_of(sources, name)), "-o", str(tmp_path / "made.o")),
+        *("-c", str(sources / name), "-o", str(tmp_path / "made.o")),
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from piezoid.design.chain import Section
-from piezoid.export.fmu_unit import packed
+from piezoid.export.fmu import fmu_files
 from piezoid.identification.extensions.periodic_error import PeriodicError
 from piezoid.identification.model import Discrepancy
 from piezoid.operators.preisach_plays import PreisachPlays
@@ -74,7 +74,9 @@ def made(tmp_path_factory):
     found("cc", "gcc", "clang")
     folder = tmp_path_factory.mktemp("plants")
     exported = Exported(file=stage("x"), plants=(PLANTS[0], PLANTS[2]))
-    others, _ = packed(plant_units("other", (everything(), behind_functions(), tip_elsewhere())))
+    others, _ = fmu_files(
+        plant_units("other", (everything(), behind_functions(), tip_elsewhere()))
+    )
     written = {
         f"rig/{place}": made for place, made in written_for(exported, ["fmu"]).files.items()
     }
@@ -90,7 +92,7 @@ def tip_elsewhere():
 
 
 class Slave:
-    """One unit in FMPy, in both versions of the standard."""
+    """One unit in FMPy."""
 
     def __init__(self, place, folder, **start):
         fmpy = pytest.importorskip("fmpy")
@@ -98,28 +100,21 @@ class Slave:
         self.at = {v.name: v.valueReference for v in self.described.modelVariables}
         unzipped = fmpy.extract(str(place), str(folder / place.stem))
         self.slave = fmpy.instantiate_fmu(unzipped, self.described, fmi_type="CoSimulation")
-        self.is_second = hasattr(self.slave, "setReal")
-        reals = (self.slave.setReal, self.slave.getReal) if self.is_second else None
-        self.set_real, self.get_real = reals or (self.slave.setFloat64, self.slave.getFloat64)
         for name, value in start.items():
             self.put(name, value)
-        if self.is_second:
-            self.slave.setupExperiment(startTime=0.0)
-            self.slave.enterInitializationMode()
-        else:
-            self.slave.enterInitializationMode(startTime=0.0)
+        self.slave.setupExperiment(startTime=0.0)
+        self.slave.enterInitializationMode()
         self.slave.exitInitializationMode()
         self.steps = 0
 
     def put(self, name, value):
         if name == "noise_seed":
-            counts = self.slave.setInteger if self.is_second else self.slave.setUInt32
-            counts([self.at[name]], [value])
+            self.slave.setInteger([self.at[name]], [value])
         else:
-            self.set_real([self.at[name]], [float(value)])
+            self.slave.setReal([self.at[name]], [float(value)])
 
     def get(self, name):
-        return self.get_real([self.at[name]])[0]
+        return self.slave.getReal([self.at[name]])[0]
 
     def step(self):
         self.slave.doStep(
@@ -179,10 +174,9 @@ def swing(samples, amplitude, frequency_Hz=20.0):
 
 
 @pytest.mark.parametrize("name", ["rig/fmu/x", "rig/fmu/z", "other/fmu/x"])
-@pytest.mark.parametrize("version", [2, 3])
-def test_fmpy_has_no_finding_and_units_are_declared(made, name, version):
+def test_fmpy_has_no_finding_and_units_are_declared(made, name):
     validation = pytest.importorskip("fmpy.validation")
-    place = made / f"{name}_plant_fmi{version}.fmu"
+    place = made / f"{name}_plant_fmi2.fmu"
     assert validation.validate_fmu(str(place)) == []
     import fmpy
 
@@ -192,8 +186,7 @@ def test_fmpy_has_no_finding_and_units_are_declared(made, name, version):
     assert units[f"measured_{reading}"] == units[f"position_{reading}"] == reading
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_a_loop_of_two_units_is_verifications_loop_to_the_last_bit(unit, version):
+def test_a_loop_of_two_units_is_verifications_loop_to_the_last_bit(unit):
     """Without noise, because it is drawn by another generator."""
     parameters = stage("x").axis("x")
     reference = swing(3000, 1e-5)
@@ -201,8 +194,8 @@ def test_a_loop_of_two_units_is_verifications_loop_to_the_last_bit(unit, version
     wanted = run_axis(quiet, parameters, reference, rng=np.random.default_rng(0))
     ahead = np.minimum(np.arange(3000) + int(parameters.values["preview_samples"]), 2999)
     position = looped(
-        unit(f"rig/fmu/x_controller_fmi{version}.fmu"),
-        unit(f"rig/fmu/x_plant_fmi{version}.fmu", noise_factor=0.0),
+        unit("rig/fmu/x_controller_fmi2.fmu"),
+        unit("rig/fmu/x_plant_fmi2.fmu", noise_factor=0.0),
         reference[ahead],
     )
     assert np.ptp(position) > 1e-6
@@ -223,7 +216,7 @@ def test_every_part_of_a_plant_answers_as_in_verification_to_the_last_bit(unit, 
         disturbance=disturbance_m,
     )
     assert np.ptp(wanted.voltage_V) > 10
-    slave = unit(f"other/fmu/{plant.axis}_plant_fmi3.fmu", noise_factor=0.0)
+    slave = unit(f"other/fmu/{plant.axis}_plant_fmi2.fmu", noise_factor=0.0)
     position, measured = driven(slave, wanted.voltage_V, disturbance_m)
     np.testing.assert_array_equal(position, wanted.position)
     np.testing.assert_array_equal(measured, wanted.measured)
@@ -242,7 +235,7 @@ def test_a_tip_over_a_surface_reads_the_current_of_verification(unit, which):
         rng=np.random.default_rng(0),
         disturbance=plant.response.decay_per_m * height_m,
     )
-    slave = unit(f"{which}/fmu/z_plant_fmi3.fmu", noise_factor=0.0)
+    slave = unit(f"{which}/fmu/z_plant_fmi2.fmu", noise_factor=0.0)
     position, measured = driven(slave, wanted.voltage_V, height_m)
     assert np.ptp(wanted.position) > 1e-12
     np.testing.assert_allclose(position, wanted.position, rtol=1e-12)
@@ -277,7 +270,7 @@ def test_a_plant_begins_at_rest_under_the_disturbance_that_is_there(unit):
 
 
 def test_noise_has_the_identified_size_and_bandwidth_and_comes_back_with_its_seed(unit):
-    place, still = "other/fmu/x_plant_fmi3.fmu", np.full(20000, 0.5)
+    place, still = "other/fmu/x_plant_fmi2.fmu", np.full(20000, 0.5)
     first, again, other, none = (
         driven(unit(place, noise_seed=seed, noise_factor=factor), still)[1]
         for seed, factor in ((SEED, 1.0), (SEED, 1.0), (SEED + 1, 1.0), (SEED, 0.0))
@@ -304,14 +297,13 @@ def test_what_is_not_a_number_is_refused_and_a_parameter_is_fixed_once_it_runs(u
             slave.put(name, value)
 
 
-@pytest.mark.parametrize("version", [2, 3])
-def test_the_sources_inside_compile_with_every_warning(made, version, tmp_path):
+def test_the_sources_inside_compile_with_every_warning(made, tmp_path):
     import zipfile
 
     strict = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic")
     for which in ("rig/fmu/z", "other/fmu/x"):
         folder = tmp_path / which.replace("/", "_")
-        with zipfile.ZipFile(made / f"{which}_plant_fmi{version}.fmu") as zipped:
+        with zipfile.ZipFile(made / f"{which}_plant_fmi2.fmu") as zipped:
             zipped.extractall(folder)
-        source = folder / "sources" / f"fmu{version}.c"
+        source = folder / "sources" / "fmu2.c"
         run(found("cc", "gcc", "clang"), *strict, "-c", str(source), "-o", str(tmp_path / "u.o"))

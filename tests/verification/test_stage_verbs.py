@@ -72,9 +72,7 @@ def test_targets_come_beside_the_bundle_and_go_with_an_export_that_does_not_ask_
     assert done.exit_code == 0, done.output
     assert {path.name for path in (folder / "fmu").iterdir()} == {
         "x_controller_fmi2.fmu",
-        "x_controller_fmi3.fmu",
         "x_plant_fmi2.fmu",
-        "x_plant_fmi3.fmu",
     }
     assert (folder / "library" / "example.py").is_file()
     plain = (folder / "bundle" / "piezo_params.h").read_bytes()

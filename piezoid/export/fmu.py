@@ -1,0 +1,234 @@
+"""Co-simulation units (FMU) of the Functional Mock-up Interface 2.0.
+
+A unit is a zip file with a description, C sources and, where a compiler is installed, a binary.
+Zip entries carry a fixed date and the guid is a digest of the contents, so the same sources and
+the same compiler give the same bytes.
+
+Source: Functional Mock-up Interface Specification 2.0.4, Modelica Association.
+"""
+
+import io
+import platform
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from piezoid.export.bundle import SAMPLES, shipped
+from piezoid.export.c_header import c_header, inert
+from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
+from piezoid.export.shared_library import LINUX, shared_library
+from piezoid.provenance import digest_of_bytes
+
+_RUNTIME_SOURCES = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
+_MAIN = "fmu2.c"
+_EARLIEST_DATE = (1980, 1, 1, 0, 0, 0)  # of the zip format
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variable:
+    """One variable of a unit; its value reference is its index among the variables, from 1.
+
+    causality  ``input``, ``output`` or ``parameter``
+    unit       of a real; None: an integer
+    start      initial value; None for an output
+    """
+
+    name: str
+    causality: str
+    description: str
+    unit: str | None = None
+    start: float | int | None = None
+
+
+def variables(
+    *rows: tuple[str, str, str | None, float | int | None, str],
+) -> tuple[Variable, ...]:
+    """Return variables from rows of name, causality, unit, start value and description."""
+    return tuple(
+        Variable(name=name, causality=causality, unit=unit, start=start, description=description)
+        for name, causality, unit, start, description in rows
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Unit:
+    """Contents of one unit.
+
+    identifier   model identifier, a C name
+    description  one sentence
+    header       the header that ``fmu2.c`` includes as ``FMU_UNIT``
+    macros       further lines of ``fmu_of_axis.h``
+    sources      C sources beside ``fmu2.c``, name to bytes
+    period_s     sampling period
+    samples      length of the default experiment
+    """
+
+    identifier: str
+    description: str
+    header: str
+    macros: str
+    variables: tuple[Variable, ...]
+    sources: Mapping[str, bytes]
+    period_s: float
+    samples: int
+
+
+_AXIS_HEADER = """\
+/* Which unit this is, written by piezoid. */
+#define FMU_UNIT "{header}"
+#define FMU_TOKEN "{token}"
+#define FMU_PREFIXED(name) {identifier}_##name
+{macros}"""
+
+_DESCRIPTION = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="{identifier}" guid="{token}"
+    description="{description}" generationTool="piezoid" variableNamingConvention="flat"
+    numberOfEventIndicators="0">
+  <CoSimulation modelIdentifier="{identifier}" canHandleVariableCommunicationStepSize="true">
+    <SourceFiles><File name="fmu2.c"/></SourceFiles>
+  </CoSimulation>
+  <UnitDefinitions>
+    <Unit name="m"><BaseUnit m="1"/></Unit>
+    <Unit name="A"><BaseUnit A="1"/></Unit>
+    <Unit name="V"><BaseUnit kg="1" m="2" s="-3" A="-1"/></Unit>
+    <Unit name="s"><BaseUnit s="1"/></Unit>
+    <Unit name="1"><BaseUnit/></Unit>
+  </UnitDefinitions>
+  <DefaultExperiment startTime="0" stopTime="{stop_s!r}" stepSize="{step_s!r}"/>
+  <ModelVariables>
+{variables}
+  </ModelVariables>
+  <ModelStructure>
+    <Outputs>{outputs}</Outputs>
+    <InitialUnknowns>{outputs}</InitialUnknowns>
+  </ModelStructure>
+</fmiModelDescription>
+"""
+
+_VARIABLE = """\
+    <ScalarVariable name="{name}" valueReference="{index}" causality="{causality}"
+        variability="{variability}" description="{description}">
+      <{type}{start}/></ScalarVariable>"""
+
+
+def fmu_files(units: Mapping[str, Unit]) -> tuple[Mapping[str, bytes], tuple[str, ...]]:
+    """Return the zip files of units by name, and a note about binaries that could not be built.
+
+    Args:
+        units: contents by the stem of the file's name
+    """
+    files: dict[str, bytes] = {}
+    without_binary: list[str] = []
+    for stem, unit in units.items():
+        name = f"{stem}_fmi2.fmu"
+        files[name], has_binary = _zipped_unit(unit)
+        if not has_binary:
+            without_binary.append(name)
+    if not without_binary:
+        return files, ()
+    note = (
+        f"no binary inside fmu/{', fmu/'.join(without_binary)}: no C compiler "
+        f"({', '.join(LINUX.compilers)}; Debian's {LINUX.package}) for 64-bit Linux on a PC was "
+        "found. The sources are inside; a simulator can compile them"
+    )
+    return files, (note,)
+
+
+def _zipped_unit(unit: Unit) -> tuple[bytes, bool]:
+    """Return one zip file, and whether it has a binary."""
+    sources = {_MAIN: shipped(_MAIN)} | dict(unit.sources)
+    text = _description(unit, "") + _axis_header(unit, "")
+    token = digest_of_bytes(b"".join(sources[name] for name in sorted(sources)) + text.encode())
+    sources["fmu_of_axis.h"] = _axis_header(unit, token).encode()
+    contents = {"modelDescription.xml": _description(unit, token).encode()}
+    contents |= {f"sources/{name}": content for name, content in sources.items()}
+    binary = None
+    if (platform.system(), platform.machine()) == ("Linux", "x86_64"):
+        binary = shared_library(sources, _MAIN, LINUX, "-DFMI2_OVERRIDE_FUNCTION_PREFIX")
+    if binary is not None:
+        contents[f"binaries/linux64/{unit.identifier}.so"] = binary
+    return _zipped(contents), binary is not None
+
+
+def _axis_header(unit: Unit, token: str) -> str:
+    return _AXIS_HEADER.format(
+        header=unit.header, token=token, identifier=unit.identifier, macros=unit.macros
+    )
+
+
+def _description(unit: Unit, token: str) -> str:
+    """Return the text of modelDescription.xml."""
+    described = [
+        _VARIABLE.format(
+            name=variable.name,
+            index=index,
+            causality=variable.causality,
+            variability="fixed" if variable.causality == "parameter" else "discrete",
+            description=variable.description,
+            type="Integer" if variable.unit is None else f'Real unit="{variable.unit}"',
+            start="" if variable.start is None else f' start="{variable.start!r}"',
+        )
+        for index, variable in enumerate(unit.variables, 1)
+    ]
+    outputs = [
+        f'<Unknown index="{index}"/>'
+        for index, variable in enumerate(unit.variables, 1)
+        if variable.causality == "output"
+    ]
+    return _DESCRIPTION.format(
+        identifier=unit.identifier,
+        description=unit.description,
+        token=token,
+        stop_s=unit.samples * unit.period_s,
+        step_s=unit.period_s,
+        variables="\n".join(described),
+        outputs="".join(outputs),
+    )
+
+
+def _zipped(contents: Mapping[str, bytes]) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name in sorted(contents):
+            entry = zipfile.ZipInfo(name, _EARLIEST_DATE)
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.external_attr = 0o644 << 16
+            archive.writestr(entry, contents[name], compresslevel=6)
+    return stream.getvalue()
+
+
+def controller_units(file: ParameterFile) -> Mapping[str, Unit]:
+    """Return the controller units of all axes by the stem of their file names."""
+    sources = {name: shipped(name) for name in _RUNTIME_SOURCES}
+    sources["piezo_params.h"] = c_header(file, digest_of(file)).encode()
+    return {f"{axis.axis}_controller": _controller(file, axis, sources) for axis in file.axes}
+
+
+def _controller(file: ParameterFile, axis: AxisParameters, sources: Mapping[str, bytes]) -> Unit:
+    is_current = axis.method == "rst"
+    unit = "A" if is_current else "m"
+    start = float(axis.values["current_reference_A"]) if is_current else 0.0
+    reference = "Reference; NaN keeps the previous value."
+    reading = "Sensor reading; NaN if there is none."
+    voltage = "Command; always finite and inside the limits."
+    status = "0, or the bits PZ_STATUS_... of sources/piezoid_runtime.h."
+    start_voltage = "Output of the converter before the first sample."
+    return Unit(
+        identifier=f"piezoid_{axis.axis}_controller",
+        description=f"Controller of axis {axis.axis}, method {axis.method}, "
+        f"of the stage {inert(file.name)}",
+        header="fmu_controller.h",
+        macros=f"#define FMU_AXIS PIEZO_AXIS_{axis.axis.upper()}\n"
+        f"#define FMU_INPUT_AT_START {start!r}\n",
+        variables=variables(
+            (f"reference_{unit}", "input", unit, start, reference),
+            (f"measured_{unit}", "input", unit, start, reading),
+            ("voltage_V", "output", "V", None, voltage),
+            ("status", "output", None, None, status),
+            ("start_voltage_V", "parameter", "V", 0.0, start_voltage),
+        ),
+        sources=sources,
+        period_s=1.0 / float(axis.values["sampling_rate_Hz"]),
+        samples=SAMPLES,
+    )
