@@ -93,6 +93,7 @@ class FitQuality:
     range_m              displacement range of the rows that counted
     noise_rms_m          of the sensor, from repeated periods or from third differences
     rows                 rows of the final search
+    effective_parameters  numbers that the data determined: trace of the estimator's hat matrix
     kkt_gap              of the convex start
     gradient             largest scaled derivative no bound holds, at the end of the search
     converged            whether the last step changed the cost by less than one part in 1e5
@@ -114,11 +115,29 @@ class FitQuality:
     orders: tuple[Order, ...]
     limits: tuple[Limit, ...] = ()
     noise_is_most: bool = False
+    effective_parameters: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("rms_m", "held_out_rms_m", "range_m", "noise_rms_m"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected zero or more")
+
+    @property
+    def explained_rms_m(self) -> float:
+        """Residual on the data of the fit, corrected for the effective number of parameters.
+
+            explained^2 = rms^2 rows / (rows - effective parameters)
+
+        Above the noise it says that a cause is missing; ``held_out_rms_m`` says what the same
+        model is worth for drives that it has not seen.
+        """
+        free = max(self.rows - self.effective_parameters, 1.0)
+        return float(self.rms_m * np.sqrt(max(self.rows, 1) / free))
+
+    @property
+    def extrapolation_rms_m(self) -> float:
+        """Part of the held-out error that is not in the explained one, m; squares add up."""
+        return float(np.sqrt(max(self.held_out_rms_m**2 - self.explained_rms_m**2, 0.0)))
 
     @property
     def is_tested(self) -> bool:

@@ -112,7 +112,8 @@ def _spring(entry: Mapping[str, Any]) -> HystereticMode:
 def _quality_entry(quality: FitQuality) -> dict[str, Any]:
     held = fields_of(quality)
     first = {name: held.pop(name) for name in ("rms_m", "held_out_rms_m")}
-    return {**first, "held_out_rms_percent": quality.held_out_rms_percent, **held}
+    derived = ("held_out_rms_percent", "explained_rms_m")
+    return {**first, **{name: getattr(quality, name) for name in derived}, **held}
 
 
 LAYOUTS = (

@@ -333,6 +333,7 @@ def _quality(
         noise_rms_m=stroke_m * _pooled(noise, [piece.rows for piece in pieces]),
         noise_is_most=any(map(noise_is_most, pieces, left)),
         rows=sum(piece.rows for piece in pieces),
+        effective_parameters=float(len(minimum.theta)),
         kkt_gap=fitted.kkt_gap,
         gradient=minimum.gradient,
         converged=minimum.converged,
