@@ -282,7 +282,7 @@ def _axis_model(
             remarks=(
                 *ready.said,
                 *trends,
-                *remarks_on(fitted, found, ready.transients, starts, choice, stroke_m),
+                *remarks_on(fitted, ready.transients, choice),
             ),
         ),
         quality=quality,

@@ -89,7 +89,7 @@ def axis_model(found: Found) -> AxisModel:
             remarks=(
                 NOTICE,
                 *_about_pieces(found, kind),
-                *remarks_on_numbers(fitted, spread, starts, stroke_m),
+                *remarks_on_numbers(fitted),
             ),
         ),
         quality=quality,

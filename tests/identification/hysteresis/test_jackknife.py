@@ -40,14 +40,10 @@ def test_a_free_number_becomes_what_the_other_blocks_say() -> None:
     np.testing.assert_allclose(jackknife_of(12).replicates[:, 0], expected)
 
 
-@pytest.mark.parametrize(("blocks", "is_said"), [(9, True), (10, False)])
-def test_intervals_on_less_than_ten_blocks_say_so(blocks: int, is_said: bool) -> None:
-    """So does a search that ended early, and one whose start was not the best."""
+@pytest.mark.parametrize(("iterations", "gap"), [(30, 0.0), (1, 1.0)])
+def test_a_start_that_was_not_the_optimum_has_a_remark(iterations: int, gap: float) -> None:
     settings = Settings(longest_lag_s=0.02, follow_zero=False)
-    for iterations, gap in ((30, 0.0), (1, 1.0)):
-        fitted = search(pieces(1), SHAPE, replace(settings, iterations=iterations))
-        assert fitted.minimum.converged is (iterations == 30)
-        said = remarks_on_numbers(replace(fitted, kkt_gap=gap), jackknife_of(blocks), (), 1e-5)
-        assert any(f"{blocks} blocks" in remark for remark in said) is is_said
-        assert any("limit of iterations" in remark for remark in said) is (iterations == 1)
-        assert any("optimal only to" in remark for remark in said) is (gap > 0.0)
+    fitted = search(pieces(1), SHAPE, replace(settings, iterations=iterations))
+    assert fitted.minimum.converged is (iterations == 30)
+    remarks = remarks_on_numbers(replace(fitted, kkt_gap=gap))
+    assert any("optimal only to" in remark for remark in remarks) is (gap > 0.0)

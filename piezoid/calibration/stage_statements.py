@@ -1,0 +1,132 @@
+"""All statements about one stage, from its fit to the verification of what ships."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from piezoid.counts import in_counts
+from piezoid.design.design import Design
+from piezoid.design.design_statements import design_statements
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.diagnosis_statements import diagnosis_statements
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.fit_statements import fit_statements
+from piezoid.records.recording import Recording
+from piezoid.statement import Kind, Level, Statement
+from piezoid.verification.criteria import failure_of
+from piezoid.verification.verification import Verification
+
+
+def stage_statements(
+    model: ActuatorModel,
+    *,
+    recordings: Iterable[Recording] = (),
+    diagnoses: Sequence[Diagnosis] = (),
+    undiagnosed: Sequence[str] = (),
+    design: Design | None = None,
+    undesigned: str = "",
+    unshipped: Mapping[str, str] | None = None,
+    verification: Verification | None = None,
+) -> tuple[Statement, ...]:
+    """Return the statements of all steps, without repeats, in the order of the steps.
+
+    Args:
+        model: the fitted stage.
+        recordings: recordings at hand; what is odd about them becomes a note.
+        diagnoses: of the axes that have one.
+        undiagnosed: why the others have none.
+        design: the controllers.
+        undesigned: why there are none.
+        unshipped: by axis, why its controller does not ship.
+        verification: of what ships.
+    """
+    statements = [
+        *verification_statements(verification),
+        *(
+            _limit(Level.ACTION, "not_shipped", text, axis)
+            for axis, text in (unshipped or {}).items()
+        ),
+        *(fact for axis in model.axes.values() for fact in fit_statements(axis)),
+        *(
+            fact
+            for one in diagnoses
+            for fact in diagnosis_statements(one, model.axes.get(one.axis))
+        ),
+        *(_limit(Level.WARNING, "not_diagnosed", text) for text in undiagnosed),
+        *(() if design is None else design_statements(design, model)),
+        *((_limit(Level.ACTION, "not_designed", undesigned),) if undesigned else ()),
+        *_tip(model),
+        *(_limit(Level.WARNING, "not_used", text) for text in model.remarks),
+        *(
+            _limit(Level.NOTE, problem.kind, f"{recording.name}: {problem.text}")
+            for recording in recordings
+            for problem in recording.problems
+        ),
+    ]
+    return tuple(dict.fromkeys(statements))
+
+
+def in_axis_units(statement: Statement, model: ActuatorModel) -> str:
+    """Return the text of a statement in the units of its axis, which may be counts."""
+    axis = model.axes.get(statement.axis)
+    return in_counts(statement.text, model.counted if axis is None else axis.counted)
+
+
+def verification_statements(verification: Verification | None) -> tuple[Statement, ...]:
+    """Return every verdict that failed and every build that differs."""
+    if verification is None:
+        return ()
+    failed = [verdict for verdict in verification.verdicts if not verdict.passed]
+    differing = [proof for proof in verification.proofs if not proof.passed]
+    unproved = [proof for proof in verification.limit_proofs if not proof.passed]
+    return (
+        *(
+            Statement(
+                kind=Kind.FINDING,
+                level=Level.ACTION,
+                quantity=verdict.name,
+                text=f"Failed: {failure_of(verdict)}.",
+                value=verdict.value,
+                unit=verdict.unit,
+            )
+            for verdict in failed
+        ),
+        *(
+            _finding(
+                "build", f"{proof.differing} of {proof.samples} samples differ: {proof.build}."
+            )
+            for proof in differing
+        ),
+        *(
+            _finding(
+                "limits",
+                f"Not proved to stay within its limits in {p.precision}: {p.verdict}.",
+                p.axis,
+            )
+            for p in unproved
+        ),
+    )
+
+
+def _tip(model: ActuatorModel) -> list[Statement]:
+    tip = model.tunnelling
+    if tip is None:
+        return []
+    reasons = [*(tip.gap_law.reasons if tip.gap_law is not None else ())]
+    reasons += [*(tip.loop_plant.reasons if tip.loop_plant is not None else ())]
+    statements = [_limit(Level.NOTE, "tunnelling", reason, "z") for reason in reasons]
+    if tip.joint is not None and not tip.joint.agree:
+        text = (
+            "The barriers from sweeps and closed loop disagree. Check the extension per volt and "
+            "the calibration of the height."
+        )
+        statements.append(_limit(Level.ACTION, "barrier", text, "z"))
+    return statements
+
+
+def _limit(level: Level, quantity: str, text: str, axis: str = "") -> Statement:
+    return Statement(kind=Kind.LIMIT, level=level, quantity=quantity, text=text, axis=axis)
+
+
+def _finding(quantity: str, text: str, axis: str = "") -> Statement:
+    return Statement(
+        kind=Kind.FINDING, level=Level.ACTION, quantity=quantity, text=text, axis=axis
+    )

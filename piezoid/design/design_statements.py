@@ -1,0 +1,115 @@
+"""Statements about controllers: what limits their bandwidth, and which bounds are of no use."""
+
+from math import isfinite
+
+from piezoid.design.certificate import Certificate
+from piezoid.design.design import AxisDesign, Design
+from piezoid.design.from_model import BEYOND, FIRST_MODE, unseen
+from piezoid.formatting import significant, told
+from piezoid.identification.actuator_model import ActuatorModel
+from piezoid.identification.model import AxisModel
+from piezoid.statement import Kind, Level, Statement
+
+MAX_USEFUL_SHARE = 0.1  # of the displacement range: a larger bound excludes nothing in practice
+MAX_CHIRP_SHARE = 0.4  # of the sampling rate: below the Nyquist frequency with some margin
+NEAR_LIMIT = 0.5  # of the largest bandwidth that was tried: the guard itself costs up to half
+
+
+def design_statements(design: Design, model: ActuatorModel) -> tuple[Statement, ...]:
+    """Return the statements about the controllers of a stage, most important first."""
+    statements = [
+        statement
+        for axis_design in design.axes
+        if (axis := model.axes.get(axis_design.axis)) is not None
+        for statement in (*_bandwidth(axis_design, axis), *_bound(axis_design, axis))
+    ]
+    decoupling = "" if design.decoupling is None else design.decoupling.text
+    for remark in design.remarks:
+        level = Level.NOTE if remark == decoupling else Level.WARNING
+        statements.append(_statement("", level, "design", remark))
+    return tuple(sorted(statements, key=lambda statement: -statement.level))
+
+
+def useful_bound_m(certificate: Certificate | None, axis: AxisModel) -> float | None:
+    """Return the guaranteed error of a loop, or None if none is proven that is of use.
+
+    A bound above a tenth of the displacement range is of no use.
+    """
+    if certificate is None or not certificate.is_guaranteed:
+        return None
+    error_m = certificate.guaranteed_error_m
+    limit_m = MAX_USEFUL_SHARE * axis.quality.range_m
+    return error_m if isfinite(error_m) and error_m <= limit_m else None
+
+
+def bandwidth_limit_Hz(design: AxisDesign, axis: AxisModel) -> float | None:
+    """Return the largest bandwidth that was tried, or None if a known resonance sets the limit."""
+    is_guarded = any(limit.name == BEYOND for limit in design.specification.templates)
+    return unseen(axis).fastest_Hz if is_guarded else None
+
+
+def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
+    limit_Hz, bandwidth_Hz = bandwidth_limit_Hz(design, axis), design.recommended.bandwidth_Hz
+    if limit_Hz is None or bandwidth_Hz < NEAR_LIMIT * limit_Hz:
+        return []
+    until_Hz = MAX_CHIRP_SHARE * design.sampling_rate_Hz
+    known = unseen(axis)
+    if known.peak >= FIRST_MODE:
+        reason, level = "no resonance was recorded", Level.ACTION
+    else:
+        reason = f"the recordings show the response only up to {told(known.from_Hz, 'Hz')}"
+        level = Level.WARNING
+    text = (
+        f"Bandwidth limited to {told(bandwidth_Hz, 'Hz')}: {reason}. Record a chirp or multisine "
+        f"up to {told(until_Hz, 'Hz', 2)}, or state bandwidth_Hz under [actuator] in lab.toml."
+    )
+    return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
+
+
+def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
+    certificate = design.recommended.certificate
+    if certificate is None:
+        text = "The error of the loop has no bound, because no bound of the hysteresis is known."
+        return [_statement(design.axis, Level.WARNING, "guaranteed_error", text)]
+    if not certificate.is_guaranteed:
+        text = (
+            f"Small gain is {significant(certificate.small_gain)}, not below 1: stability of the "
+            "loop with hysteresis is not proven."
+        )
+        gain = certificate.small_gain
+        return [_statement(design.axis, Level.WARNING, "small_gain", text, gain, "1")]
+    if useful_bound_m(certificate, axis) is not None:
+        return []
+    parts_m = error_parts_m(certificate)
+    largest = max(parts_m, key=lambda name: parts_m[name])
+    error_m = certificate.guaranteed_error_m
+    text = (
+        f"No useful bound of the error: the proven bound of {told(error_m, 'm')} is more than a "
+        f"tenth of the {told(axis.quality.range_m, 'm')} range; most of it, "
+        f"{told(parts_m[largest], 'm')}, comes from {largest}."
+    )
+    return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
+
+
+def error_parts_m(certificate: Certificate) -> dict[str, float]:
+    """Return the contributions to a guaranteed error by name, m; they add up to it."""
+    return {
+        "the hysteresis": certificate.hysteresis_error_m,
+        "the delay of the reference": certificate.reference_error_m,
+        "the converter": certificate.converter_error_m,
+        "drift, coupling and hum": certificate.disturbance_error_m,
+    }
+
+
+def _statement(
+    axis: str, level: Level, quantity: str, text: str, value: float | None = None, unit: str = ""
+) -> Statement:
+    return Statement(
+        kind=Kind.LIMIT,
+        level=level,
+        quantity=quantity,
+        text=text,
+        axis=axis,
+        value=value,
+        unit=unit,
+    )

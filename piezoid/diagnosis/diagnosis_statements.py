@@ -1,0 +1,167 @@
+"""Statements about a diagnosis: what cannot be separated, what no effect explains, what to record.
+
+The sizes of the findings stand in their table; a statement is made only where a reader has to know
+more than a size.
+"""
+
+import numpy as np
+
+from piezoid.diagnosis.at_rest import RESTS
+from piezoid.diagnosis.diagnosis import Diagnosis, Finding
+from piezoid.diagnosis.something_else import NAME
+from piezoid.diagnosis.unnamed import words as coordinate_words
+from piezoid.formatting import significant, told, words
+from piezoid.identification.model import AxisModel
+from piezoid.statement import Kind, Level, Statement
+
+MAJORITY = 0.5  # of the power of an error: from there on it is called that
+USUAL_P = 0.05  # p-value: healthy stages leave as much structure
+MIN_GAIN = 0.01  # of the power: less has no coordinate
+NEAR_NOISE = 1.2  # what exceeds the noise is then two thirds of it, and hides there
+
+SHAPE_EXPERIMENT = (
+    "Record reversals of many sizes at several biases, each reached from above and from below."
+)
+
+
+def diagnosis_statements(
+    diagnosis: Diagnosis, axis: AxisModel | None = None
+) -> tuple[Statement, ...]:
+    """Return the statements about one diagnosis, most important first.
+
+    Args:
+        diagnosis: of one axis.
+        axis: its fitted model, whose recordings decide whether loop shape can be told.
+    """
+    shape = _loop_shape(diagnosis, axis)
+    return (
+        *(
+            _unnamed(diagnosis, finding)
+            for finding in diagnosis.findings
+            if finding.effect == NAME
+        ),
+        *(_confounded(diagnosis, f) for f in diagnosis.findings if f.not_separable_from),
+        *shape,
+        *([] if shape or diagnosis.findings else _nothing_found(diagnosis)),
+    )
+
+
+def largest_first(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+    """Return the findings, the unnamed one in front if it is larger than all named ones."""
+    unnamed = [finding for finding in diagnosis.findings if finding.effect == NAME]
+    named = [finding for finding in diagnosis.findings if finding.effect != NAME]
+    if all(one.share > other.share for one in unnamed for other in named):
+        return (*unnamed, *named)
+    return diagnosis.findings
+
+
+def loop_shape_rms_m(diagnosis: Diagnosis, axis: AxisModel | None) -> float:
+    """Return the part of the held-out error that a wider class of hysteresis removes, m rms.
+
+    0 where that is less than half of the power, and where the recordings cannot tell: where a zero
+    moves by as much, where speed, size or repetition were never varied, or where the model does
+    not apply. A wide class then imitates a lag or whatever else looks like a loop.
+    """
+    error_m2, wide_m2 = diagnosis.final.rms_m**2, diagnosis.envelope_rms_m**2
+    if axis is None or not axis.verdict.applies or axis.quality.limits:
+        return 0.0
+    if not wide_m2 < (1.0 - MAJORITY) * error_m2:
+        return 0.0
+    if _zero_power_m2(axis) > MAJORITY * (error_m2 - wide_m2):
+        return 0.0
+    return float(np.sqrt(error_m2 - wide_m2))
+
+
+def _zero_power_m2(axis: AxisModel) -> float:
+    """Return the mean power of the zeros of the pieces, straight between their knots, m^2."""
+    powers_m2 = []
+    for start in axis.starts:
+        first_m, last_m = start.zero_m[:-1], start.zero_m[1:]
+        if not len(first_m):
+            powers_m2.append(0.0)
+            continue
+        mean_m = float(np.mean(first_m + last_m)) / 2.0
+        square_m2 = float(np.mean(first_m**2 + first_m * last_m + last_m**2)) / 3.0
+        powers_m2.append(square_m2 - mean_m**2)
+    return sum(powers_m2) / max(len(powers_m2), 1)
+
+
+def _loop_shape(diagnosis: Diagnosis, axis: AxisModel | None) -> list[Statement]:
+    shape_m = loop_shape_rms_m(diagnosis, axis)
+    if not shape_m:
+        return []
+    text = (
+        f"Loop shape that the model class cannot represent causes {told(shape_m, 'm')} of the "
+        f"held-out error of {told(diagnosis.final.rms_m, 'm')}; feedback reduces it within the "
+        "bandwidth of the loop."
+    )
+    return [_statement(diagnosis, Kind.FINDING, Level.WARNING, "loop_shape", text, shape_m, "m")]
+
+
+def _unnamed(diagnosis: Diagnosis, finding: Finding) -> Statement:
+    text = f"{finding.explanation} {finding.next_experiment}".strip()
+    rms_m = finding.share * diagnosis.stroke_m
+    return _statement(diagnosis, Kind.FINDING, Level.ACTION, finding.effect, text, rms_m, "m")
+
+
+def _confounded(diagnosis: Diagnosis, finding: Finding) -> Statement:
+    rivals = " or ".join(map(words, finding.not_separable_from))
+    text = (
+        f"{words(finding.effect).capitalize()} cannot be separated from {rivals}. "
+        f"{finding.next_experiment}"
+    )
+    return _statement(diagnosis, Kind.LIMIT, Level.ACTION, f"{finding.effect}_confounded", text)
+
+
+def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
+    """Return why no effect is named, and what to record if the error exceeds the noise."""
+    n_tested = sum(one.upper_bound_m is not None for one in diagnosis.not_detected)
+    if not n_tested:
+        reasons = {one.reason for one in diagnosis.not_detected}
+        why = f" because {reasons.pop().rstrip('.')}" if len(reasons) == 1 else ""
+        text = f"No effect was tested{why}."
+        return [_statement(diagnosis, Kind.LIMIT, Level.WARNING, "no_effect_tested", text)]
+    residual_m, noise_m = diagnosis.envelope_rms_m, diagnosis.noise_floor_rms_m
+    times = f", {significant(residual_m / noise_m, 2)} times the sensor noise" if noise_m else ""
+    at_rest = any(one.reason == RESTS for one in diagnosis.not_detected)
+    where = "at constant drive" if at_rest else "beyond hysteresis of any shape"
+    count = (
+        "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"
+    )
+    text = f"{count} detected: the residual {where} is {told(residual_m, 'm')} rms{times}."
+    text += _structure(diagnosis)
+    exceeds = not at_rest and residual_m > NEAR_NOISE * noise_m > 0.0
+    if exceeds:
+        text += f" {SHAPE_EXPERIMENT}"
+    level = Level.ACTION if exceeds else Level.NOTE
+    return [_statement(diagnosis, Kind.LIMIT, level, "no_effect_detected", text, residual_m, "m")]
+
+
+def _structure(diagnosis: Diagnosis) -> str:
+    rest = diagnosis.unexplained
+    if rest is None or rest.gain < MIN_GAIN:
+        return ""
+    share = f" {100 * rest.gain:.2g} % of its power depends on {coordinate_words(rest.coordinate)}"
+    if rest.p_value <= USUAL_P:
+        return f"{share}."
+    return f"{share}, as in {100 * rest.p_value:.0f} % of healthy stages."
+
+
+def _statement(
+    diagnosis: Diagnosis,
+    kind: Kind,
+    level: Level,
+    quantity: str,
+    text: str,
+    value: float | None = None,
+    unit: str = "",
+) -> Statement:
+    return Statement(
+        kind=kind,
+        level=level,
+        quantity=quantity,
+        text=text,
+        axis=diagnosis.axis,
+        value=value,
+        unit=unit,
+    )

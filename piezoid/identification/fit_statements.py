@@ -1,0 +1,191 @@
+"""Statements about a fit: whether the model applies, what limits its accuracy, what to record.
+
+Each fact is judged here once, from the numbers that the model carries. Report and terminal select
+and print the statements.
+"""
+
+from enum import StrEnum
+
+from piezoid.formatting import significant, told
+from piezoid.identification.model import AxisModel
+from piezoid.identification.piece_start import wandering_zeros
+from piezoid.statement import Kind, Level, Statement
+
+# Uncompensated hysteresis of 10 to 15 % of the range is an error of about 3 % rms.
+GOOD_PERCENT = 0.5  # of the range, rms: a sixth of uncompensated hysteresis or less
+POOR_PERCENT = 2.0  # of the range, rms: the model removes hardly more than half
+NEAR_NOISE = 1.5  # held-out error over sensor noise: the sensor limits the error
+BELOW_NOISE = 0.9  # held-out error over sensor noise: one of the two figures is wrong
+LOOSE_WIDTH = 0.2  # half interval of the loop width over the width
+MIN_BLOCKS = 10  # of cycles, from which intervals are computed
+POOR_SCORE, ACTION_SCORE, GOOD_SCORE = 50, 70, 90  # of `Limit.most`
+
+REMEDIES = {
+    "branch": "Record whole cycles of the drive, up and down, several times.",
+    "loop": "Record at least two cycles, and some of smaller size.",
+    "speed": "Repeat the same drive ten times slower: hysteresis keeps its width, a lag does not.",
+    "amplitude": "Record reversals of decreasing size over the whole range.",
+    "recording": "Record a second, different drive: reversals of many sizes at another speed.",
+    "closed_loop": "Open the loop and record again with the drive free.",
+    "leads": "Check the assignment of the columns, and that one clock stamps both channels.",
+    "smoothed": "Use the file as it was recorded, without smoothing.",
+    "implausible_gain": "Check both units, and whether the drive is an amplifier's monitor.",
+    "stands": "Record with the drive inside that range, or exclude those cycles.",
+    "slides": "Stamp both channels by one clock, and record again.",
+    "zero_jump": "Tighten the mount, check the sensor's zero and its counter, and record again.",
+}
+
+
+class Grade(StrEnum):
+    """How far a fitted axis can be relied on."""
+
+    GOOD = "good"
+    LIMITED = "usable with care"
+    POOR = "poor"
+    REJECTED = "model does not apply"
+
+
+def grade_of(axis: AxisModel) -> Grade:
+    """Grade an axis by its held-out error and by what its recordings do not show.
+
+    A good axis has an error below ``GOOD_PERCENT`` of its range or at the sensor noise, and no
+    condition of the data that leaves the loop or its cause open.
+    """
+    quality = axis.quality
+    if not axis.verdict.applies:
+        return Grade.REJECTED
+    cap = min((limit.most for limit in quality.limits), default=100)
+    is_noise_limited = quality.held_out_rms_m <= NEAR_NOISE * quality.noise_rms_m
+    error_percent = 0.0 if is_noise_limited else quality.held_out_rms_percent
+    if cap < POOR_SCORE or error_percent > POOR_PERCENT:
+        return Grade.POOR
+    if cap < GOOD_SCORE or error_percent > GOOD_PERCENT:
+        return Grade.LIMITED
+    return Grade.GOOD
+
+
+def fit_statements(axis: AxisModel) -> tuple[Statement, ...]:
+    """Return the statements about one fitted axis, most important first."""
+    return (
+        *_model_class(axis),
+        *_data_limits(axis),
+        *_noise(axis),
+        *_intervals(axis),
+        *_search(axis),
+        *_zero(axis),
+        *(_limit(axis, Level.NOTE, "remark", remark) for remark in axis.verdict.remarks),
+    )
+
+
+def _limit(
+    axis: AxisModel,
+    level: Level,
+    quantity: str,
+    text: str,
+    value: float | None = None,
+    unit: str = "",
+    recording: str = "",
+) -> Statement:
+    return Statement(
+        kind=Kind.LIMIT,
+        level=level,
+        quantity=quantity,
+        text=text,
+        axis=axis.axis,
+        recording=recording,
+        value=value,
+        unit=unit,
+    )
+
+
+def sentence(clause: str) -> str:
+    """Return a clause as a sentence, with its capital and its full stop."""
+    return f"{clause[:1].upper()}{clause[1:].rstrip('.')}."
+
+
+def _model_class(axis: AxisModel) -> list[Statement]:
+    if axis.verdict.applies:
+        return []
+    text = (
+        f"The hysteresis model does not apply: {axis.verdict.reason}. Check the assignment of the "
+        "columns and that both channels are sampled at the same instant, then sweep ten times "
+        "slower."
+    )
+    return [_limit(axis, Level.ACTION, "model_class", text)]
+
+
+def _data_limits(axis: AxisModel) -> list[Statement]:
+    """Return what was never measured and what is odd about the recordings."""
+    return [
+        _limit(
+            axis,
+            Level.ACTION if limit.most <= ACTION_SCORE else Level.WARNING,
+            limit.lack,
+            f"{sentence(limit.reason)} {REMEDIES.get(limit.lack, '')}".strip(),
+        )
+        for limit in axis.quality.limits
+    ]
+
+
+def _noise(axis: AxisModel) -> list[Statement]:
+    quality = axis.quality
+    if quality.noise_is_most:
+        text = (
+            f"The sensor noise is at most {told(quality.noise_rms_m, 'm')}: it cannot be "
+            "separated from the residual. Repeat the drive: equal periods differ by the noise."
+        )
+        return [_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m")]
+    if quality.held_out_rms_m < BELOW_NOISE * quality.noise_rms_m:
+        text = (
+            f"The held-out error of {told(quality.held_out_rms_m, 'm')} is below the sensor noise "
+            f"of {told(quality.noise_rms_m, 'm')}: the noise is overestimated."
+        )
+        return [_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m")]
+    return []
+
+
+def _intervals(axis: AxisModel) -> list[Statement]:
+    statements = []
+    blocks = axis.uncertainty.blocks
+    if blocks < MIN_BLOCKS:
+        text = (
+            f"The intervals rest on only {blocks} blocks of cycles. Record at least twelve cycles "
+            "of different sizes."
+        )
+        statements.append(_limit(axis, Level.WARNING, "blocks", text, float(blocks)))
+    width_m, half_m = axis.uncertainty.loop_width_m
+    if half_m > LOOSE_WIDTH * abs(width_m):
+        text = (
+            f"The width of the loop is known to ±{told(half_m, 'm')} only, of "
+            f"{told(width_m, 'm')}. Record full-range cycles several times at one speed."
+        )
+        statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
+    return statements
+
+
+def _search(axis: AxisModel) -> list[Statement]:
+    if axis.quality.converged:
+        return []
+    text = (
+        "The search stopped at its limit of iterations; a better fit may exist. Record reversals "
+        "of decreasing size over the whole range and fit again."
+    )
+    return [_limit(axis, Level.WARNING, "convergence", text)]
+
+
+def _zero(axis: AxisModel) -> list[Statement]:
+    quality = axis.quality
+    return [
+        _limit(
+            axis,
+            Level.NOTE,
+            "baseline_drift",
+            f"The zero drifts by {told(by_m, 'm')} "
+            f"({significant(100.0 * by_m / quality.range_m, 2)} % of the range) during "
+            f"{start.recording}; the fit follows the drift.",
+            by_m,
+            "m",
+            start.recording,
+        )
+        for start, by_m in wandering_zeros(axis.starts, quality.rms_m, quality.range_m)
+    ]

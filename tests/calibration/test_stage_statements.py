@@ -1,0 +1,199 @@
+"""A fact is judged once: which statements a stage makes, and how much each matters."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from piezoid.calibration.stage_statements import stage_statements
+from piezoid.diagnosis.diagnosis_statements import (
+    diagnosis_statements,
+    largest_first,
+    loop_shape_rms_m,
+)
+from piezoid.diagnosis.effects import EFFECTS
+from piezoid.diagnosis.something_else import NAME
+from piezoid.identification.fit_statements import Grade, fit_statements, grade_of
+from piezoid.identification.model import AxisModel
+from piezoid.identification.quality import Limit, Verdict
+from piezoid.statement import Level, select
+from piezoid.verification import criteria
+from piezoid.verification.verification import Verification
+from tests.reports.known_diagnosis import diagnosed, finding
+from tests.reports.known_stage import NOISE_m, axis_model, recording, stage_model
+
+
+def levels(axis: AxisModel) -> dict[str, Level]:
+    return {fact.quantity: fact.level for fact in fit_statements(axis)}
+
+
+def with_quality(**changes: object) -> AxisModel:
+    axis = axis_model()
+    return replace(axis, quality=replace(axis.quality, **changes))
+
+
+def with_zero(*zero_m: float) -> AxisModel:
+    axis = axis_model()
+    return replace(
+        axis, starts=tuple(replace(one, zero_m=np.array(zero_m)) for one in axis.starts)
+    )
+
+
+@pytest.mark.parametrize(
+    ("score", "level"), [(20, Level.ACTION), (70, Level.ACTION), (85, Level.WARNING)]
+)
+def test_what_was_never_measured_asks_for_a_recording(score: int, level: Level) -> None:
+    axis = with_quality(limits=(Limit(lack="speed", reason="one speed", most=score),))
+    assert levels(axis)["speed"] is level
+
+
+@pytest.mark.parametrize(
+    ("changes", "quantity"),
+    [
+        ({"converged": False}, "convergence"),
+        ({"noise_is_most": True}, "noise"),
+        ({"held_out_rms_m": 0.5 * NOISE_m}, "noise"),
+    ],
+)
+def test_a_weak_fit_has_a_warning(changes: dict[str, object], quantity: str) -> None:
+    assert quantity not in levels(axis_model())
+    assert levels(with_quality(**changes))[quantity] is Level.WARNING
+
+
+def test_intervals_on_few_blocks_and_a_loose_loop_width_have_warnings() -> None:
+    axis = axis_model()
+    few = replace(axis, uncertainty=replace(axis.uncertainty, blocks=9))
+    loose = replace(axis, uncertainty=replace(axis.uncertainty, loop_width_m=(1e-6, 3e-7)))
+    assert levels(few)["blocks"] is Level.WARNING
+    assert levels(loose)["loop_width"] is Level.WARNING
+    assert not {"blocks", "loop_width"} & set(levels(axis))
+
+
+def test_a_baseline_that_drifts_is_stated_with_its_size() -> None:
+    (drift,) = {
+        (fact.value, fact.recording)
+        for fact in fit_statements(axis_model())
+        if fact.quantity == "baseline_drift"
+    }
+    assert drift == (pytest.approx(2e-7), "sweep.csv")
+
+
+@pytest.mark.parametrize(
+    ("changes", "grade"),
+    [
+        ({}, Grade.GOOD),
+        ({"held_out_rms_m": 2.4e-7}, Grade.LIMITED),  # 1 % of the range
+        ({"held_out_rms_m": 7.2e-7}, Grade.POOR),
+        ({"held_out_rms_m": 7.2e-7, "noise_rms_m": 7e-7}, Grade.GOOD),
+        ({"limits": (Limit(lack="branch", reason="one branch", most=20),)}, Grade.POOR),
+        ({"limits": (Limit(lack="speed", reason="one speed", most=50),)}, Grade.LIMITED),
+    ],
+)
+def test_the_grade_follows_error_noise_and_limits(
+    changes: dict[str, object], grade: Grade
+) -> None:
+    assert grade_of(with_quality(**changes)) is grade
+
+
+def test_a_class_that_does_not_apply_is_the_first_thing_to_act_on() -> None:
+    axis = axis_model(reason="the loop opens the wrong way")
+    assert grade_of(axis) is Grade.REJECTED
+    first = select(stage_statements(stage_model(axis)))[0]
+    assert (first.quantity, first.level) == ("model_class", Level.ACTION)
+
+
+@pytest.mark.parametrize("effect", [effect.name for effect in EFFECTS])
+def test_effects_that_cannot_be_separated_ask_for_their_experiment(effect: str) -> None:
+    found = diagnosed(finding(effect, rivals=("thermal_drift",), experiment="Record a staircase."))
+    (fact,) = [f for f in diagnosis_statements(found) if f.quantity == f"{effect}_confounded"]
+    assert fact.level is Level.ACTION
+    assert fact.text.endswith("Record a staircase.")
+
+
+def test_a_diagnosis_that_finds_nothing_says_what_to_record_where_error_is_left() -> None:
+    (fact,) = diagnosis_statements(diagnosed())
+    assert (fact.quantity, fact.level, fact.value) == (
+        "no_effect_detected",
+        Level.ACTION,
+        diagnosed().envelope_rms_m,
+    )
+    quiet = replace(diagnosed(), envelope_rms_m=5.5e-9)
+    assert diagnosis_statements(quiet)[0].level is Level.NOTE
+    assert diagnosis_statements(diagnosed(finding("delay"))) == ()
+
+
+@pytest.mark.parametrize(("wide_m", "shape_m"), [(8e-9, 30.6e-9), (30e-9, 0.0)])
+def test_an_error_that_a_wider_class_removes_is_loop_shape(wide_m: float, shape_m: float) -> None:
+    found = replace(diagnosed(), envelope_rms_m=wide_m)
+    found = replace(found, final=replace(found.final, rms_m=31.6e-9))
+    assert loop_shape_rms_m(found, with_zero(0.0)) == pytest.approx(shape_m, rel=0.01)
+
+
+def test_loop_shape_is_not_claimed_where_the_recordings_could_not_tell_it() -> None:
+    """A wide class imitates a lag at one speed, a zero that moves, and what a class refuses."""
+    found = replace(diagnosed(), envelope_rms_m=8e-9)
+    axis = with_zero(0.0)
+    one_speed = Limit(lack="speed", reason="one speed", most=50)
+    assert loop_shape_rms_m(found, axis) > 0.0
+    # rms of a straight zero: its range over the square root of 12
+    assert loop_shape_rms_m(found, with_zero(0.0, 5e-8)) > 0.0
+    assert loop_shape_rms_m(found, with_zero(0.0, 5e-8, 0.0)) > 0.0
+    assert loop_shape_rms_m(found, with_zero(0.0, 1.2e-7)) == 0.0
+    assert loop_shape_rms_m(found, with_zero(0.0, 1.2e-7, 0.0)) == 0.0
+    narrow = replace(axis, quality=replace(axis.quality, limits=(one_speed,)))
+    assert loop_shape_rms_m(found, narrow) == 0.0
+    refused = replace(axis, verdict=Verdict(applies=False, reason="a butterfly"))
+    assert loop_shape_rms_m(found, refused) == 0.0
+    assert loop_shape_rms_m(found, None) == 0.0
+
+
+def test_an_unnamed_finding_leads_only_if_it_is_the_largest() -> None:
+    large, small = (finding(NAME, share=share) for share in (5e-3, 1e-3))
+    creep = finding("creep", share=3e-3)
+    assert largest_first(diagnosed(creep, large))[0].effect == NAME
+    assert largest_first(diagnosed(creep, small))[0].effect == "creep"
+
+
+def verification(value: float) -> Verification:
+    verdict = criteria.Verdict(
+        name="tracking", scenario="spiral", value=value, limit=0.5, unit="m"
+    )
+    return Verification(
+        name="bench",
+        methods={"x": "mpi"},
+        radius_m=1e-6,
+        comparison=(),
+        spirals=(),
+        currents=(),
+        traces=(),
+        verdicts=(verdict,),
+        proofs=(),
+        plants=(),
+        parameters_digest="sha256:" + "0" * 64,
+        runtime_digest="sha256:" + "0" * 64,
+    )
+
+
+def test_a_failed_verdict_and_an_axis_that_does_not_ship_need_action() -> None:
+    facts = stage_statements(
+        stage_model(axis_model()),
+        verification=verification(0.9),
+        unshipped={"y": "no margin"},
+        undesigned="no sampling rate",
+    )
+    actions = {(fact.axis, fact.quantity) for fact in select(facts, minimum=Level.ACTION)}
+    assert actions == {("", "tracking"), ("y", "not_shipped"), ("", "not_designed")}
+    assert not select(
+        stage_statements(stage_model(axis_model()), verification=verification(0.2)),
+        minimum=Level.ACTION,
+    )
+
+
+def test_no_statement_is_made_twice() -> None:
+    facts = stage_statements(
+        stage_model(axis_model()),
+        recordings=[recording()],
+        diagnoses=[diagnosed(finding("creep", rivals=("lag",)))],
+        undiagnosed=("axis z is not diagnosed.",),
+    )
+    assert len({fact.text for fact in facts}) == len(facts)
