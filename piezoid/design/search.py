@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import least
+from piezoid.numerics.derivative_free import direct_search
 
 Judge = Callable[[Array], tuple[float, float]]
 """Parameters in; (cost to minimise, excess over the limits in dB) out."""
@@ -92,12 +92,12 @@ def _descend(ask: Judge, start: Array, step: float, evaluations: int, reserve_dB
             last[key] = ask(unit)
         return last[key]
 
-    least(
+    direct_search(
         lambda unit: remembered(unit)[0],
         np.clip(start, 0.0, 1.0),
         (np.zeros(len(start)), np.ones(len(start))),
-        step=step,
-        evaluations=evaluations,
-        limit=lambda unit: max(remembered(unit)[1], -_FLOOR_dB) + reserve_dB,
-        within=_PATIENCE,
+        initial_step=step,
+        max_evaluations=evaluations,
+        constraint=lambda unit: max(remembered(unit)[1], -_FLOOR_dB) + reserve_dB,
+        step_tolerance=_PATIENCE,
     )

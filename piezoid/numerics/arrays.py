@@ -1,4 +1,4 @@
-"""What a record does to an array before it trusts it: copy, check, freeze."""
+"""Copy, check and freeze the arrays of records."""
 
 from collections.abc import Mapping, Sequence
 from math import isfinite
@@ -22,10 +22,10 @@ def frozen(values: ArrayLike, name: str, *, ndim: int = 1) -> Array:
     array = np.array(values, dtype=np.float64, order="C", copy=True)
     if array.ndim != ndim:
         raise ValueError(f"{name} has {array.ndim} axes, expected {ndim}")
-    # the sum of squares is finite for nearly all, and a third of the time
+    # a finite sum of squares proves all values finite in a third of the time
     if not (isfinite(np.vdot(array, array)) or np.isfinite(array).all()):
-        place = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
-        raise ValueError(f"{name}[{place}] is {array.ravel()[place]}, expected finite numbers")
+        index = int(np.flatnonzero(~np.isfinite(array.ravel()))[0])
+        raise ValueError(f"{name}[{index}] is {array.ravel()[index]}, expected finite numbers")
     array.setflags(write=False)
     return array
 
@@ -53,8 +53,8 @@ def freeze(record: object, *names: str, ndim: int = 1) -> None:
 def expect_shapes(record: object, expected: Mapping[str, tuple[int, ...]]) -> None:
     """Raise ``ValueError`` naming the first field whose array has another shape."""
     for name, shape in expected.items():
-        if (found := getattr(record, name).shape) != shape:
-            raise ValueError(f"{name} has shape {found}, expected {shape}")
+        if (actual := getattr(record, name).shape) != shape:
+            raise ValueError(f"{name} has shape {actual}, expected {shape}")
 
 
 def same_length(named: Sequence[tuple[str, Array]]) -> None:
@@ -66,11 +66,11 @@ def same_length(named: Sequence[tuple[str, Array]]) -> None:
 
 
 def strictly_increasing(array: Array, name: str) -> None:
-    """Raise ``ValueError`` naming the first place where ``array`` does not increase."""
-    grows = array[1:] > array[:-1]  # compared, for the difference of large numbers is none
-    if not grows.all():
-        place = int(np.flatnonzero(~grows)[0])
+    """Raise ``ValueError`` naming the first index where ``array`` does not increase."""
+    increases = array[1:] > array[:-1]  # not np.diff, which rounds to zero for large numbers
+    if not increases.all():
+        index = int(np.flatnonzero(~increases)[0])
         raise ValueError(
-            f"{name} does not increase: [{place}] = {array[place]}, [{place + 1}] = "
-            f"{array[place + 1]}"
+            f"{name} does not increase: [{index}] = {array[index]}, [{index + 1}] = "
+            f"{array[index + 1]}"
         )

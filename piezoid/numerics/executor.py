@@ -1,14 +1,9 @@
-"""A thread pool for independent refits, and the progress they report.
+"""Thread pool for independent fits, progress messages, and one thread for linear algebra.
 
-Refits of different effects are independent, and nearly all of their time passes in compiled code
-that releases the interpreter's lock.
-
-Linear algebra by one thread.
-
-Our matrices are small: the threads of a linear algebra library spend their time waiting for each
-other (a fit takes 2.3 times as long on two idle cores, 40 times on two busy ones), and how a sum
-is shared among them changes its last bits. Whoever wants several cores asks the verb for
-``threads`` of ours.
+Fits spend nearly all of their time in compiled code that releases the interpreter's lock, so
+threads run side by side. Linear algebra is limited to one thread: the matrices are small, so that
+threads of the library mostly wait for each other (2.3 times slower on two idle cores, 40 times on
+two busy ones), and the order of their sums changes the last bits of a result.
 """
 
 from collections.abc import Callable, Iterable
@@ -22,7 +17,7 @@ from typing import Any, Generic, ParamSpec, Self, TypeVar, overload
 from threadpoolctl import threadpool_limits
 
 Arguments = ParamSpec("Arguments")
-Found = TypeVar("Found")
+Returned = TypeVar("Returned")
 
 Value = TypeVar("Value", covariant=True)
 
@@ -32,19 +27,18 @@ Other = TypeVar("Other")
 
 
 class Once(Generic[Value]):
-    """What ``functools.cached_property`` is from Python 3.12 on: no record waits for another.
+    """``functools.cached_property`` of Python 3.12, for Python 3.11, which locks all instances.
 
-    Before, one lock for all records of a class let only one thread make anything. Two threads that
-    ask at once may both make the value; both are given the one that was there first.
+    Two threads may both compute the value; both get the one that was stored first.
     """
 
     def __init__(self, make: Callable[[Any], Value]) -> None:
-        """Take the method that makes the value."""
+        """Wrap the method that computes the value."""
         self._make = make
         self.__doc__ = make.__doc__
 
     def __set_name__(self, owner: type, name: str) -> None:
-        """Learn under which name the value is kept."""
+        """Store the name of the attribute."""
         self._name = name
 
     @overload
@@ -52,23 +46,23 @@ class Once(Generic[Value]):
     @overload
     def __get__(self, instance: object, owner: type | None = None) -> Value: ...
     def __get__(self, instance: object | None, owner: type | None = None) -> Self | Value:
-        """Make the value; once it is kept, nobody comes here."""
+        """Compute and store the value; later reads find it in the instance."""
         if instance is None:
             return self
-        kept: Value = vars(instance).setdefault(self._name, self._make(instance))
-        return kept
+        value: Value = vars(instance).setdefault(self._name, self._make(instance))
+        return value
 
 
 def _ignore(_: str) -> None:
-    """Report to nobody."""
+    """Ignore a progress message."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Executor:
-    """How many threads work at once, and who is told of the progress.
+    """Number of worker threads and the callback for progress messages.
 
-    progress  called with a few words, by whichever thread, one at a time
-    threads   the results do not depend on it
+    progress  called with a short text, from any thread, one call at a time
+    threads   results do not depend on it
     """
 
     progress: Callable[[str], None] = _ignore
@@ -80,39 +74,38 @@ class Executor:
             raise ValueError(f"found {self.threads} threads, but at least 1 is needed")
 
     def report(self, text: str) -> None:
-        """Report what is being done; a pipe to another process takes one message at a time."""
+        """Pass a progress message on, one at a time."""
         with self._lock:
             self.progress(text)
 
     def map(self, work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Return ``work(item)`` of all items, in their order."""
-        waiting = list(items)
-        if min(self.threads, len(waiting)) < 2:
-            return [work(item) for item in waiting]
+        items = list(items)
+        if min(self.threads, len(items)) < 2:
+            return [work(item) for item in items]
         with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(work, waiting))
+            return list(pool.map(work, items))
 
-    def both(self, one: Callable[[], Result], other: Callable[[], Other]) -> tuple[Result, Other]:
-        """Return both results."""
+    def both(
+        self, first: Callable[[], Result], second: Callable[[], Other]
+    ) -> tuple[Result, Other]:
+        """Return the results of two functions."""
         if self.threads < 2:
-            return one(), other()
+            return first(), second()
         with ThreadPoolExecutor(1) as pool:
-            second = pool.submit(other)
-            return one(), second.result()
+            future = pool.submit(second)
+            return first(), future.result()
 
 
 SERIAL = Executor()
 
 
-def on_one_thread(compute: Callable[Arguments, Found]) -> Callable[Arguments, Found]:
-    """Return the function with linear algebra held to one thread while it runs.
-
-    The limit is the process's, as the libraries have it, and is lifted at the end.
-    """
+def on_one_thread(compute: Callable[Arguments, Returned]) -> Callable[Arguments, Returned]:
+    """Limit linear algebra to one thread while the function runs; the limit is process-wide."""
 
     @wraps(compute)
-    def held(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Found:
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Returned:
         with threadpool_limits(limits=1, user_api="blas"):
             return compute(*args, **kwargs)
 
-    return held
+    return limited

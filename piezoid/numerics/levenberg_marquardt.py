@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import bounded_minimum
-from piezoid.numerics.quadratic_program import bounded_step
+from piezoid.numerics.quadratic_program import bounded_minimum, bounded_step
 
 LEAST_DAMPING = 1e-9  # keeps normal equations definite where rounding would not
 CRAWL = 5  # accepted steps looked at together

@@ -9,12 +9,15 @@ from scipy.linalg import lapack
 
 from piezoid.errors import InfeasibleFitError
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import bounded_minimum
 
 _TOLERANCE = 1e-10
 JITTER = 1e-14  # of a column's norm squared: keeps R'R definite where rounding would not
 AT_BOUND = 1e-7  # of what is added up in a constraint
 ROUNDING = 1e-11  # of columns and a target of norm 1
+_UNBOUNDED = 1e30  # daqp's infinite bound
+_EQUALITY = 5  # daqp's constraint type of equal bounds
+_SOLVED = 1  # daqp's status
+_PRIMAL_TOLERANCE = 1e-11  # of variables of order one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,17 +111,57 @@ def stationarity(
     scale = _column_norms(triangle)
     gradient = triangle.T @ (triangle @ x - target) / scale
     value = constraint @ x
-    # An x of columns of norm 1, all as large as the largest, says what a constraint's rounding is.
+    # Rounding of a constraint whose terms are all as large as the largest.
     slack = (
         AT_BOUND * float(np.abs(scale * x).max(initial=0.0)) * np.abs(constraint / scale).sum(1)
     )
     at_lower, at_upper = value <= limits[0] + slack, value >= limits[1] - slack
-    # An equation is among both: it pushes either way.
+    # An equality is in both sets.
     normals = np.vstack([constraint[at_lower], -constraint[at_upper]]) / scale
     size = float(np.linalg.norm(triangle.T @ target / scale)) or 1.0
     if len(normals) == 0:
         return float(np.linalg.norm(gradient)) / size
     return float(optimize.nnls(normals.T, gradient)[1]) / size
+
+
+def bounded_minimum(gram: Array, right: Array, lower: Array, upper: Array) -> Array:
+    """Minimise x' G x / 2 - b' x with l <= x <= u.
+
+    G, b  (unknowns, unknowns), (unknowns,)  G positive definite
+    l, u  (unknowns,)  l <= u; equal bounds fix an unknown
+
+    Invariant to scale: b and the bounds in other units give x in other units. A variable at an
+    active bound equals the bound exactly.
+
+    Raises ``LinAlgError`` for a G that is not positive definite to rounding.
+
+    Source: Arnstroem, Bemporad & Axehill, IEEE Transactions on Automatic Control 67 (2022), daqp.
+    """
+    import daqp
+
+    length = np.sqrt(np.maximum(np.diag(gram), 0.0))
+    length[length == 0.0] = 1.0
+    nearest = np.clip(np.zeros_like(length), lower, upper) * length
+    height = float(max(np.linalg.norm(right / length), np.linalg.norm(nearest))) or 1.0
+    below, above = lower * (length / height), upper * (length / height)
+    scaled, _, flag, details = daqp.solve(
+        gram / np.outer(length, length),
+        -right / (length * height),
+        np.empty((0, len(length))),
+        np.minimum(above, _UNBOUNDED),
+        np.maximum(below, -_UNBOUNDED),
+        np.where(lower >= upper, _EQUALITY, 0).astype(np.int32),
+        primal_tol=_PRIMAL_TOLERANCE,
+    )
+    if flag != _SOLVED:
+        raise np.linalg.LinAlgError(
+            f"the quadratic form was not minimised: daqp ended with status {flag}"
+        )
+    multiplier = details["lam"][: len(length)]
+    x = np.where(
+        multiplier < 0.0, lower, np.where(multiplier > 0.0, upper, scaled * (height / length))
+    )
+    return np.clip(x, lower, upper)
 
 
 def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> Array:
@@ -127,24 +170,25 @@ def bounded_step(triangle: Array, target: Array, lower: Array, upper: Array) -> 
     R, c   (rows, unknowns), (rows,)
     l, u   (unknowns,)  l <= u; equal bounds fix the unknown
 
-    Which unknowns lie on a bound is found from R'R, fast but with the square of R's condition.
-    The others are then solved from R itself, and where the Karush-Kuhn-Tucker conditions do not
-    hold to rounding, an active-set method on R decides. Rounding is meant beside the target, or
-    beside what the bounds ask for where that is more: other units give the same step.
+    The active bounds come from R'R, which is fast but squares R's condition; the free unknowns are
+    then solved from R itself. If the Karush-Kuhn-Tucker conditions do not hold to rounding, an
+    active-set method on R is used instead. The result does not depend on units.
     """
     scale = _column_norms(triangle)
-    asked = np.linalg.norm(np.clip(np.zeros_like(scale), lower, upper) * scale)
-    height = float(max(np.linalg.norm(target), asked)) or 1.0
+    nearest = np.linalg.norm(np.clip(np.zeros_like(scale), lower, upper) * scale)
+    height = float(max(np.linalg.norm(target), nearest)) or 1.0
     factor, right = triangle / scale, target / height
     below, above = lower * (scale / height), upper * (scale / height)
-    found = _guessed(factor, right, below, above)
-    if found is None:
-        found = _decided(factor, right, below, above)
-    return np.asarray(np.clip(found * (height / scale), lower, upper))
+    x = _from_normal_equations(factor, right, below, above)
+    if x is None:
+        x = _by_active_set(factor, right, below, above)
+    return np.asarray(np.clip(x * (height / scale), lower, upper))
 
 
-def _guessed(factor: Array, target: Array, lower: Array, upper: Array) -> Array | None:
-    """Return the minimum, or None where R'R does not tell it; columns and target about 1."""
+def _from_normal_equations(
+    factor: Array, target: Array, lower: Array, upper: Array
+) -> Array | None:
+    """Return the minimum, or None if it fails the KKT conditions; columns and target of norm 1."""
     gram = factor.T @ factor + JITTER * np.eye(len(lower))
     try:
         x = bounded_minimum(gram, factor.T @ target, lower, upper)
@@ -155,18 +199,18 @@ def _guessed(factor: Array, target: Array, lower: Array, upper: Array) -> Array 
         x[free] = 0.0
         x[free] = _least_squares(factor[:, free], target - factor @ x)
     slope = factor.T @ (factor @ x - target)
-    outwards = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
-    outwards |= (x >= upper) & (slope <= ROUNDING)
-    held = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
-    return x if bool((outwards & held).all()) else None
+    is_stationary = np.where(x <= lower, slope >= -ROUNDING, np.abs(slope) <= ROUNDING)
+    is_stationary |= (x >= upper) & (slope <= ROUNDING)
+    is_feasible = (x >= lower - ROUNDING) & (x <= upper + ROUNDING)
+    return x if bool((is_stationary & is_feasible).all()) else None
 
 
 def _least_squares(rows: Array, target: Array) -> Array:
-    _, found, _ = lapack.dgels(rows, target)
-    return np.asarray(found[: rows.shape[1]])
+    _, solution, _ = lapack.dgels(rows, target)
+    return np.asarray(solution[: rows.shape[1]])
 
 
-def _decided(factor: Array, target: Array, lower: Array, upper: Array) -> Array:
+def _by_active_set(factor: Array, target: Array, lower: Array, upper: Array) -> Array:
     movable = upper > lower
     x = np.clip(np.zeros_like(lower), lower, upper)
     if movable.any():

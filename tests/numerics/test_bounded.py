@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from piezoid.numerics.derivative_free import bounded_minimum
+from piezoid.numerics.quadratic_program import bounded_minimum
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import least
+from piezoid.numerics.derivative_free import direct_search
 
 BOX = np.full(2, -5.0), np.full(2, 5.0)
 
@@ -13,7 +13,9 @@ def test_a_minimum_at_a_kink_is_found() -> None:
     def kinked(x: Array) -> float:
         return float(abs(x[0] - 1.0) + 3.0 * abs(x[1] + x[0]))
 
-    x, value = least(kinked, np.zeros(2), BOX, step=0.5, evaluations=500, within=1e-7)
+    x, value = direct_search(
+        kinked, np.zeros(2), BOX, initial_step=0.5, max_evaluations=500, step_tolerance=1e-7
+    )
     np.testing.assert_allclose(x, [1.0, -1.0], atol=1e-4)
     assert value == kinked(x)
 
@@ -23,21 +25,23 @@ def test_a_search_of_the_whole_box_leads_out_of_a_shallow_valley() -> None:
         return float(min((x[0] - 4.0) ** 2 + 1.0, 4.0 * (x[0] + 3.0) ** 2))
 
     start, box = np.array([4.0]), (BOX[0][:1], BOX[1][:1])
-    near, _ = least(valleys, start, box, step=0.1, evaluations=100)
-    far, _ = least(valleys, start, box, step=0.1, evaluations=100, globally=50)
+    near, _ = direct_search(valleys, start, box, initial_step=0.1, max_evaluations=100)
+    far, _ = direct_search(
+        valleys, start, box, initial_step=0.1, max_evaluations=100, global_evaluations=50
+    )
     assert near[0] == pytest.approx(4.0, abs=1e-3)
     assert far[0] == pytest.approx(-3.0, abs=1e-3)
 
 
 def test_a_limit_is_met() -> None:
-    x, value = least(
+    x, value = direct_search(
         lambda x: float(-x[0] - x[1]),
         np.full(2, 0.1),
         BOX,
-        step=0.5,
-        evaluations=500,
-        limit=lambda x: float(x @ x - 1.0),
-        within=1e-8,
+        initial_step=0.5,
+        max_evaluations=500,
+        constraint=lambda x: float(x @ x - 1.0),
+        step_tolerance=1e-8,
     )
     np.testing.assert_allclose(x, np.sqrt(0.5), atol=1e-5)
     assert value == pytest.approx(-np.sqrt(2.0), abs=1e-6)
@@ -50,6 +54,8 @@ def test_no_more_values_are_asked_for_than_allowed() -> None:
         asked.append(x.copy())
         return float(x @ x)
 
-    least(bowl, np.full(2, 3.0), BOX, step=0.5, evaluations=17, globally=11)
+    direct_search(
+        bowl, np.full(2, 3.0), BOX, initial_step=0.5, max_evaluations=17, global_evaluations=11
+    )
     assert len(asked) == 28
     assert (np.abs(asked) <= 5.0).all()

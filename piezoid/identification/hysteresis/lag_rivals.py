@@ -16,7 +16,7 @@ from piezoid.identification.hysteresis.filters import later
 from piezoid.identification.hysteresis.order import folds_of, is_untested
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import least
+from piezoid.numerics.derivative_free import direct_search
 from piezoid.operators.chain import Samples
 
 ROWS = 3000  # of all pieces together: three numbers need no more
@@ -128,12 +128,12 @@ def _searched(pieces: Sequence[Piece], longest_lag_s: float, count: int) -> Arra
     lower = np.array([np.log(1e-3), np.log(0.05), 0.0][:count])
     upper = np.array([np.log(2.0), np.log(5.0), 1.0][:count])
     found = [
-        least(
+        direct_search(
             error,
             np.array([np.log(share), np.log(0.8), 0.02][:count]),
             (lower, upper),
-            step=np.array([0.7, 0.4, 0.1][:count]),
-            evaluations=EVALUATIONS * (count - 1),
+            initial_step=np.array([0.7, 0.4, 0.1][:count]),
+            max_evaluations=EVALUATIONS * (count - 1),
         )
         for share in (0.03, 0.3)
     ]

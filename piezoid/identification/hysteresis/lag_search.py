@@ -9,7 +9,7 @@ from piezoid.identification.hysteresis.filters import lagged
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.identification.hysteresis.start import ROWS
 from piezoid.numerics.arrays import Array
-from piezoid.numerics.derivative_free import least
+from piezoid.numerics.derivative_free import direct_search
 from piezoid.numerics.triangle import empty_triangle, gather
 from piezoid.operators.play import play_blocks
 
@@ -30,14 +30,14 @@ def find_lag(pieces: Sequence[Piece], kind: str, longest_s: float) -> float:
     def error(x: Array) -> float:
         return _quick_error(pieces, columns, kind, float(x[0]) * longest_s)
 
-    share, _ = least(
+    share, _ = direct_search(
         error,
         np.array([0.02]),
         (np.zeros(1), np.ones(1)),
-        step=0.02,
-        evaluations=25,
-        within=1e-5,
-        globally=25,
+        initial_step=0.02,
+        max_evaluations=25,
+        step_tolerance=1e-5,
+        global_evaluations=25,
     )
     return float(share[0]) * longest_s
 
