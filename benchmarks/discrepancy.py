@@ -20,8 +20,10 @@ import piezoid
 from benchmarks.outsiders.lateral import RADIUS, TURNS, LED_s, led_to, middle_of
 from benchmarks.outsiders.simulators import RATE_Hz, simulator, track
 from piezoid.identification.model import AxisModel
+from piezoid.identification.prediction import compare
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Quantity, Recording
+from piezoid.records.frames import from_arrays
+from piezoid.records.recording import Quantity
 from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid_cli.calibration import calibrate
 from piezoid_datasets.virtual_lab.truths import ZOO
@@ -57,7 +59,7 @@ def of_the_zoo() -> Iterator[tuple[str, str, AxisModel, float, float]]:
                 whole = np.concatenate([field, np.linspace(field[-1], 0.0, 100), SPIRAL])
                 moved_m = STROKE_m * sum(ceramic.respond(whole, CYCLED))
                 noise_m = NOISE_m * rng.standard_normal(len(field))
-                recording = Recording.from_arrays(
+                recording = from_arrays(
                     voltage_V=REACH_V * field,
                     displacement_m=moved_m[: len(field)] + noise_m,
                     sampling_rate_Hz=500.0,
@@ -105,7 +107,7 @@ def of_an_outsider(name: str, seeds: range) -> Iterator[tuple[str, str, AxisMode
         )
         driven = replace(like, channels=channels, sampling_rate_Hz=RATE_Hz, breaks=())
         led = round(1.5 * LED_s * RATE_Hz)
-        power = axis.compare(driven).error_m[led:].var() - axis.quality.noise_rms_m**2
+        power = compare(axis, driven).error_m[led:].var() - axis.quality.noise_rms_m**2
         stated_m = axis.discrepancy.run(np.asarray(run.volts))[led:]
         yield name, f"stage {seed}", axis, float(np.sqrt(max(power, 1e-24))), stated_m.std()
 

@@ -29,7 +29,7 @@ from piezoid.export.parameter_file import AxisParameters, from_json
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.learning.learn import Learned, first_table, next_table
 from piezoid.numerics.arrays import Array
-from piezoid.records.recording import Recording
+from piezoid.records.frames import from_arrays
 from piezoid.runtime.controller import Controller
 from piezoid.verification.plant import AxisPlant, lateral_plant
 from piezoid.verification.scenarios import raster
@@ -130,7 +130,7 @@ def runs(
                             error_m = error_m - error_m.mean()
                         errors.append(float(np.sqrt(np.mean(error_m**2))) / plant.noise_rms)
                         if k < PERIODS:
-                            seen = Recording.from_arrays(
+                            seen = from_arrays(
                                 voltage_V=learned.table_V,
                                 displacement_m={axis.axis: read_m},
                                 sampling_rate_Hz=plant.sampling_rate_Hz,

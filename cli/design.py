@@ -45,7 +45,7 @@ def design(
     from json import loads
 
     from piezoid.design.stage import Asked, design_stage
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid_cli.export import show_unshipped
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown

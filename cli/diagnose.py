@@ -106,7 +106,7 @@ def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
     """Return the model named before the recordings, if there is one, and the recordings."""
     from json import loads
 
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid_cli.stage_files import content_of
 
     if files[0].suffix.lower() != ".json":

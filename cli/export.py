@@ -57,7 +57,7 @@ def export(
     from piezoid.design.design import design_from_json
     from piezoid.export.bundle import bundle
     from piezoid.export.parameter_file import to_json
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid.targets.box import Box, read_box
     from piezoid.targets.targets import TARGETS, known_targets
     from piezoid_cli.output_folder import add_to_folder

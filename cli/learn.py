@@ -66,11 +66,11 @@ def learn(
         told("reading the stage")
         from piezoid.design.stage import controller_rate_Hz
         from piezoid.export.parameter_file import from_json
-        from piezoid.identification.store import read_model
         from piezoid.learning.files import learned_files, read_reference
         from piezoid.learning.learn import learned_from_json
         from piezoid.records.collection import collect
         from piezoid.records.lab import Lab
+        from piezoid.sealed_files import read_model
         from piezoid.verbs import learn as learn_table
 
         declared = lab_of(stage, lab)

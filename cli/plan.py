@@ -114,7 +114,7 @@ class _Known:
 def _read(stage: Path, axis: str | None) -> _Known:
     """Read model and diagnosis of a stage; the diagnosis of its first axis if none is named."""
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid_cli.stage_files import content_of
 
     model_json = content_of(stage / "model.json")

@@ -53,7 +53,7 @@ def report(
 
     piezoid report today/ --since january/ --json | jq .since.controller_holds
     """
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid_cli.output_folder import add_to_folder
     from piezoid_cli.progress import shown
     from piezoid_cli.stage_files import content_of
@@ -161,7 +161,7 @@ def _since(
 
     from piezoid.calibration.since import since
     from piezoid.diagnosis.sealed_diagnosis import read_diagnoses
-    from piezoid.identification.store import read_model
+    from piezoid.sealed_files import read_model
     from piezoid_cli.stage_files import content_of
 
     told("reading the earlier calibration")

@@ -65,8 +65,8 @@ def verify(
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
     from piezoid.export.parameter_file import from_json
-    from piezoid.identification.store import read_model
     from piezoid.numerics.executor import Executor
+    from piezoid.sealed_files import read_model
     from piezoid.verification.criteria import limits_from_toml
     from piezoid.verification.stage import verify_stage
     from piezoid_cli.output_folder import add_to_folder

@@ -26,7 +26,7 @@ _PUBLIC = {
     **dict.fromkeys(
         (
             *("calibrate", "design", "diagnose", "export", "fit", "learn", "plan"),
-            *("read", "read_lab", "report", "verify"),
+            *("read", "read_lab", "report", "simulate_loop", "verify"),
         ),
         "piezoid.verbs",
     ),
@@ -57,11 +57,15 @@ _PUBLIC = {
     "Verification": "piezoid.verification.verification",
     "VirtualStage": "piezoid.virtual_stage",
     "fit_coupled": "piezoid.identification.coupled.fit_coupled",
+    "from_arrays": "piezoid.records.frames",
+    "from_frame": "piezoid.records.frames",
     "identify_restoring_force": "piezoid.identification.restoring_force.fit",
     "load": "piezoid.sealed_files",
     "place_hysteresis": "piezoid.identification.restoring_force.placing",
+    "plot": "piezoid.figures",
     "save": "piezoid.sealed_files",
     "simulate": "piezoid.virtual_stage",
+    "to_frame": "piezoid.records.frames",
 }
 
 if TYPE_CHECKING:
@@ -71,6 +75,7 @@ if TYPE_CHECKING:
     from piezoid.diagnosis.experiment import Plan
     from piezoid.errors import PiezoidError
     from piezoid.export.parameter_file import ParameterFile
+    from piezoid.figures import plot
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.coupled.coupled_stage import CoupledStage
     from piezoid.identification.coupled.fit_coupled import fit_coupled
@@ -87,6 +92,7 @@ if TYPE_CHECKING:
     )
     from piezoid.learning.learn import Learned
     from piezoid.records.collection import Collection
+    from piezoid.records.frames import from_arrays, from_frame, to_frame
     from piezoid.records.lab import Lab
     from piezoid.records.recording import Channel, Quantity, Recording
     from piezoid.sealed_files import load, save
@@ -101,6 +107,7 @@ if TYPE_CHECKING:
         read,
         read_lab,
         report,
+        simulate_loop,
         verify,
     )
     from piezoid.verification.closed_loop import LoopRecord
@@ -142,16 +149,21 @@ __all__ = (
     "export",
     "fit",
     "fit_coupled",
+    "from_arrays",
+    "from_frame",
     "identify_restoring_force",
     "learn",
     "load",
     "place_hysteresis",
     "plan",
+    "plot",
     "read",
     "read_lab",
     "report",
     "save",
     "simulate",
+    "simulate_loop",
+    "to_frame",
     "verify",
 )
 

@@ -16,9 +16,10 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
 from piezoid.errors import PictureError
 from piezoid.formatting import told, words
+from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
-from piezoid.identification.prediction import Comparison
+from piezoid.identification.prediction import Comparison, compare
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Quantity, Recording
 from piezoid.verification.closed_loop import LoopRecord
@@ -43,6 +44,94 @@ _METHODS = {
 }
 
 
+Drawable = (
+    Recording
+    | ActuatorModel
+    | AxisModel
+    | Comparison
+    | Diagnosis
+    | Design
+    | Verification
+    | LoopRecord
+    | Plan
+)
+
+
+def plot(
+    record: Drawable,
+    kind: str = "",
+    *,
+    axis: str | None = None,
+    recording: Recording | None = None,
+    ax: "Axes | None" = None,
+) -> "Axes":
+    """Draw a record in matplotlib and return the axes.
+
+    record     Recording: displacement over drive (``loop``), or both over time (``time``).
+               ActuatorModel, AxisModel: loops (``loop``) or linear ``response``; with a recording,
+               measured and predicted ``loop``, or their ``error`` over time.
+               Comparison: ``loop`` or ``error``.
+               Diagnosis: size of each effect, or its upper bound.
+               Design: how much of a disturbance each loop leaves, over frequency.
+               Verification: error over frequency by method (``comparison``), or all ``verdicts``.
+               LoopRecord: reference and position over time (``path``), or the ``error``.
+               Plan: drive of the next experiment over time.
+    kind       default: the first that is named above
+    axis       of a recording, a stage or a design with several
+    recording  drawn beside what the model predicts
+    ax         matplotlib axes to draw into; default: those of a new figure
+
+    Raises ``PictureError`` for another kind or record, or for an axis that is not there.
+
+    >>> piezoid.plot(recordings["sweep.csv"], "time").get_xlabel()
+    'time (s)'
+    >>> piezoid.plot(model, recording=recordings["check.csv"]).get_ylabel()
+    'displacement of x (µm)'
+    >>> piezoid.plot(shipping.verification, "verdicts").get_xlabel()
+    'value / limit (1)'
+    """
+    match record:
+        case Recording():
+            return _recording(record, kind or "loop", axis=axis, ax=ax)
+        case ActuatorModel() | AxisModel():
+            return _model(record, kind or "loop", axis=axis, recording=recording, ax=ax)
+        case Comparison():
+            return _comparison(record, kind or "loop", ax=ax)
+        case Diagnosis():
+            return _diagnosis(record, ax=ax)
+        case Design():
+            return _design(record, axis=axis, ax=ax)
+        case Verification():
+            return _verification(record, kind or "comparison", ax=ax)
+        case LoopRecord():
+            return _closed_loop(record, kind or "path", ax=ax)
+        case Plan():
+            return _plan(record, ax=ax)
+        case _:
+            raise PictureError(
+                f"no picture of a {type(record).__name__}",
+                needed="a recording, model, comparison, diagnosis, design, verification, loop "
+                "record or plan",
+                remedy="Pass one of those records.",
+            )
+
+
+def _model(
+    model: ActuatorModel | AxisModel,
+    kind: str,
+    *,
+    axis: str | None,
+    recording: Recording | None,
+    ax: "Axes | None",
+) -> "Axes":
+    """Draw one axis of a model, beside a recording if there is one."""
+    if isinstance(model, ActuatorModel):
+        model = model.one(axis or (recording.axis if recording is not None else None))
+    if recording is not None:
+        return _comparison(compare(model, recording), kind, ax=ax)
+    return _axis_model(model, kind, ax=ax)
+
+
 def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
     """Return axes with counts in their labels, where metres or volts were recorded in counts."""
     for one in axes.figure.axes if counted else ():
@@ -55,9 +144,11 @@ def in_units_of(axes: "Axes", counted: Collection[str]) -> "Axes":
     return axes
 
 
-def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
+def _recording(
+    held: Recording, kind: str, *, axis: str | None, ax: "Axes | None" = None
+) -> "Axes":
     """Draw a recording: displacement over drive, or both over time on two scales."""
-    _check("Recording.plot", kind, ("loop", "time"))
+    _check("recording", kind, ("loop", "time"))
     own = axis or held.axis
     voltage_V = held.voltage_V(own)
     channel = held.find(Quantity.DISPLACEMENT, own)
@@ -92,9 +183,9 @@ def recording(held: Recording, kind: str, *, axis: str | None, ax: "Axes | None"
     return in_units_of(axes, held.counted)
 
 
-def comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw a recording and what a model says of it over the drive, or the error over time."""
-    _check("Comparison.plot", kind, ("loop", "error"))
+    _check("comparison", kind, ("loop", "error"))
     axes = _axes(ax)
     if kind == "error":
         scale, unit = _scaled(held.error_m, "m")
@@ -127,13 +218,13 @@ def comparison(held: Comparison, kind: str, *, ax: "Axes | None" = None) -> "Axe
     return in_units_of(axes, held.counted)
 
 
-def axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the loops of a model at three ranges of the drive, or the response of its linear part.
 
     The loops are those of the hysteresis, as it is driven slowly, after a full cycle. The band is
     the 95 % interval of the loading curve, about the largest of them.
     """
-    _check("plot of a model", kind, ("loop", "response"))
+    _check("model", kind, ("loop", "response"))
     if kind == "response":
         return in_units_of(_response(model, _axes(ax)), model.counted)
     axes = _axes(ax)
@@ -171,7 +262,7 @@ def axis_model(model: AxisModel, kind: str, *, ax: "Axes | None" = None) -> "Axe
     return in_units_of(axes, model.counted)
 
 
-def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
+def _diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     """Draw what every effect contributes, rms: found as bars, not found as what it is at most."""
     found = [(f.effect, f.share * held.stroke_m) for f in held.findings]
     absent = [(n.effect, n.upper_bound_m) for n in held.not_detected if n.upper_bound_m]
@@ -213,7 +304,7 @@ def diagnosis(held: Diagnosis, *, ax: "Axes | None" = None) -> "Axes":
     return in_units_of(axes, held.counted)
 
 
-def design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
+def _design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes":
     """Draw |S_yp|, what a loop leaves of a disturbance: nominal, and the worst of its family."""
     chosen = held.axes if axis is None else (_axis_of(held, axis),)
     axes = _axes(ax)
@@ -230,9 +321,9 @@ def design(held: Design, *, axis: str | None, ax: "Axes | None" = None) -> "Axes
     return axes
 
 
-def verification(held: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _verification(held: Verification, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the error of each method over frequency, or every verdict against its limit."""
-    _check("Verification.plot", kind, ("comparison", "verdicts"))
+    _check("verification", kind, ("comparison", "verdicts"))
     if kind == "verdicts" or not held.comparison:
         return _verdicts(held, ax)
     axes = _axes(ax)
@@ -262,9 +353,9 @@ def verification(held: Verification, kind: str, *, ax: "Axes | None" = None) -> 
     return axes
 
 
-def loop(held: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
+def _closed_loop(held: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     """Draw reference and position of a closed loop over time, or the error."""
-    _check("LoopRecord.plot", kind, ("path", "error"))
+    _check("closed loop", kind, ("path", "error"))
     axes = _axes(ax)
     base, what = held.unit, "current" if held.unit == "A" else "position"
     if kind == "error":
@@ -286,7 +377,7 @@ def loop(held: LoopRecord, kind: str, *, ax: "Axes | None" = None) -> "Axes":
     return axes
 
 
-def plan(held: Plan, *, ax: "Axes | None" = None) -> "Axes":
+def _plan(held: Plan, *, ax: "Axes | None" = None) -> "Axes":
     """Draw the planned drive over time, with the limits it keeps."""
     axes = _axes(ax)
     drive_V = held.drive.voltage_V

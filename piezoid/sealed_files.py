@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 from json import JSONDecodeError, loads
 from pathlib import Path
 
+import piezoid.diagnosis.effects  # noqa: F401 - defines the extensions of some models
 from piezoid.design.design import Design, design_from_json
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import read_diagnoses, write_diagnosis
 from piezoid.errors import ParameterFileError, RecordingError
 from piezoid.export import parameter_file
 from piezoid.export.parameter_file import ParameterFile
+from piezoid.identification import store
 from piezoid.identification.actuator_model import ActuatorModel
-from piezoid.identification.store import read_model, write_model
+from piezoid.identification.store import write_model
 from piezoid.learning.learn import Learned, learned_from_json
 from piezoid.verification.verification import Verification, verification_from_json
 
@@ -40,7 +42,7 @@ def load(path: Place) -> Sealed:
     Raises ``ParameterFileError`` where a bit was changed or the file is none of these, and
     ``OSError`` where it cannot be read.
 
-    >>> model.save("model.json")
+    >>> piezoid.save(model, "model.json")
     >>> piezoid.load("model.json").stage == model.stage
     True
     """
@@ -61,6 +63,14 @@ def load(path: Place) -> Sealed:
             "verification.json or learning.json of a stage's folder.",
         )
     return _READERS[kind](content, str(place))
+
+
+def read_model(content: bytes, place: str = "model.json") -> ActuatorModel:
+    """Read model.json, with the extensions that only an effect defines.
+
+    Raises ``ParameterFileError`` as ``store.read_model``.
+    """
+    return store.read_model(content, place)
 
 
 _READERS: Mapping[str, Callable[[bytes, str], Sealed]] = {

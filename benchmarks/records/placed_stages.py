@@ -91,7 +91,7 @@ def stage(place: str, seed: int) -> tuple[piezoid.Recording, str]:
         motion = cascade(place, fine, ceramic.respond, mode_Hz, damping, FINER * rate_Hz)[::FINER]
     motion = motion - motion[0]
     noise = rng.uniform(1e-3, 5e-3) * motion.std() * rng.standard_normal(len(motion))
-    recording = piezoid.Recording.from_arrays(
+    recording = piezoid.from_arrays(
         voltage_V=75.0 + 75.0 * drive, displacement_m=1e-5 * (motion + noise),
         sampling_rate_Hz=rate_Hz, name=f"{place}_{seed}",
     )  # fmt: skip

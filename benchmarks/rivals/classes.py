@@ -34,7 +34,7 @@ from piezoid.operators.modified_prandtl_ishlinskii import (
 )
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.records.recording import Recording
+from piezoid.records.frames import from_arrays
 
 HERE = Path(__file__).parent
 BUILD = Path("build/rivals")
@@ -86,7 +86,7 @@ class Plays:
 
 def play_model(name: str, field: Array, moved: Array) -> Plays:
     """Fit a class of plays with the search that fits ours."""
-    recording = Recording.from_arrays(
+    recording = from_arrays(
         voltage_V=field, displacement_m=moved, sampling_rate_Hz=400.0, axis="x"
     )
     scales = scales_of([recording], "x")

@@ -1,7 +1,6 @@
 """Design: the record that leaves this floor, and its file ``design.json``."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,10 +19,8 @@ from piezoid.numerics.polynomial import product
 from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from scipy.signal import TransferFunction
 
 PARTS = ("controller", "prefilter", "plant", "sensitivity", "closed_loop")
@@ -223,26 +220,6 @@ class Design:
     remarks: tuple[str, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
     decoupling: Decoupling | None = None
-
-    def plot(self, *, axis: str | None = None, ax: "Axes | None" = None) -> "Axes":
-        """Draw how much of a disturbance each loop leaves, over frequency.
-
-        axis  default: all of them, with what is recommended
-
-        >>> design.plot(axis="x").get_xlabel()
-        'frequency (Hz)'
-        """
-        axes: Axes = upstairs("figures").design(self, axis=axis, ax=ax)
-        return axes
-
-    def save(self, path: str | Path) -> None:
-        """Write design.json.
-
-        >>> design.save("design.json")
-        >>> piezoid.load("design.json").axes[0].axis
-        'x'
-        """
-        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         loops = [

@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from piezoid.counts import record_in_counts
 from piezoid.identification.model import AxisModel
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,24 +199,6 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """Return the names of what was found, largest gain first."""
         return tuple(finding.effect for finding in self.findings)
-
-    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Draw what each effect contributes, and what those that were not found are at most.
-
-        >>> found.plot().get_xlabel()
-        'contribution to the displacement of x, rms (nm)'
-        """
-        axes: Axes = upstairs("figures").diagnosis(self, ax=ax)
-        return axes
-
-    def save(self, path: str | Path) -> None:
-        """Write diagnosis.json; the model with what was found in it stands in model.json.
-
-        >>> found.save("diagnosis.json")
-        >>> piezoid.load("diagnosis.json")[0].names == found.names
-        True
-        """
-        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         found = [

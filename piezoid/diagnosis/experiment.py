@@ -24,10 +24,9 @@ from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.records.excitation import Drive, DriveLimits
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 
 LOOSER = 4.0  # times the limit
@@ -66,15 +65,6 @@ class Plan:
     def duration_s(self) -> float:
         """Return how long the drive takes."""
         return len(self.drive.voltage_V) / self.drive.sampling_rate_Hz
-
-    def plot(self, *, ax: "Axes | None" = None) -> "Axes":
-        """Draw the drive of the next experiment over time.
-
-        >>> piezoid.plan(model, found, lab="lab.toml", clock_Hz=1000.0).plot().get_xlabel()
-        'time (s)'
-        """
-        axes: Axes = upstairs("figures").plan(self, ax=ax)
-        return axes
 
 
 def plan(

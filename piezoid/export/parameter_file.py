@@ -9,7 +9,6 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from piezoid.record_json import from_json as records_from_json
 from piezoid.record_json import to_json as records_to_json
 from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, library
 from piezoid.runtime.schema import METHODS, PARAMETERS, SCHEMA, Parameter
-from piezoid.upstairs import upstairs
 
 # What only files of plays behind functions hold.
 FUNCTIONS = frozenset({"edge_count", "edge_steps", "edge_V", "play_value_m"})
@@ -152,15 +150,6 @@ class ParameterFile:
             needed=f"one of {', '.join(axis.axis for axis in self.axes)}",
             remedy="Export that axis as well, or ask for one that is there.",
         )
-
-    def save(self, path: str | Path) -> None:
-        """Write params.json; ``bundle`` holds what firmware compiles beside it.
-
-        >>> shipping.parameters.save("params.json")
-        >>> piezoid.load("params.json").axes[0].axis
-        'x'
-        """
-        upstairs("sealed_files").save(self, path)
 
 
 def to_json(file: ParameterFile) -> bytes:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from numpy.typing import ArrayLike
@@ -11,19 +10,18 @@ from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
 from piezoid.formatting import told
 from piezoid.identification.coupled.coupled_stage import CoupledStage
+from piezoid.identification.interchange import to_control, to_scipy
 from piezoid.identification.model import AxisModel
+from piezoid.identification.parameters import parameters_of
+from piezoid.identification.prediction import Comparison, compare, predict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
     from scipy.signal import StateSpace
-
-    from piezoid.identification.prediction import Comparison
 
 
 class Diagnosed(Protocol):
@@ -163,15 +161,15 @@ class ActuatorModel:
         >>> model.predict(recordings["check.csv"]).shape
         (2500,)
         """
-        return self[axis or recording.axis].predict(recording)
+        return predict(self[axis or recording.axis], recording)
 
-    def compare(self, recording: Recording, *, axis: str | None = None) -> "Comparison":
+    def compare(self, recording: Recording, *, axis: str | None = None) -> Comparison:
         """Return a recording beside ``predict``.
 
         >>> model.compare(recordings["check.csv"]).rms_percent < 1.0
         True
         """
-        return self[axis or recording.axis].compare(recording)
+        return compare(self[axis or recording.axis], recording)
 
     def inverse(
         self,
@@ -189,37 +187,10 @@ class ActuatorModel:
         """
         return self.one(axis).inverse(displacement_m, memory_V, zero_m=zero_m)
 
-    def simulate_loop(
-        self,
-        reference_m: ArrayLike,
-        controller: Any,
-        *,
-        axis: str | None = None,
-        lab: Any = None,
-        seed: int = 0,
-    ) -> Any:
-        """Run the compiled controller against this stage, from rest in the middle of its range.
-
-        reference_m  (samples,)  m, as the sensor shows it, at the controller's rate; ``zero_m``
-                     of an axis is about the middle
-        controller   a Design, what ``export`` returned, or a ParameterFile
-        lab          a path or a Lab, of the design
-        seed         of the sensor's noise
-
-        Returns a ``LoopRecord``. What goes wrong: a reference outside the range the controller
-        keeps is limited there, which ``status`` says.
-
-        >>> reference_m = model["x"].zero_m + 1e-6 * np.sin(2e-3 * np.arange(8000))
-        >>> loop = model.simulate_loop(reference_m, design, lab="lab.toml")
-        >>> loop.after(2000).rms_error < 50e-9
-        True
-        """
-        return upstairs("verbs").simulate_loop(
-            self, reference_m, controller, axis=axis, lab=lab, seed=seed
-        )
-
     def parameters(self) -> "DataFrame":
-        """Return the numbers of every axis, the axis in front of each name.
+        """Return every number of the model with unit and 95 % interval, by axis and name.
+
+        The columns are ``value``, ``unit``, ``low`` and ``high``; NaN where no interval is known.
 
         >>> list(model.parameters())
         ['value', 'unit', 'low', 'high']
@@ -227,51 +198,32 @@ class ActuatorModel:
         from pandas import concat
 
         return concat(
-            {name: axis.parameters() for name, axis in self.axes.items()}, names=["axis", "name"]
+            {name: parameters_of(axis) for name, axis in self.axes.items()}, names=["axis", "name"]
         )
 
     def to_scipy(
         self, sampling_rate_Hz: float | None = None, *, axis: str | None = None
     ) -> "StateSpace":
-        """Return the linear part of an axis, as ``AxisModel.to_scipy``.
+        """Return the linear part of an axis, V to m, as ``scipy.signal.StateSpace``.
+
+        sampling_rate_Hz  of a discrete system behind a zero-order hold, its delay in the states;
+                          None: in continuous time, of an axis without delay
+
+        The gain of the hysteresis is its median slope. Raises ``IdentificationError`` where a
+        delay has no system in continuous time.
 
         >>> model.to_scipy(20e3).dt
         5e-05
         """
-        return self.one(axis).to_scipy(sampling_rate_Hz)
+        return to_scipy(self.one(axis), sampling_rate_Hz)
 
     def to_control(self, sampling_rate_Hz: float | None = None, *, axis: str | None = None) -> Any:
-        """Return the linear part of an axis, as ``AxisModel.to_control``.
+        """Return the same for python-control, ``control.StateSpace``; it must be installed.
 
         >>> model.to_control(20e3).isdtime()
         True
         """
-        return self.one(axis).to_control(sampling_rate_Hz)
-
-    def plot(
-        self,
-        kind: str = "loop",
-        *,
-        recording: Recording | None = None,
-        axis: str | None = None,
-        ax: "Axes | None" = None,
-    ) -> "Axes":
-        """Draw one axis, as ``AxisModel.plot``; default: the recording's, or the only one.
-
-        >>> model.plot(recording=recordings["check.csv"]).get_ylabel()
-        'displacement of x (µm)'
-        """
-        told_axis = recording.axis if axis is None and recording is not None else axis
-        return self.one(told_axis).plot(kind, recording=recording, ax=ax)
-
-    def save(self, path: str | Path) -> None:
-        """Write model.json.
-
-        >>> model.save("model.json")
-        >>> list(piezoid.load("model.json").axes)
-        ['x']
-        """
-        upstairs("sealed_files").save(self, path)
+        return to_control(self.one(axis), sampling_rate_Hz)
 
 
 def _shown(axis: AxisModel) -> tuple[str, str]:

@@ -1,7 +1,7 @@
 """AxisModel: what is known of one axis, with how well it is known."""
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,15 +24,10 @@ from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
 from piezoid.operators.preisach_plays import PreisachPlays
-from piezoid.records.recording import Quantity, Recording
-from piezoid.upstairs import upstairs
+from piezoid.records.recording import Quantity
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pandas import DataFrame
-    from scipy.signal import StateSpace
-
-    from piezoid.identification.prediction import Comparison
+    pass
 
 SCHEMA = "piezoid.model/1"
 
@@ -311,91 +306,6 @@ class AxisModel:
                 remedy="Take virgin_memory_V, or memory_V of one of its starts.",
             )
         return memory_V
-
-    def predict(self, recording: Recording) -> Array:
-        """Return what this axis should show in a recording, of the fit or not, (samples,) m.
-
-        Memory and zero at its beginning, which no model can know, are taken from the recording's
-        own displacement where it holds one; see ``prediction.predict``.
-
-        >>> model["x"].predict(recordings["check.csv"]).shape
-        (2500,)
-        """
-        from piezoid.identification.prediction import predict
-
-        return predict(self, recording)
-
-    def compare(self, recording: Recording) -> "Comparison":
-        """Return a recording beside ``predict``: errors, a frame and a picture of them.
-
-        >>> model["x"].compare(recordings["check.csv"]).largest_m < 1e-6
-        True
-        """
-        from piezoid.identification.prediction import compare
-
-        return compare(self, recording)
-
-    def parameters(self) -> "DataFrame":
-        """Return every number of the model by name, with unit and 95 % interval.
-
-        The columns are ``value``, ``unit``, ``low`` and ``high``; NaN where no interval is known.
-
-        >>> numbers = model["x"].parameters()
-        >>> bool((numbers["low"] <= numbers["high"]).any())
-        True
-        """
-        from piezoid.identification.parameters import parameters_of
-
-        return parameters_of(self)
-
-    def to_scipy(self, sampling_rate_Hz: float | None = None) -> "StateSpace":
-        """Return the linear part from drive to reading, V to m, as ``scipy.signal.StateSpace``.
-
-        sampling_rate_Hz  of a discrete system behind a zero-order hold, its delay in the states;
-                          None: in continuous time, of an axis without delay
-
-        The hysteresis stands there as the middle of its slopes. Raises ``IdentificationError``
-        where a delay has no system in continuous time.
-
-        >>> system = model["x"].to_scipy(20e3)
-        >>> system.B.shape[1], system.C.shape[0]
-        (1, 1)
-        """
-        from piezoid.identification.interchange import to_scipy
-
-        return to_scipy(self, sampling_rate_Hz)
-
-    def to_control(self, sampling_rate_Hz: float | None = None) -> Any:
-        """Return the same for python-control, ``control.StateSpace``; it must be installed.
-
-        >>> system = model["x"].to_control(20e3)
-        >>> system.ninputs, system.noutputs
-        (1, 1)
-        """
-        from piezoid.identification.interchange import to_control
-
-        return to_control(self, sampling_rate_Hz)
-
-    def plot(
-        self,
-        kind: str = "loop",
-        *,
-        recording: Recording | None = None,
-        ax: "Axes | None" = None,
-    ) -> "Axes":
-        """Draw the loops of the model (``loop``) or its linear response (``response``).
-
-        recording  drawn beside what the model says of it; then ``loop`` or ``error``
-
-        >>> model["x"].plot("response").get_xlabel()
-        'frequency (Hz)'
-        """
-        figures = upstairs("figures")
-        if recording is not None:
-            shown_beside: Axes = figures.comparison(self.compare(recording), kind, ax=ax)
-            return shown_beside
-        axes: Axes = figures.axis_model(self, kind, ax=ax)
-        return axes
 
     def moved(self, voltage_V: Array, memory_V: Array, where: Where) -> Array:
         """Return the displacement away from the zero, before the sensor reads it, (samples,).

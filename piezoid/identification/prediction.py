@@ -16,10 +16,8 @@ from piezoid.identification.simulation import where_of, zero_of
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 ROWS = 4000  # of a piece, to which memory and zero are fitted: hundreds of each would do
@@ -82,15 +80,6 @@ class Comparison:
 
         names = ("time_s", "voltage_V", "measured_m", "predicted_m", "error_m")
         return DataFrame({name: getattr(self, name) for name in names})
-
-    def plot(self, kind: str = "loop", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw both over the drive (``loop``), or the error over time (``error``).
-
-        >>> model.compare(recordings["check.csv"]).plot("error").get_xlabel()
-        'time (s)'
-        """
-        axes: Axes = upstairs("figures").comparison(self, kind, ax=ax)
-        return axes
 
     def _repr_html_(self) -> str:
         return shown(

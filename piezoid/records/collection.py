@@ -72,8 +72,8 @@ def collection_of(given: object) -> Collection:
             raise RecordingError(
                 f"{type(one).__name__} given as a recording",
                 needed="a Recording, what piezoid.read returned, or several of them",
-                remedy="Read files with piezoid.read, arrays with Recording.from_arrays, a data "
-                "frame with Recording.from_frame.",
+                remedy="Read files with piezoid.read, arrays with from_arrays, a data "
+                "frame with piezoid.from_frame.",
             )
     return Collection(recordings=held)
 

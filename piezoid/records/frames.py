@@ -5,7 +5,6 @@ Heading and unit decide what a column is, by the same rules as for files: ``Volt
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,20 +30,38 @@ _SYMBOL = {quantity: quantity.value for quantity in Quantity} | {
     Quantity.REFERENCE: "",
 }
 _PERCENT = 100.0
+ByAxis = ArrayLike | Mapping[str, ArrayLike]  # samples of one axis, or by the name of the axis
 
 
 def from_arrays(
-    quantities: Mapping[str, ArrayLike | Mapping[str, ArrayLike] | None],
     *,
-    time_s: ArrayLike | None,
-    sampling_rate_Hz: float | None,
-    axis: str,
-    name: str,
+    voltage_V: ByAxis,
+    displacement_m: ByAxis | None = None,
+    current_A: ByAxis | None = None,
+    time_s: ArrayLike | None = None,
+    sampling_rate_Hz: float | None = None,
+    axis: str = "x",
+    name: str = "recording",
 ) -> Recording:
-    """Return the recording that ``Recording.from_arrays`` describes.
+    """Return a recording of arrays in SI units, with what is odd about them in ``problems``.
 
-    quantities  values by ``voltage``, ``displacement`` and the like, (samples,) each, or by axis
+    voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
+    time_s, sampling_rate_Hz  one of the two: (samples,) s, or Hz
+    axis  that it is about, and that bare arrays belong to
+    name  of the recording: a fit keeps results by it
+
+    Raises ``RecordingError`` for arrays of other shapes or lengths, or without a clock.
+
+    >>> import numpy as np
+    >>> time_s = np.arange(2000) / 1000.0
+    >>> voltage_V = 5.0 - 5.0 * np.cos(2.0 * np.pi * time_s)
+    >>> recording = piezoid.from_arrays(
+    ...     time_s=time_s, voltage_V=voltage_V, displacement_m=1e-7 * voltage_V
+    ... )
+    >>> recording.samples, round(recording.sampling_rate_Hz), recording.axes
+    (2000, 1000, ('x',))
     """
+    quantities = {"voltage": voltage_V, "displacement": displacement_m, "current": current_A}
     if (time_s is None) == (sampling_rate_Hz is None):
         raise RecordingError(
             f"{name}: {'neither' if time_s is None else 'both'} time_s and sampling_rate_Hz given",
@@ -80,13 +97,32 @@ def from_arrays(
 def from_frame(
     frame: "DataFrame",
     *,
-    units: Mapping[str, str] | None,
-    columns: Mapping[str, str] | None,
-    axis: str | None,
-    name: str,
-    sampling_rate_Hz: float | None,
+    units: Mapping[str, str] | None = None,
+    columns: Mapping[str, str] | None = None,
+    axis: str | None = None,
+    name: str = "frame",
+    sampling_rate_Hz: float | None = None,
 ) -> Recording:
-    """Return the recording that ``Recording.from_frame`` describes."""
+    """Return a recording of a pandas DataFrame, its headings read as those of a file.
+
+    frame    a column for each channel, a row for each sample; NaN where there is no number.
+             An index of times is the clock
+    units    by heading, for columns whose heading names none: ``{"piezo": "V"}``
+    columns  which is which where headings do not say it, as in lab.toml:
+             ``{"voltage": "piezo", "displacement": "gauge"}``; then nothing else is read
+    axis     that it is about; default: what the headings say, else ``x``
+    sampling_rate_Hz  where no column is a time
+
+    Raises ``UnitError`` for a column without unit or meaning, and for two that claim the same
+    part; ``RecordingError`` for what is no frame, or holds no numbers.
+
+    >>> import pandas as pd
+    >>> frame = pd.DataFrame(
+    ...     {"t [ms]": [0.0, 1.0, 2.0], "U [V]": [0.0, 1.0, 2.0], "weg": [0.0, 0.1, 0.2]}
+    ... )
+    >>> piezoid.from_frame(frame, units={"weg": "um"}).displacement_m().tolist()
+    [0.0, 1e-07, 2e-07]
+    """
     _refuse_other_than_frame(frame, name)
     headings = [str(heading) for heading in frame.columns]
     for heading in (*(units or {}), *(columns or {}).values()):
@@ -124,7 +160,14 @@ def from_frame(
 
 
 def to_frame(recording: Recording) -> "DataFrame":
-    """Return the data frame that ``Recording.to_frame`` describes."""
+    """Return a pandas DataFrame that ``from_frame`` reads back.
+
+    Columns ``time_s``, ``voltage_x_V``, ``displacement_x_m`` and so on, in SI units, humidity in
+    percent. A row of NaN stands at each break; bridged samples keep their interpolated values.
+
+    >>> list(piezoid.to_frame(recordings["sweep.csv"]))
+    ['time_s', 'voltage_x_V', 'displacement_x_m']
+    """
     from pandas import DataFrame
 
     time_s = np.arange(recording.samples) / recording.sampling_rate_Hz
@@ -196,7 +239,7 @@ def _refuse_other_than_frame(frame: object, name: str) -> None:
         raise RecordingError(
             f"{name}: {type(frame).__name__} given",
             needed="a pandas DataFrame, one column for each channel",
-            remedy="Use Recording.from_arrays for arrays.",
+            remedy="Use piezoid.from_arrays for arrays.",
         )
     if isinstance(frame.columns, MultiIndex) or isinstance(frame.index, MultiIndex):
         raise RecordingError(
@@ -276,26 +319,3 @@ def _columns(
             remedy="Pass the frame that holds the samples.",
         )
     return found
-
-
-def part_of(recording: Recording, start_s: float, stop_s: float | None) -> Recording:
-    """Return the recording that ``Recording.seconds`` describes."""
-    rate_Hz, end_s = recording.sampling_rate_Hz, recording.duration_s
-    last_s = end_s if stop_s is None else stop_s
-    first, stop = (int(np.ceil(t * rate_Hz - 1e-6)) for t in (start_s, last_s))
-    stop = recording.samples if stop_s is None else stop
-    if not 0 <= first < stop <= recording.samples or stop - first < 2:
-        raise RecordingError(
-            f"{recording.name}: from {start_s:g} s to {last_s:g} s asked of {end_s:.6g} s",
-            needed="at least two samples inside the recording",
-            remedy=f"Choose from 0 to {end_s:.6g} s.",
-        )
-    told = f"{first / rate_Hz:.6g} to {(stop - 1) / rate_Hz:.6g} s"
-    return replace(
-        recording,
-        name=f"{recording.name} ({told})",
-        digest=digest_of_bytes(f"{recording.digest} {first} {stop}".encode()),
-        channels=tuple(replace(c, values=c.values[first:stop]) for c in recording.channels),
-        breaks=tuple(b - first for b in recording.breaks if first < b < stop),
-        bridged=tuple(b - first for b in recording.bridged if first <= b < stop),
-    )

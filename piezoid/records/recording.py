@@ -1,24 +1,19 @@
 """Recording: one uninterrupted acquisition, several channels of several axes, in SI units."""
 
 import itertools
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from piezoid.errors import RecordingError
 from piezoid.numerics.arrays import Array, frozen, same_length
+from piezoid.provenance import digest_of_bytes
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pandas import DataFrame
-
-ByAxis = ArrayLike | Mapping[str, ArrayLike]  # one axis' samples, or those of several by name
+    pass
 
 
 class Quantity(Enum):
@@ -116,97 +111,6 @@ class Recording:
         if any(not 0 <= b < self.samples for b in self.bridged):
             raise ValueError(f"{self.name}: bridged {self.bridged} outside the recording")
 
-    @staticmethod
-    def from_arrays(
-        *,
-        voltage_V: ByAxis,
-        displacement_m: ByAxis | None = None,
-        current_A: ByAxis | None = None,
-        time_s: ArrayLike | None = None,
-        sampling_rate_Hz: float | None = None,
-        axis: str = "x",
-        name: str = "recording",
-    ) -> "Recording":
-        """Return a recording of arrays in SI units, with what is odd about them in ``problems``.
-
-        voltage_V, displacement_m, current_A  (samples,), or by axis: ``{"x": ..., "y": ...}``
-        time_s, sampling_rate_Hz  one of the two: (samples,) s, or Hz
-        axis  that it is about, and that bare arrays belong to
-        name  of its own: a fit keeps results by it
-
-        Raises ``RecordingError`` for arrays of other shapes or lengths, or without a clock.
-
-        >>> import numpy as np
-        >>> time_s = np.arange(2000) / 1000.0
-        >>> voltage_V = 5.0 - 5.0 * np.cos(2.0 * np.pi * time_s)
-        >>> recording = Recording.from_arrays(
-        ...     time_s=time_s, voltage_V=voltage_V, displacement_m=1e-7 * voltage_V
-        ... )
-        >>> recording.samples, round(recording.sampling_rate_Hz), recording.axes
-        (2000, 1000, ('x',))
-        """
-        from piezoid.records.frames import from_arrays
-
-        given = {"voltage": voltage_V, "displacement": displacement_m, "current": current_A}
-        return from_arrays(
-            given, time_s=time_s, sampling_rate_Hz=sampling_rate_Hz, axis=axis, name=name
-        )
-
-    @staticmethod
-    def from_frame(
-        frame: "DataFrame",
-        *,
-        units: Mapping[str, str] | None = None,
-        columns: Mapping[str, str] | None = None,
-        axis: str | None = None,
-        name: str = "frame",
-        sampling_rate_Hz: float | None = None,
-    ) -> "Recording":
-        """Return a recording of a pandas DataFrame, its headings read as those of a file.
-
-        frame    a column for each channel, a row for each sample; NaN where there is no number.
-                 An index of times is the clock
-        units    by heading, for columns whose heading names none: ``{"piezo": "V"}``
-        columns  which is which where headings do not say it, as in lab.toml:
-                 ``{"voltage": "piezo", "displacement": "gauge"}``; then nothing else is read
-        axis     that it is about; default: what the headings say, else ``x``
-        sampling_rate_Hz  where no column is a time
-
-        Raises ``UnitError`` for a column without unit or meaning, and for two that claim the same
-        part; ``RecordingError`` for what is no frame, or holds no numbers.
-
-        >>> import pandas as pd
-        >>> frame = pd.DataFrame(
-        ...     {"t [ms]": [0.0, 1.0, 2.0], "U [V]": [0.0, 1.0, 2.0], "weg": [0.0, 0.1, 0.2]}
-        ... )
-        >>> Recording.from_frame(frame, units={"weg": "um"}).displacement_m().tolist()
-        [0.0, 1e-07, 2e-07]
-        """
-        from piezoid.records.frames import from_frame
-
-        return from_frame(
-            frame,
-            units=units,
-            columns=columns,
-            axis=axis,
-            name=name,
-            sampling_rate_Hz=sampling_rate_Hz,
-        )
-
-    def to_frame(self) -> "DataFrame":
-        """Return a pandas DataFrame that ``from_frame`` reads back.
-
-        Columns ``time_s``, ``voltage_x_V``, ``displacement_x_m`` and so on, in SI units, humidity
-        in percent. A row of NaN stands at each break; samples that were bridged stand there as
-        they are held.
-
-        >>> list(recordings["sweep.csv"].to_frame())
-        ['time_s', 'voltage_x_V', 'displacement_x_m']
-        """
-        from piezoid.records.frames import to_frame
-
-        return to_frame(self)
-
     def seconds(self, start_s: float = 0.0, stop_s: float | None = None) -> "Recording":
         """Return the part from ``start_s`` up to, not with, ``stop_s``, under a name of its own.
 
@@ -216,20 +120,25 @@ class Recording:
         >>> round(part.duration_s, 1)
         2.0
         """
-        from piezoid.records.frames import part_of
-
-        return part_of(self, start_s, stop_s)
-
-    def plot(
-        self, kind: str = "loop", *, axis: str | None = None, ax: "Axes | None" = None
-    ) -> "Axes":
-        """Draw displacement over drive (``loop``), or both over time (``time``), in matplotlib.
-
-        >>> recordings["sweep.csv"].plot("time").get_xlabel()
-        'time (s)'
-        """
-        axes: Axes = upstairs("figures").recording(self, kind, axis=axis, ax=ax)
-        return axes
+        rate_Hz, end_s = self.sampling_rate_Hz, self.duration_s
+        last_s = end_s if stop_s is None else stop_s
+        first, stop = (int(np.ceil(t * rate_Hz - 1e-6)) for t in (start_s, last_s))
+        stop = self.samples if stop_s is None else stop
+        if not 0 <= first < stop <= self.samples or stop - first < 2:
+            raise RecordingError(
+                f"{self.name}: from {start_s:g} s to {last_s:g} s asked of {end_s:.6g} s",
+                needed="at least two samples inside the recording",
+                remedy=f"Choose from 0 to {end_s:.6g} s.",
+            )
+        span = f"{first / rate_Hz:.6g} to {(stop - 1) / rate_Hz:.6g} s"
+        return replace(
+            self,
+            name=f"{self.name} ({span})",
+            digest=digest_of_bytes(f"{self.digest} {first} {stop}".encode()),
+            channels=tuple(replace(c, values=c.values[first:stop]) for c in self.channels),
+            breaks=tuple(b - first for b in self.breaks if first < b < stop),
+            bridged=tuple(b - first for b in self.bridged if first <= b < stop),
+        )
 
     @property
     def time_s(self) -> Array:

@@ -12,13 +12,11 @@ from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Controller
-from piezoid.upstairs import upstairs
 from piezoid.verification.loop_library import Kept, LoopRun, loop_library
 from piezoid.verification.loop_plant import begun_plant, rest_position
 from piezoid.verification.plant import AxisPlant, Junction
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from pandas import DataFrame
 
 
@@ -75,7 +73,7 @@ class LoopRecord:
         """Return the record without its first samples.
 
         >>> reference_m = np.full(4000, model["x"].zero_m)
-        >>> loop = model.simulate_loop(reference_m, shipping)
+        >>> loop = piezoid.simulate_loop(model, reference_m, shipping)
         >>> len(loop.after(1000).error)
         3000
         """
@@ -85,7 +83,7 @@ class LoopRecord:
     def to_frame(self) -> "DataFrame":
         """Return a pandas DataFrame, a row for each sample; positions in m (junction: A).
 
-        >>> loop = model.simulate_loop(np.full(4000, model["x"].zero_m), shipping)
+        >>> loop = piezoid.simulate_loop(model, np.full(4000, model["x"].zero_m), shipping)
         >>> list(loop.to_frame())[:3]
         ['time_s', 'reference', 'position']
         """
@@ -93,16 +91,6 @@ class LoopRecord:
 
         names = ("time_s", "reference", "position", "measured", "voltage_V", "error", "status")
         return DataFrame({name: getattr(self, name) for name in names})
-
-    def plot(self, kind: str = "path", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw reference and position (``path``) or the error (``error``) over time.
-
-        >>> loop = model.simulate_loop(np.full(4000, model["x"].zero_m), shipping)
-        >>> loop.plot("error").get_xlabel()
-        'time (s)'
-        """
-        axes: Axes = upstairs("figures").loop(self, kind, ax=ax)
-        return axes
 
 
 class Stepped(Protocol):

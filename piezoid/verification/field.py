@@ -46,6 +46,7 @@ from piezoid.operators.dead_zone import LINEAR
 from piezoid.operators.linear import recursive_filter
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
+from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from piezoid.verification.bench import Bench, Compensator, Other, bench_of
 from piezoid.verification.closed_loop import LoopRecord, Stepped
@@ -194,7 +195,7 @@ def _decaying_sweep(model: AxisModel) -> Recording:
     if model.discrepancy is not None:
         moved_m = moved_m + model.discrepancy.run(voltage_V)
     offset_m = operator.displacement_offset_m
-    return Recording.from_arrays(
+    return from_arrays(
         voltage_V=voltage_V,
         displacement_m=offset_m + model.polarity * (moved_m - offset_m),
         sampling_rate_Hz=100.0,

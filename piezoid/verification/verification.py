@@ -1,7 +1,6 @@
 """Verification: the record that leaves this floor, and its file ``verification.json``."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from piezoid.provenance import seal
@@ -15,14 +14,13 @@ from piezoid.record_json import (
 )
 from piezoid.runtime.schema import METHODS
 from piezoid.showing import shown
-from piezoid.upstairs import upstairs
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
 from piezoid.verification.trace import Motion, SpiralTrace
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    pass
 
 SCHEMA = "piezoid.verification/1"
 FIELD = ("high_gain", "inversion", "gpi_dob", "charge")
@@ -181,24 +179,6 @@ class Verification:
         """
         builds, proofs = (all(p.passed for p in held) for held in (self.proofs, self.limit_proofs))
         return all(v.passed for v in self.verdicts) and builds and proofs
-
-    def plot(self, kind: str = "comparison", *, ax: "Axes | None" = None) -> "Axes":
-        """Draw the error over frequency by method (``comparison``), or all ``verdicts``.
-
-        >>> shipping.verification.plot("verdicts").get_xlabel()
-        'value / limit (1)'
-        """
-        axes: Axes = upstairs("figures").verification(self, kind, ax=ax)
-        return axes
-
-    def save(self, path: str | Path) -> None:
-        """Write verification.json.
-
-        >>> shipping.verification.save("verification.json")
-        >>> piezoid.load("verification.json").passed
-        True
-        """
-        upstairs("sealed_files").save(self, path)
 
     def _repr_html_(self) -> str:
         good = sum(verdict.passed for verdict in self.verdicts)

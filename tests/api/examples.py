@@ -48,6 +48,6 @@ def _swinging(rng: np.random.Generator) -> piezoid.Recording:
     drive_V = level * np.sin(2.0 * np.pi * (40.0 * time_s + 40.0 * (time_s % 0.5) ** 2))
     walled_V = play_sum(drive_V, np.array([0.0, 0.3]), np.array([0.5, 0.5]), np.zeros(2))
     moved_m = _answer(walled_V) + 1e-10 * rng.standard_normal(len(time_s))
-    return piezoid.Recording.from_arrays(
+    return piezoid.from_arrays(
         sampling_rate_Hz=RATE_Hz, voltage_V=drive_V, displacement_m=moved_m, name="swing"
     )

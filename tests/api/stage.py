@@ -23,7 +23,7 @@ def recorded(
     drive_V: Array, seed: int, name: str, before_V: float = 0.0, zero_m: float = 0.0
 ) -> piezoid.Recording:
     noise_m = NOISE_m * np.random.default_rng(seed).standard_normal(len(drive_V))
-    return piezoid.Recording.from_arrays(
+    return piezoid.from_arrays(
         sampling_rate_Hz=RATE_Hz,
         voltage_V=drive_V,
         displacement_m=truth(drive_V, before_V, zero_m) + noise_m,

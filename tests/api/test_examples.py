@@ -75,7 +75,7 @@ def _run(name: str, kept: dict[str, Any]) -> int:
 
 
 def test_every_public_function_and_method_has_an_example() -> None:
-    assert len(DOCUMENTED) > 80
+    assert len(DOCUMENTED) > 50
     without = [name for name, held in DOCUMENTED.items() if ">>> " not in (held.__doc__ or "")]
     assert without == []
 

@@ -11,7 +11,7 @@ import piezoid
 VERBS = {
     *("calibrate", "design", "diagnose", "export", "fit", "fit_coupled", "load", "plan", "read"),
     *("identify_restoring_force", "place_hysteresis", "read_lab", "report", "save", "simulate"),
-    *("learn", "verify"),
+    *("from_arrays", "from_frame", "learn", "plot", "simulate_loop", "to_frame", "verify"),
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),

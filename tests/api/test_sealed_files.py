@@ -64,7 +64,7 @@ def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_pat
         "verification.json": shipping.verification,
     }
     for name, record in records.items():
-        record.save(tmp_path / name)
+        piezoid.save(record, tmp_path / name)
         again = piezoid.load(tmp_path / name)
         assert type(again) is type(record)
         piezoid.save(again, tmp_path / "again.json")
@@ -74,7 +74,7 @@ def test_every_sealed_file_writes_the_same_bytes_again(design, shipping, tmp_pat
 
 def test_diagnoses_come_back_one_for_each_axis(tmp_path) -> None:
     place = tmp_path / "diagnosis.json"
-    diagnosis("x").save(place)
+    piezoid.save(diagnosis("x"), place)
     assert piezoid.load(place) == (diagnosis("x"),)
     piezoid.save([diagnosis("x"), diagnosis("y")], place)
     assert piezoid.load(place) == (diagnosis("x"), diagnosis("y"))

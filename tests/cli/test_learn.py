@@ -22,7 +22,7 @@ POINTS = 200
 @pytest.fixture
 def stage(tmp_path):
     model = replace(fitted(), controller_rate_Hz=RATE_Hz)
-    model.save(tmp_path / "model.json")
+    piezoid.save(model, tmp_path / "model.json")
     file = replace(exported().file, sources={"model": digest_of(model)})
     (tmp_path / "params.json").write_bytes(to_json(file))
     turns = 2 * np.pi * np.arange(POINTS) / POINTS

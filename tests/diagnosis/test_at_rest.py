@@ -11,8 +11,8 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Size
 from piezoid.diagnosis.effects import EFFECTS, effect_named
 from piezoid.diagnosis.rest_columns import BLOCKS, held, rest_columns, waves
 from piezoid.numerics.arrays import Array
+from piezoid.records.frames import from_arrays
 from piezoid.records.ingest import ingest
-from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.signals import coloured_noise
 
 RATE_Hz, SAMPLES, NOISE_um = 500.0, 20_000, 0.003
@@ -71,7 +71,7 @@ def test_an_effect_that_needs_no_drive_is_asked_while_it_rests() -> None:
     )
     noise_um = NOISE_um * np.random.default_rng(6).standard_normal(SAMPLES)
     reading_m = 1e-6 * (0.004 * np.sin(2.0 * np.pi * 31.3 * TIME_s) + noise_um)
-    recording = Recording.from_arrays(
+    recording = from_arrays(
         time_s=TIME_s, voltage_V=np.full(SAMPLES, 20.0), displacement_m=reading_m
     )
     keep = np.arange(SAMPLES)
@@ -128,7 +128,7 @@ def test_a_line_that_is_not_the_grids_is_told_with_its_frequency(tmp_path: Path)
 def at_rest(moved_m: Array, *, noise_m: float = 3e-9, seed: int = 6) -> Diagnosis:
     time_s = np.arange(len(moved_m)) / RATE_Hz
     reading_m = moved_m + noise_m * np.random.default_rng(seed).standard_normal(len(moved_m))
-    recording = Recording.from_arrays(
+    recording = from_arrays(
         time_s=time_s, voltage_V=np.full(len(moved_m), 20.0), displacement_m=reading_m
     )
     return diagnose([recording], axis="x")

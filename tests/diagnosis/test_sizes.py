@@ -92,7 +92,7 @@ def test_the_size_of_creep_is_what_a_step_adds_in_the_decade_about_ten_seconds(t
         quick_m = plays(drive_V)
         measured_m = quick_m + 0.01 * crept(quick_m, tilt) + rng.normal(0.0, 0.3e-9, len(quick_m))
         recordings.append(
-            piezoid.Recording.from_arrays(
+            piezoid.from_arrays(
                 time_s=np.arange(len(drive_V)) / RATE_Hz,
                 voltage_V=drive_V,
                 displacement_m=measured_m,

@@ -14,11 +14,13 @@ from piezoid.identification.hysteresis.estimate import estimate_axis
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
+from piezoid.identification.prediction import compare
 from piezoid.identification.store import LAYOUTS
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.robust import student_quantile
 from piezoid.operators.preisach_bounds import farthest_apart_m
 from piezoid.record_json import from_json, to_json
+from piezoid.records.frames import from_arrays
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Controller
 from piezoid_cli.calibration import calibrate
@@ -64,7 +66,7 @@ def moved_m(law: str, field: Array) -> Array:
 
 def recorded(law: str, field: Array, name: str, rate_Hz: float = 400.0) -> Recording:
     noise = NOISE_M * np.random.default_rng(len(field)).standard_normal(len(field))
-    return Recording.from_arrays(
+    return from_arrays(
         voltage_V=5.0 * field,
         displacement_m=moved_m(law, field) + noise,
         sampling_rate_Hz=rate_Hz,
@@ -87,7 +89,7 @@ def test_a_preisach_ceramic_is_followed_to_the_noise_on_a_drive_nobody_recorded(
     assert "12 plays behind functions of 6 pieces" in found.verdict.remarks[-1]
     field = through(np.r_[-1.0, 1.0, -1.0, np.random.default_rng(4).uniform(-1.0, 1.0, 20)])
     other = recorded("preisach_lorentzian", field, "other")
-    errors = [float(np.std(axis.compare(other).error_m[BEGINNING:])) for axis in (plain, found)]
+    errors = [float(np.std(compare(axis, other).error_m[BEGINNING:])) for axis in (plain, found)]
     assert errors[1] < 3.0 * NOISE_M
     assert errors[1] < errors[0] / 1.5
 

@@ -5,6 +5,7 @@ import pytest
 
 import piezoid
 from piezoid.errors import IdentificationError, RecordingError
+from piezoid.identification.parameters import parameters_of
 from tests.api.stage import NOISE_m, RATE_Hz, fitted, recorded, truth, unseen_drive
 
 RANGE_m = 2.2e-5
@@ -26,7 +27,7 @@ def test_only_memory_and_zero_are_taken_from_an_unseen_recording() -> None:
     """A stage that moves 5 % farther is not what was fitted, and that shows."""
     _, model = fitted()
     drive_V = unseen_drive()
-    other = piezoid.Recording.from_arrays(
+    other = piezoid.from_arrays(
         sampling_rate_Hz=RATE_Hz, voltage_V=drive_V, displacement_m=1.05 * truth(drive_V)
     )
     lost_m = 0.05 * np.std(truth(drive_V))
@@ -47,7 +48,7 @@ def test_a_recording_of_the_fit_is_followed_to_its_noise() -> None:
 def test_a_drive_alone_is_predicted_from_the_de_poled_state() -> None:
     _, model = fitted()
     drive_V = unseen_drive()
-    alone = piezoid.Recording.from_arrays(sampling_rate_Hz=RATE_Hz, voltage_V=drive_V)
+    alone = piezoid.from_arrays(sampling_rate_Hz=RATE_Hz, voltage_V=drive_V)
     predicted_m = model.predict(alone)
     assert np.array_equal(predicted_m, model.simulate(drive_V, RATE_Hz))
     assert np.std(predicted_m - truth(drive_V)) < 5e-3 * RANGE_m
@@ -57,10 +58,10 @@ def test_a_drive_alone_is_predicted_from_the_de_poled_state() -> None:
 
 def test_every_piece_between_breaks_begins_anew() -> None:
     _, model = fitted()
-    frame = recorded(unseen_drive(), 4, "torn").to_frame()
+    frame = piezoid.to_frame(recorded(unseen_drive(), 4, "torn"))
     frame.iloc[1000, 1:] = np.nan
     frame.loc[frame.index > 1000, "displacement_x_m"] += 5e-6  # the zero moved in the gap
-    torn = piezoid.Recording.from_frame(frame)
+    torn = piezoid.from_frame(frame)
     assert torn.breaks == (1000,)
     assert model.compare(torn).rms_m < 2e-3 * RANGE_m
 
@@ -77,7 +78,7 @@ def test_the_inverse_makes_the_wanted_displacement() -> None:
 
 def test_parameters_hold_the_truth_in_their_intervals() -> None:
     _, model = fitted()
-    table = model["x"].parameters()
+    table = parameters_of(model["x"])
     assert list(table.columns) == ["value", "unit", "low", "high"]
     whole = table[table.index.str.startswith("play_weight")]
     assert set(whole["unit"]) == {"m/V"}

@@ -10,6 +10,7 @@ import pytest
 
 import piezoid
 from piezoid.counts import in_counts
+from piezoid.identification.parameters import parameters_of
 from piezoid.identification.store import read_model
 from piezoid_cli.stage_task import StageTask, run_stage
 from tests.journeys.test_strangers import piezoid as run
@@ -96,9 +97,9 @@ def test_counts_and_metres_of_one_stage_give_the_same_model(tmp_path: Path) -> N
     assert raw.quality.held_out_rms_percent == pytest.approx(
         known.quality.held_out_rms_percent, rel=1e-3
     )
-    assert set(raw.parameters()["unit"]) >= {"counts", "counts/V"}
-    assert raw.plot().get_ylabel() == "displacement of x (kcounts)"
-    assert known.plot().get_ylabel() == "displacement of x (µm)"
+    assert set(parameters_of(raw)["unit"]) >= {"counts", "counts/V"}
+    assert piezoid.plot(raw).get_ylabel() == "displacement of x (kcounts)"
+    assert piezoid.plot(known).get_ylabel() == "displacement of x (µm)"
 
 
 def test_nothing_in_counts_is_played_or_shipped(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from piezoid.learning.learn import (
 )
 from piezoid.learning.period import learning_shares, play
 from piezoid.numerics.frequency import unit_circle
-from piezoid.records.recording import Recording
+from piezoid.records.frames import from_arrays
 from piezoid.verification.approach import room_of
 from piezoid.verification.plant import Plugged, lateral_plant
 from piezoid.verification.scenarios import raster
@@ -61,7 +61,7 @@ def recorded(played, **changed):
         "displacement_m": played.measured_m.ravel(),
         "sampling_rate_Hz": RATE_Hz,
     }
-    return Recording.from_arrays(**{**given, **changed})
+    return from_arrays(**{**given, **changed})
 
 
 @pytest.mark.parametrize("closed", [True, False])
@@ -147,7 +147,7 @@ def test_a_recording_that_is_not_the_period_is_refused_with_figures(changed, sai
     moved_m = changed.pop("scale", 1.0) * np.roll(learned.wanted_m, changed.pop("late", 0))
     rows = changed.pop("rows", slice(None))
     given = {"voltage_V": learned.table_V[rows], "displacement_m": moved_m[rows]}
-    seen = Recording.from_arrays(**{**given, "sampling_rate_Hz": RATE_Hz, **changed})
+    seen = from_arrays(**{**given, "sampling_rate_Hz": RATE_Hz, **changed})
     with pytest.raises(RecordingError, match=said):
         next_table(learned, AXIS, PLANT, seen, parameters=shipped())
 

@@ -6,6 +6,7 @@ import pytest
 
 import piezoid_datasets
 from piezoid.errors import RecordingError, UnitError
+from piezoid.records.frames import from_arrays, from_frame, to_frame
 from piezoid.records.ingest import ingest
 from piezoid.records.recording import Quantity, Recording
 
@@ -19,13 +20,13 @@ def frame(**columns) -> pd.DataFrame:
 
 def made(**changed) -> Recording:
     given = {"time_s": TIME_s, "voltage_V": VOLTAGE_V, "displacement_m": 1e-7 * VOLTAGE_V}
-    return Recording.from_arrays(**{**given, **changed})
+    return from_arrays(**{**given, **changed})
 
 
 @pytest.mark.parametrize("file", ["x_sweep.csv", "x_rates.csv", "y_check.csv"])
 def test_a_frame_of_a_file_is_the_recording_of_that_file(file: str) -> None:
     path = piezoid_datasets.FOLDER / file
-    read, framed = ingest(path), Recording.from_frame(pd.read_csv(path), name=file)
+    read, framed = ingest(path), from_frame(pd.read_csv(path), name=file)
     assert framed.sampling_rate_Hz == read.sampling_rate_Hz
     assert framed.axes == read.axes
     for one, other in zip(read.channels, framed.channels, strict=True):
@@ -35,7 +36,7 @@ def test_a_frame_of_a_file_is_the_recording_of_that_file(file: str) -> None:
 
 def test_to_frame_and_back_is_the_identity() -> None:
     once = made(voltage_V={"x": VOLTAGE_V, "y": -VOLTAGE_V}, current_A=1e-9 * VOLTAGE_V)
-    again = Recording.from_frame(once.to_frame(), axis=once.axis)
+    again = from_frame(to_frame(once), axis=once.axis)
     assert again.sampling_rate_Hz == pytest.approx(once.sampling_rate_Hz, rel=1e-12)
     assert {(c.quantity, c.axis) for c in again.channels} == {
         (Quantity.VOLTAGE, "x"),
@@ -52,9 +53,9 @@ def test_to_frame_and_back_is_the_identity() -> None:
 def test_breaks_come_back_as_breaks() -> None:
     torn = frame(**{"weg [um]": 0.1 * VOLTAGE_V})
     torn.loc[[50, 120], "weg [um]"] = np.nan
-    once = Recording.from_frame(torn)
+    once = from_frame(torn)
     assert once.breaks == (50, 119)
-    again = Recording.from_frame(once.to_frame())
+    again = from_frame(to_frame(once))
     assert again.breaks == once.breaks
     assert np.array_equal(again.displacement_m(), once.displacement_m())
 
@@ -65,7 +66,7 @@ def test_the_same_arrays_have_the_same_digest_and_others_another() -> None:
 
 
 def test_units_come_from_headings_or_are_told() -> None:
-    found = Recording.from_frame(
+    found = from_frame(
         frame(gauge=0.1 * VOLTAGE_V).rename(columns={"U [V]": "piezo_mV"}),
         units={"gauge": "um"},
         columns={"voltage": "piezo_mV", "displacement": "gauge"},
@@ -84,7 +85,7 @@ def test_units_come_from_headings_or_are_told() -> None:
 )
 def test_an_index_of_times_is_the_clock(index: pd.Index) -> None:
     table = frame(**{"weg [um]": VOLTAGE_V}).drop(columns="t [s]").set_index(index)
-    assert Recording.from_frame(table).sampling_rate_Hz == pytest.approx(1000.0)
+    assert from_frame(table).sampling_rate_Hz == pytest.approx(1000.0)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +103,7 @@ def test_an_index_of_times_is_the_clock(index: pd.Index) -> None:
 )
 def test_what_is_ambiguous_is_refused(table: pd.DataFrame, options: dict, said: str) -> None:
     with pytest.raises((UnitError, RecordingError), match=said):
-        Recording.from_frame(table, **options)
+        from_frame(table, **options)
 
 
 @pytest.mark.parametrize(
@@ -122,13 +123,13 @@ def test_arrays_of_other_shapes_are_refused(changed: dict, said: str) -> None:
 
 def test_what_is_no_frame_is_refused() -> None:
     with pytest.raises(RecordingError, match="dict given"):
-        Recording.from_frame({"U [V]": [1.0]})  # type: ignore[arg-type]
+        from_frame({"U [V]": [1.0]})  # type: ignore[arg-type]
 
 
 def test_seconds_cut_a_recording_and_count_its_breaks_anew() -> None:
     torn = frame(**{"weg [um]": VOLTAGE_V})
     torn.loc[100, "weg [um]"] = np.nan
-    whole = Recording.from_frame(torn)
+    whole = from_frame(torn)
     part = whole.seconds(0.05, 0.15)
     assert part.samples == 100
     assert part.breaks == (50,)

@@ -9,6 +9,7 @@ from scipy import signal
 
 from piezoid.errors import LabFileError, RecordingError
 from piezoid.records.comparison import copies, refuse_misfits
+from piezoid.records.frames import from_frame, to_frame
 from piezoid.records.ingest import ingest, ingest_all
 from piezoid.records.inspection import inspect_files
 from piezoid.records.lab import Lab, read_lab
@@ -252,9 +253,9 @@ def test_counts_of_a_known_converter_are_offered_as_volts(tmp_path: Path) -> Non
     assert "scale = { voltage = 0.000305175781 }" in problem.text
     np.testing.assert_allclose(read.voltage_V(), VOLTAGE_V)  # the counts themselves
     assert read.counted == ("voltage",)
-    frame = read.to_frame()
+    frame = to_frame(read)
     assert list(frame) == ["time_s", "voltage_x [counts]", "displacement_x_m"]
-    assert Recording.from_frame(frame).counted == ("voltage",)
+    assert from_frame(frame).counted == ("voltage",)
     assert "voltage of x: 10 to 90 counts" in draft_lab([tmp_path / "run.csv"], tmp_path).text
 
 

@@ -22,7 +22,6 @@ from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.extensions.slew_limit import SlewLimit
 from piezoid.identification.extensions.thermal_drift import ThermalDrift
 from piezoid.record_json import RecordLayout, fields_of, from_fields
-from piezoid.upstairs import upstairs
 
 EXTENSIONS: tuple[type[Extension], ...] = (
     SlewLimit,
@@ -54,8 +53,6 @@ def _entry(extension: Extension) -> dict[str, Any]:
 def _extension(entry: Mapping[str, Any]) -> Extension:
     """Read one extension back by its kind; ``ValueError`` for a kind nobody knows."""
     kind = entry["kind"]
-    if kind not in {known.kind for known in EXTENSIONS}:
-        upstairs("diagnosis.effects")  # whose files define what only they know
     for known in (*EXTENSIONS, *Extension.__subclasses__()):
         if known.kind == kind:
             return from_fields(known, entry)

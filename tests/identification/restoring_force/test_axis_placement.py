@@ -28,7 +28,7 @@ def test_the_mode_and_its_place_come_back_from_model_json(
     stage: piezoid.ActuatorModel, tmp_path: object
 ) -> None:
     place = f"{tmp_path}/model.json"
-    stage.save(place)
+    piezoid.save(stage, place)
     back = piezoid.load(place)
     (axis,) = back.axes.values()
     (kept,) = stage.axes.values()

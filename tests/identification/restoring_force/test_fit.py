@@ -61,7 +61,7 @@ def recorded(force_of: str, seed: int = 1) -> piezoid.Recording:
     drive = multisine(seed)
     motion_m = slipped(drive) if force_of == "slip" else moved(drive, force_of)
     noise_m = NOISE_M * np.random.default_rng(seed + 100).standard_normal(len(drive))
-    return piezoid.Recording.from_arrays(
+    return piezoid.from_arrays(
         voltage_V=10.0 + drive,
         displacement_m=1e-6 + motion_m + noise_m,
         sampling_rate_Hz=RATE_HZ,

@@ -13,7 +13,7 @@ RATE_HZ = 5000.0
 
 def recorded(drive: np.ndarray, motion: np.ndarray) -> piezoid.Recording:
     noise = 1e-3 * motion.std() * np.random.default_rng(5).standard_normal(len(motion))
-    return piezoid.Recording.from_arrays(
+    return piezoid.from_arrays(
         voltage_V=75.0 + 75.0 * drive,
         displacement_m=1e-5 * (motion + noise),
         sampling_rate_Hz=RATE_HZ,
