@@ -41,7 +41,6 @@ _PUBLIC = {
     "Design": "piezoid.design.design",
     "Diagnosis": "piezoid.diagnosis.diagnosis",
     "Finding": "piezoid.diagnosis.diagnosis",
-    "HysteresisPlacement": "piezoid.identification.restoring_force.placing",
     "Lab": "piezoid.records.lab",
     "Learned": "piezoid.learning.learn",
     "LoopDesign": "piezoid.design.design",
@@ -52,16 +51,13 @@ _PUBLIC = {
     "Plan": "piezoid.diagnosis.experiment",
     "Quantity": "piezoid.records.recording",
     "Recording": "piezoid.records.recording",
-    "RestoringForceModel": "piezoid.identification.restoring_force.fit",
     "Shipping": "piezoid.verification.shipping",
     "Verification": "piezoid.verification.verification",
     "VirtualStage": "piezoid.virtual_stage",
     "fit_coupled": "piezoid.identification.coupled.fit_coupled",
     "from_arrays": "piezoid.records.frames",
     "from_frame": "piezoid.records.frames",
-    "identify_restoring_force": "piezoid.identification.restoring_force.fit",
     "load": "piezoid.sealed_files",
-    "place_hysteresis": "piezoid.identification.restoring_force.placing",
     "plot": "piezoid.figures",
     "save": "piezoid.sealed_files",
     "simulate": "piezoid.virtual_stage",
@@ -82,14 +78,6 @@ if TYPE_CHECKING:
     from piezoid.identification.dynamics.periodic_estimate import PeriodicData
     from piezoid.identification.model import AxisModel
     from piezoid.identification.prediction import Comparison
-    from piezoid.identification.restoring_force.fit import (
-        RestoringForceModel,
-        identify_restoring_force,
-    )
-    from piezoid.identification.restoring_force.placing import (
-        HysteresisPlacement,
-        place_hysteresis,
-    )
     from piezoid.learning.learn import Learned
     from piezoid.records.collection import Collection
     from piezoid.records.frames import from_arrays, from_frame, to_frame
@@ -127,7 +115,6 @@ __all__ = (
     "Design",
     "Diagnosis",
     "Finding",
-    "HysteresisPlacement",
     "Lab",
     "Learned",
     "LoopDesign",
@@ -138,7 +125,6 @@ __all__ = (
     "Plan",
     "Quantity",
     "Recording",
-    "RestoringForceModel",
     "Shipping",
     "Verification",
     "VirtualStage",
@@ -151,10 +137,8 @@ __all__ = (
     "fit_coupled",
     "from_arrays",
     "from_frame",
-    "identify_restoring_force",
     "learn",
     "load",
-    "place_hysteresis",
     "plan",
     "plot",
     "read",

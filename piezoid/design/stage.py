@@ -224,14 +224,6 @@ def _lateral_task(
 ) -> _Task:
     axis = model.axes[name]
     axis.refuse_counts()
-    if axis.restoring_force is not None:
-        raise DesignError(
-            f"axis {name}: its hysteresis stands inside the mode at "
-            f"{axis.restoring_force.natural_frequency_Hz:.4g} Hz",
-            needed="hysteresis in front of linear dynamics, which the controller's inverse undoes",
-            remedy="Simulate the axis with model.axes[...].restoring_force; drive it far below "
-            "the mode, and fit slow sweeps alone, to have a controller there.",
-        )
     if not axis.verdict.applies:
         raise DesignError(
             f"axis {name}: the model class does not apply, {axis.verdict.reason}",

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from piezoid.numerics.arrays import Array
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.friction import friction_states
-from piezoid.operators.hysteretic_mode import bouc_wen_states
 from piezoid.operators.polynomials import sum_of_polynomials
 
 PLAYS = 18

@@ -24,7 +24,6 @@ from piezoid.identification.hysteresis.order import Elsewhere, Trial
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.minor_loops import with_minor_loops
 from piezoid.identification.model import AxisModel
-from piezoid.identification.restoring_force.axis_placement import with_placement
 from piezoid.identification.tunnelling.junction import fit_junction, remarks_on_currents
 from piezoid.identification.tunnelling.loop_files import is_loop
 from piezoid.records.comparison import (
@@ -266,8 +265,7 @@ def fit_axis(
         found = with_dynamics(
             fitted, recordings, stated_Hz=lab.actuator_of(axis).bandwidth_Hz, response=response
         )
-        asked = with_placement(_remarked(found, shaped), recordings, progress=progress)
-        return with_discrepancy(asked, calm).told_in_counts(counted)
+        return with_discrepancy(_remarked(found, shaped), calm).told_in_counts(counted)
 
 
 def refined(

@@ -18,8 +18,6 @@ from piezoid.identification.hysteresis.pieces import Rig, Scales
 from piezoid.identification.minor_loops_known import FunctionOrder, MinorLoops
 from piezoid.identification.piece_start import PieceStart
 from piezoid.identification.quality import Certificate, FitQuality, Uncertainty, Verdict
-from piezoid.identification.restoring_force.fit import RestoringForceModel
-from piezoid.identification.restoring_force.placing import HysteresisPlacement
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.play import play_columns
@@ -105,9 +103,6 @@ class AxisModel:
     dynamics_remarks  those of the verdict's remarks that tell how the dynamics were found
     counted      what was recorded in counts of a converter, of ``displacement`` and ``voltage``:
                  its numbers are counts where names say metres or volts, and nothing can ship
-    placement    where the hysteresis stands beside a mode; None where it was not asked
-    restoring_force  the mode with its hysteretic spring, where it stands inside; then this is
-                 the simulation of the axis
     """
 
     axis: str
@@ -131,8 +126,6 @@ class AxisModel:
     discrepancy: Discrepancy | None = None
     dynamics_remarks: tuple[str, ...] = ()
     counted: tuple[str, ...] = ()
-    placement: HysteresisPlacement | None = None
-    restoring_force: RestoringForceModel | None = None
 
     def told_in_counts(self, counted: tuple[str, ...]) -> "AxisModel":
         """Return the axis with its sentences in counts, where it was recorded in counts.

@@ -11,12 +11,6 @@ from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
 from piezoid.identification.model import SCHEMA, AxisModel
 from piezoid.identification.quality import FitQuality
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.operators.hysteretic_mode import (
-    BoucWenSpring,
-    HystereticMode,
-    MaxwellSlip,
-    Spring,
-)
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
 from piezoid.provenance import seal
@@ -61,7 +55,7 @@ def _axis_entry(axis: AxisModel) -> dict[str, Any]:
     held = fields_of(axis)
     held["valid_range"] = {"voltage_V": held.pop("voltage_V")}
     # Entries that most stages lack: files of theirs stay as they are.
-    few = ("placement", "restoring_force", "counted", "minor_loops", "function_orders")
+    few = ("counted", "minor_loops", "function_orders")
     later = {name: held[name] for name in few}
     asked = {name: value for name, value in later.items() if value}
     return {name: held[name] for name in names} | asked
@@ -100,15 +94,6 @@ def _hysteresis(entry: Mapping[str, Any]) -> ModifiedPrandtlIshlinskii:
     )
 
 
-def _spring(entry: Mapping[str, Any]) -> HystereticMode:
-    held = entry["spring"]
-    spring: Spring = (
-        from_fields(BoucWenSpring, held) if "beta" in held else from_fields(MaxwellSlip, held)
-    )
-    numbers = {name: convert(value, float) for name, value in entry.items() if name != "spring"}
-    return HystereticMode(spring=spring, **numbers)
-
-
 def _quality_entry(quality: FitQuality) -> dict[str, Any]:
     held = fields_of(quality)
     first = {name: held.pop(name) for name in ("rms_m", "held_out_rms_m")}
@@ -121,7 +106,6 @@ LAYOUTS = (
     RecordLayout(kind=AxisModel, write=_axis_entry, read=_axis),
     RecordLayout(kind=ModifiedPrandtlIshlinskii, write=_hysteresis_entry, read=_hysteresis),
     RecordLayout(kind=FitQuality, write=_quality_entry),
-    RecordLayout(kind=HystereticMode, write=fields_of, read=_spring),
     RecordLayout(kind=LinearDynamics, write=LinearDynamics.to_json, read=LinearDynamics.from_json),
     LAYOUT_OF_EXTENSIONS,
 )

@@ -4,17 +4,16 @@ import numpy as np
 
 import piezoid
 from piezoid.numerics.arrays import Array
-from tests.identification.hysteresis.stages import play_sum
 
 RATE_Hz, SAMPLES, REALISATIONS = 1000.0, 512, 4
 MODE_Hz, DAMPING, GAIN_m_per_V = 60.0, 0.05, 1e-6
 
 
 def own_data() -> dict[str, object]:
-    """Return ``levels`` of one drive for a coupled stage, and a recording of a swing."""
+    """Return ``levels`` of one drive for a coupled stage."""
     rng = np.random.default_rng(0)
     levels = [_level(level_V, rng) for level_V in (0.1, 0.3)]
-    return {"levels": levels, "swinging": _swinging(rng)}
+    return {"levels": levels}
 
 
 def _answer(drive_V: Array) -> Array:
@@ -38,16 +37,4 @@ def _level(level_V: float, rng: np.random.Generator) -> piezoid.PeriodicData:
         outputs=("x",),
         voltage_V=drive_V,
         displacement_m=moved_m,
-    )
-
-
-def _swinging(rng: np.random.Generator) -> piezoid.Recording:
-    """Return sweeps at four levels through a mode behind a play: hysteresis before the mode."""
-    time_s = np.arange(2000) / RATE_Hz
-    level = np.repeat([0.3, 0.5, 0.7, 1.0], 500)
-    drive_V = level * np.sin(2.0 * np.pi * (40.0 * time_s + 40.0 * (time_s % 0.5) ** 2))
-    walled_V = play_sum(drive_V, np.array([0.0, 0.3]), np.array([0.5, 0.5]), np.zeros(2))
-    moved_m = _answer(walled_V) + 1e-10 * rng.standard_normal(len(time_s))
-    return piezoid.from_arrays(
-        sampling_rate_Hz=RATE_Hz, voltage_V=drive_V, displacement_m=moved_m, name="swing"
     )

@@ -10,14 +10,14 @@ import piezoid
 
 VERBS = {
     *("calibrate", "design", "diagnose", "export", "fit", "fit_coupled", "load", "plan", "read"),
-    *("identify_restoring_force", "place_hysteresis", "read_lab", "report", "save", "simulate"),
-    *("from_arrays", "from_frame", "learn", "plot", "simulate_loop", "to_frame", "verify"),
+    *("from_arrays", "from_frame", "learn", "plot", "read_lab", "report", "save", "simulate"),
+    *("simulate_loop", "to_frame", "verify"),
 }
 RECORDS = {
     *("ActuatorModel", "AxisDesign", "AxisModel", "Calibration", "Channel", "Collection"),
-    *("Comparison", "CoupledStage", "Design", "Diagnosis", "Finding", "HysteresisPlacement"),
+    *("Comparison", "CoupledStage", "Design", "Diagnosis", "Finding"),
     *("Lab", "LoopDesign", "LoopRecord", "ParameterFile", "PeriodicData", "PiezoidError", "Plan"),
-    *("Quantity", "Recording", "RestoringForceModel", "Shipping", "Verification"),
+    *("Quantity", "Recording", "Shipping", "Verification"),
     *("Learned", "VirtualStage"),
 }
 

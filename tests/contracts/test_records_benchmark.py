@@ -4,9 +4,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 
-from benchmarks.records import bouc_wen
 from benchmarks.records.__main__ import RECORDS, main
+from benchmarks.records.bouc_wen import record
+from benchmarks.records.bouc_wen.fit import fit
+from benchmarks.records.bouc_wen.mode import BoucWenMode, band_limited
 
 
 def test_a_record_that_is_absent_is_named_and_passed_over(
@@ -26,16 +30,39 @@ def test_a_record_of_another_name_is_refused(capsys: pytest.CaptureFixture[str])
     assert "no record bouc-wen; there are bouc_wen" in capsys.readouterr().err
 
 
-def test_the_restoring_force_of_the_benchmark_is_learnt_from_its_training_record(
-    realdata: Path,
-) -> None:
-    folder = realdata / bouc_wen.FOLDER
-    model = bouc_wen.ours(*bouc_wen.training(folder))
-    assert model.law == "bouc_wen"
-    for name, limit_m in (("multisine", 2e-6), ("sinesweep", 5e-6)):
-        force, truth_m = bouc_wen.validation(folder, name)
-        found_m = model.simulate(force, bouc_wen.RATE_HZ, periodic=name == "multisine")
-        assert np.sqrt(np.mean((found_m - truth_m) ** 2)) < limit_m
+def test_the_bouc_wen_mode_is_identified_from_its_training_record(realdata: Path) -> None:
+    folder = realdata / record.FOLDER
+    identified = fit(*record.training(folder), record.RATE_HZ)
+    for name, limit_m in (("multisine", 1.7e-7), ("sinesweep", 2.5e-6)):
+        force, truth_m = record.validation(folder, name)
+        simulated_m = identified.mode.simulate(force, record.RATE_HZ, periodic=name == "multisine")
+        assert np.sqrt(np.mean((simulated_m - truth_m) ** 2)) < limit_m
     for name, truth in (("mass", 2.0), ("damping", 10.0), ("spring_stiffness", 5e4)):
-        low, high = model.interval[name]
+        low, high = identified.interval[name]
         assert low - 1e-3 * truth < truth < high + 1e-3 * truth
+
+
+@pytest.mark.parametrize(("gamma", "exponent"), [(-2.2, 1.0), (0.3, 1.8)])
+def test_the_simulation_solves_the_differential_equation(gamma: float, exponent: float) -> None:
+    rate_Hz, samples, size_m = 800.0, 400, 1e-3
+    time_s = np.arange(samples) / rate_Hz
+    force = 40.0 * np.sin(2 * np.pi * 31.0 * time_s) + 25.0 * np.sin(2 * np.pi * 9.0 * time_s)
+    mode = BoucWenMode(
+        mass=2.0, damping=12.0, stiffness=6e4, quadratic=2e6, cubic=1e9, spring_stiffness=4e4,
+        beta=1.6, gamma=gamma, exponent=exponent, bias=0.0, size_m=size_m,
+    )  # fmt: skip
+    fine = band_limited(force, 8)
+    applied = CubicSpline(np.arange(len(fine)) / (8 * rate_Hz), fine)
+
+    def rate(t: float, x: np.ndarray) -> list[float]:
+        y, v, z = x
+        spring = y * (6e4 + y * (2e6 + y * 1e9)) + 4e4 * z
+        grip = gamma + 1.6 * np.sign(z * v)
+        hardening = 1.0 - abs(z / size_m) ** exponent * grip
+        return [v, (applied(t) - 12.0 * v - spring) / 2.0, v * hardening]
+
+    solved = solve_ivp(
+        rate, (0.0, time_s[-1]), [0, 0, 0], t_eval=time_s, rtol=1e-9, atol=1e-13, max_step=1e-3
+    ).y[0]
+    simulated = mode.simulate(force, rate_Hz)
+    assert np.abs(simulated - solved).max() < 3e-4 * np.abs(solved).max()

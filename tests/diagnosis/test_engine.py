@@ -21,7 +21,7 @@ from piezoid.diagnosis.shape import PLAYS, REACH, SHARED, shape, shape_columns
 from piezoid.diagnosis.signals import with_displacement
 from piezoid.diagnosis.view import View, cycled
 from piezoid.identification.hysteresis.filters import later
-from piezoid.operators.hysteretic_mode import bouc_wen_states
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.records.recording import Quantity
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 

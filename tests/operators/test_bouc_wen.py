@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from piezoid.operators.hysteretic_mode import bouc_wen_states
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.limits import activated
 
 

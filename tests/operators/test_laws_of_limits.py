@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from piezoid.numerics.arrays import Array
-from piezoid.operators.hysteretic_mode import bouc_wen_states
+from piezoid.operators.bouc_wen import bouc_wen_states
 from piezoid.operators.library import KERNELS, address
 from piezoid.operators.limits import activated, slewed
 from tests.operators.strategies import GRID, REACH, drives

@@ -19,7 +19,7 @@ TESTS = (
     *("tests/operators/test_worked_example.py", "tests/operators/test_chain.py"),
     *("tests/operators/test_limits.py", "tests/operators/test_properties.py"),
     *("tests/operators/test_bouc_wen.py", "tests/operators/test_friction.py"),
-    *("tests/operators/test_ladder.py", "tests/operators/test_hysteretic_mode.py"),
+    "tests/operators/test_ladder.py",
     "tests/identification/hysteresis/test_rows.py",
 )
 

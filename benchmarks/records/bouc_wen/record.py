@@ -19,8 +19,8 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
-from piezoid.identification.restoring_force.fit import RestoringForceModel, fit_restoring_force
-from piezoid.operators.hysteretic_mode import BoucWenSpring, HystereticMode
+from benchmarks.records.bouc_wen.fit import fit
+from benchmarks.records.bouc_wen.mode import BoucWenMode
 
 NAME = "bouc_wen"
 FOLDER = "boucwen_benchmark"
@@ -47,7 +47,7 @@ PUBLISHED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What one method left; None where it was not tried, infinite where it ran away."""
+    """Error of one method; None where it was not run, infinite where it diverged."""
 
     method: str
     multisine_m: float
@@ -73,24 +73,12 @@ def validation(folder: Path, name: str) -> tuple[np.ndarray, np.ndarray]:
     return found[0], found[1]
 
 
-def ours(force: np.ndarray, motion_m: np.ndarray) -> RestoringForceModel:
-    """Identify the mode and its restoring force."""
-    return fit_restoring_force(force, motion_m, RATE_HZ, hold="band_limited")
-
-
-def true_equations() -> RestoringForceModel:
+def true_mode() -> BoucWenMode:
     """Return the publishers' equations with their parameters: the floor of any integration."""
     size_m = 1e-3
-    spring = BoucWenSpring(
-        stiffness=5e4, beta=0.8 * 1e3 * size_m, gamma=-1.1 * 1e3 * size_m, exponent=1.0
-    )
-    mode = HystereticMode(
-        mass=2.0, damping=10.0, stiffness=5e4, quadratic=0.0, cubic=0.0, spring=spring,
-        size_m=size_m,
-    )  # fmt: skip
-    return RestoringForceModel(
-        law="bouc_wen", mode=mode, bias=0.0, interval={}, residual_rms_m=0.0, left_out_rms_m={},
-        hold="band_limited", samples=0,
+    return BoucWenMode(
+        mass=2.0, damping=10.0, stiffness=5e4, quadratic=0.0, cubic=0.0, spring_stiffness=5e4,
+        beta=0.8 * 1e3 * size_m, gamma=-1.1 * 1e3 * size_m, exponent=1.0, bias=0.0, size_m=size_m,
     )  # fmt: skip
 
 
@@ -167,7 +155,7 @@ def report(folder: Path) -> Iterator[str]:
     force, motion_m = training(folder)
     multisine, sweep = validation(folder, "multisine"), validation(folder, "sinesweep")
 
-    def judged(method: str, run: Simulation, training_s: float | None) -> Row:
+    def evaluate(method: str, run: Simulation, training_s: float | None) -> Row:
         return Row(
             method=method,
             multisine_m=rms(run(multisine[0], True) - multisine[1]),
@@ -175,29 +163,30 @@ def report(folder: Path) -> Iterator[str]:
             training_s=training_s,
         )
 
-    def of(model: RestoringForceModel) -> Simulation:
-        return lambda u, periodic: model.simulate(u, RATE_HZ, periodic=periodic)
+    def simulation_of(mode: BoucWenMode) -> Simulation:
+        return lambda u, periodic: mode.simulate(u, RATE_HZ, periodic=periodic)
 
     began = time.process_time()
-    model = ours(force, motion_m)
+    identified = fit(force, motion_m, RATE_HZ)
     took_s = time.process_time() - began
-    rows = [judged(f"piezoid, restoring force ({model.law})", of(model), took_s)]
-    for method, fit in (("linear, order 4 (scipy)", linear), ("SINDy, cubic (pysindy)", sparse)):
+    rows = [evaluate("mode with a Bouc-Wen spring", simulation_of(identified.mode), took_s)]
+    for method, rival in (("linear, order 4 (scipy)", linear), ("SINDy, cubic (pysindy)", sparse)):
         began = time.process_time()
-        run = fit(force, motion_m)
+        run = rival(force, motion_m)
         took_s = time.process_time() - began
         if run is None:
             yield f"{method}: left out, the package is absent; install the extra 'benchmarks'"
             continue
-        rows.append(judged(method, run, took_s))
-    rows.append(judged("true equations and parameters", of(true_equations()), None))
+        rows.append(evaluate(method, run, took_s))
+    rows.append(evaluate("true equations and parameters", simulation_of(true_mode()), None))
     rows += [
         Row(method=f"published: {method}", multisine_m=value, sweep_m=None, training_s=None)
         for method, value in PUBLISHED
     ]
-    yield f"integration: {model.steps(RATE_HZ)} Runge-Kutta steps per sample"
-    tried = ", ".join(f"{law} {value:.2e}" for law, value in model.left_out_rms_m.items())
-    yield f"left-out blocks of the training record, rms in m: {tried}"
+    yield f"integration: {identified.mode.steps(RATE_HZ)} Runge-Kutta steps per sample"
+    yield f"training record: residual {identified.residual_rms_m:.3g} m rms"
+    for name, (low, high) in identified.interval.items():
+        yield f"{name}: {low:.6g} to {high:.6g}"
     yield ""
     yield "| method | multisine, rms m | sweep, rms m | training, s of one core |"
     yield "| --- | --- | --- | --- |"
