@@ -2,10 +2,9 @@
 
     python -m benchmarks.field [--stages 700-711] [--kept FOLDER]
 
-Each stage is recorded and calibrated; then every method of the parameter file and every one of
-``verification.field`` but the charge drive, which is another amplifier, follows the spirals of
-``benchmarks.outsiders`` on the stage itself. The generalised model is fitted to the same
-recordings as ours.
+Each stage is recorded and calibrated; then every method of the parameter file and every
+compensator of ``other_compensators`` follows the spirals of ``benchmarks.outsiders`` on the stage
+itself. The generalised model is fitted to the same recordings as the shipped one.
 """
 
 import argparse
@@ -18,6 +17,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import piezoid
+from benchmarks.other_compensators import Compensator, compensators_of, shipped
 from benchmarks.outsiders.lateral import (
     RADIUS,
     TURNS,
@@ -29,13 +29,10 @@ from benchmarks.outsiders.lateral import (
 )
 from benchmarks.outsiders.simulators import NAMES, RATE_Hz, drive, simulator
 from piezoid.design.design import design_from_json
-from piezoid.export.parameter_file import from_json
+from piezoid.export.parameter_file import AxisParameters, from_json
 from piezoid.identification.model import AxisModel
 from piezoid.identification.store import read_model
 from piezoid.records.recording import Recording
-from piezoid.runtime.controller import Controller
-from piezoid.verification.bench import Compensator
-from piezoid.verification.field import rivals_of
 from piezoid.verification.scenarios import constant_angular_velocity
 from piezoid.verification.tracking import Tracking, track
 
@@ -53,9 +50,11 @@ class Row:
     rms_m: tuple[float, ...]
 
 
-def followed(name: str, seed: int, compensator: Compensator, frequency_Hz: float) -> Tracking:
+def followed(
+    name: str, seed: int, axis: AxisParameters, compensator: Compensator, frequency_Hz: float
+) -> Tracking:
     """Let a compensator follow a spiral on an outsider's stage."""
-    made, axis = simulator(name), compensator.axis
+    made = simulator(name)
     middle_m, reach_m = middle_of(axis)
     path = constant_angular_velocity(RATE_Hz, frequency_Hz=frequency_Hz, turns=TURNS)
     radius_m = RADIUS * reach_m
@@ -64,11 +63,7 @@ def followed(name: str, seed: int, compensator: Compensator, frequency_Hz: float
     made.library.stage_rest(plant, ctypes.byref(volts), ctypes.byref(rest))
     led = led_to(middle_m, rest.value)
     wanted = np.concatenate([led, middle_m + radius_m * path.x])
-    if compensator.other is None:
-        controller, ahead = Controller(axis.values), int(axis.values["preview_samples"])
-        given = wanted[np.minimum(np.arange(len(wanted)) + ahead, len(wanted) - 1)]
-    else:
-        controller, given = compensator.other(wanted)
+    controller, given = compensator.started(wanted)
     controller.start(volts.value, rest.value)
     run = drive(controller, made.library.stage_step, plant, given, rest.value)
     made.library.stage_close(plant)
@@ -95,21 +90,26 @@ def rows_of(name: str, seed: int, kept: Path) -> Iterator[Row]:
     axis = from_json((folder / "params.json").read_bytes(), "params.json").axes[0]
     own = model[axis.axis]
     known = {loop.method: loop.bandwidth_Hz for loop in design.loops}
-    used = [(m, Compensator(axis=axis.for_method(m)), known.get(m)) for m in axis.methods]
-    recordings = tuple(_of_the_fit(own, folder / "recordings"))
-    used += [
-        (rival.method, rival.compensator, rival.bandwidth_Hz)
-        for rival in rivals_of(axis, design, own, recordings)
+    used = [
+        Compensator(
+            method=method,
+            bandwidth_Hz=known.get(method),
+            started=shipped(axis.for_method(method)),
+        )
+        for method in axis.methods
     ]
+    recordings = tuple(_of_the_fit(own, folder / "recordings"))
+    used += compensators_of(axis, design, own, recordings)
     made = simulator(name)
     law = str(made.campaigns.stage_truth(seed, made.library).get("law", "?"))
-    for method, compensator, bandwidth_Hz in used:
-        each = [followed(name, seed, compensator, f).rms_m for f in COMPARED_Hz]
+    for compensator in used:
+        method = compensator.method
+        each = [followed(name, seed, axis, compensator, f).rms_m for f in COMPARED_Hz]
         yield Row(
             stage=f"{name} {seed}",
             law=law,
             method=method + (" (ships)" if method == axis.method else ""),
-            bandwidth_Hz=bandwidth_Hz,
+            bandwidth_Hz=compensator.bandwidth_Hz,
             rms_m=tuple(each),
         )
 

@@ -32,9 +32,6 @@ def verify(
     prove: Annotated[
         bool, typer.Option("--prove", help="Frama-C: inside the limits whatever comes in.")
     ] = False,
-    field: Annotated[
-        bool, typer.Option("--field", help="Compare with the compensators of others as well.")
-    ] = False,
     bounds: Annotated[
         bool, typer.Option("--bounds", help="How large errors may be: probable, worst found.")
     ] = False,
@@ -60,7 +57,7 @@ def verify(
 
     piezoid verify stage42/ --prove
 
-    piezoid verify stage42/ --field --bounds
+    piezoid verify stage42/ --bounds
     """
     if target not in ("", "cortex-m4"):
         raise typer.BadParameter(f"--target {target!r} is not known; cortex-m4 is")
@@ -79,7 +76,7 @@ def verify(
     model = read_model(content, str(stage / "model.json"))
     same_model(content, file.sources.get("model", ""), "params.json", "piezoid export")
     declared = lab_of(stage, lab)
-    design = _design(stage, file) if field or bounds else None
+    design = _design(stage, file) if bounds else None
     chosen = None if limits is None else limits_from_toml(text_of(limits), limits.name)
     with shown(quiet=quiet or json) as told:
         told("compiling and comparing" if rebuild or target else "running the controller")
@@ -99,7 +96,6 @@ def verify(
             seed=seed,
             threads=usable_cores(),
             design=design,
-            field=field,
             bounds=bounds,
         )
         written = found.to_json()
@@ -187,7 +183,7 @@ def _comparison(found: "Verification") -> "Table":
             *(f"{1e9 * error_m:.1f}" for error_m in (row.rms_m, row.max_m, row.aligned_rms_m)),
             told(row.delay_s, "s"),
         )
-        for row in (*found.comparison, *found.field)
+        for row in found.comparison
     ]
     headings = ("turns a second", "method", "rms", "largest", "shape rms", "delay")
     return table(f"spirals of radius {told(found.radius_m, 'm')}, errors in nm", headings, rows)

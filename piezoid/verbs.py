@@ -272,7 +272,6 @@ def verify(
     seed: int = 0,
     threads: int = 1,
     design: Design | None = None,
-    field: bool = False,
     bounds: bool = False,
 ) -> Verification:
     """Run the compiled controller against the stage in every scenario, and judge what happens.
@@ -280,9 +279,8 @@ def verify(
     parameters  what ``export`` returned, or a ParameterFile
     limits      path of a limits.toml; default: those of [verification] in lab.toml
     seed        of sensor noise and drawn stages
-    design      that was exported, for the next two
-    field       compare with the compensators of others as well
-    bounds      say how large errors may be, beside how large they are
+    design      that was exported; needed for bounds
+    bounds      bound the largest errors as well
 
     >>> piezoid.verify(shipping, model, lab="lab.toml", seed=1).passed
     True
@@ -296,7 +294,6 @@ def verify(
         seed=seed,
         threads=threads,
         design=design,
-        field=field,
         bounds=bounds,
     )
 

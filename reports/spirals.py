@@ -31,12 +31,6 @@ METHODS = {
     "mpi_dob": "disturbance observer on the inverse",
     "rst": "R, S, T on the logarithm of the current",
 }
-FIELD = {
-    "high_gain": "high-gain feedback, the reference through the closed loop's inverse",
-    "inversion": "disturbance observer through inversion of the linear model",
-    "gpi_dob": "our observer on the inverse of a generalised Prandtl-Ishlinskii model",
-    "charge": "charge amplifier that leaves a fifth of the hysteresis, static gain, no feedback",
-}
 SHADES = {"measured": 0.1, "good": 1.0 / 3.0, "middling": 1.0, "bad": np.inf}  # of the limit
 
 

@@ -1,6 +1,6 @@
 """Where scenarios are run: parameters and plants by axis, and what was found so far."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,34 +10,16 @@ from piezoid.export.parameter_file import AxisParameters, ParameterFile
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import SERIAL, Executor
 from piezoid.verification.approach import led_to, room_of
-from piezoid.verification.closed_loop import LoopRecord, Stepped, run_axis
+from piezoid.verification.closed_loop import LoopRecord, run_axis
 from piezoid.verification.criteria import Limits, Verdict
 from piezoid.verification.plant import AxisPlant, Junction
 from piezoid.verification.trace import SpiralTrace
 from piezoid.verification.verification import ComparisonRow, CurrentRow, SpiralRow
 
-Other = Callable[[Array], tuple[Stepped, Array]]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Compensator:
-    """What is to drive one axis.
-
-    axis   parameters of the runtime
-    other  makes what stands in the runtime's place of the whole reference, and what that is given
-           for a reference; None: the runtime
-    """
-
-    axis: AxisParameters
-    other: Other | None = None
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What one axis is asked to follow, beside which disturbance and fault of its sensor.
-
-    other  as that of a ``Compensator``
-    """
+    """What one axis is asked to follow, beside which disturbance and fault of its sensor."""
 
     axis: AxisParameters
     plant: AxisPlant
@@ -45,7 +27,6 @@ class Run:
     disturbance: Array | None = None
     fault: Array | None = None
     reset_at: int | None = None
-    other: Other | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -98,7 +79,6 @@ class Bench:
             disturbance=_from_its_first(run.disturbance, led),
             fault=None if run.fault is None else np.concatenate([np.zeros(led), run.fault]),
             reset_at=None if run.reset_at is None else led + run.reset_at,
-            other=None if run.other is None else run.other(asked),
         )
         return record.after(led)
 

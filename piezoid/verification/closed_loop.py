@@ -3,7 +3,7 @@
 import ctypes
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,23 +93,6 @@ class LoopRecord:
         return DataFrame({name: getattr(self, name) for name in names})
 
 
-class Stepped(Protocol):
-    """What may stand in the runtime's place: a compensator that does not ship."""
-
-    @property
-    def addresses(self) -> tuple[int, int, int]:
-        """Addresses of a step as ``pz_step``, of its state (status in the second word) and of its
-        parameters.
-        """
-
-    @property
-    def reset_address(self) -> int:
-        """Address of what an operator's reset calls."""
-
-    def start(self, voltage_V: float, measured: float) -> None:
-        """Go to rest there."""
-
-
 def run_axis(
     plant: AxisPlant,
     parameters: AxisParameters,
@@ -121,12 +104,10 @@ def run_axis(
     fault: Array | None = None,
     reset_at: int | None = None,
     precision: str = "double",
-    other: tuple[Stepped, Array] | None = None,
 ) -> LoopRecord:
     """Run one axis from rest, with the values that ship.
 
     reference    (samples,)  m (junction: A); given to the runtime as much ahead as it previews
-    other        another compensator in the runtime's place, and what it is given for a reference
     disturbance  (samples,)  m at the response's output (junction: nepers, taken from ln i)
     beside       (samples,)  m added to the position behind everything else that moves the axis
     fault        (samples,)  a ``Fault`` in every sample; NaN: the reading is NaN
@@ -139,17 +120,13 @@ def run_axis(
     samples = len(reference)
     kept = Kept()
     begun = begun_plant(plant, kept, 0.0 if disturbance is None else float(disturbance[0]))
-    if other is None:
-        preview = int(parameters.values["preview_samples"])
-        ahead = np.minimum(np.arange(samples) + preview, samples - 1)
-        controller: Stepped = Controller(parameters.values, precision=precision)
-        given = reference[ahead]
-    else:
-        controller, given = other
+    preview = int(parameters.values["preview_samples"])
+    ahead = np.minimum(np.arange(samples) + preview, samples - 1)
+    controller = Controller(parameters.values, precision=precision)
     controller.start(plant.rest_voltage_V, _reading(plant, rest_position(plant, begun)))
     added = np.zeros(samples) if beside is None else beside
     inputs = {
-        "reference": np.ascontiguousarray(given),
+        "reference": np.ascontiguousarray(reference[ahead]),
         "disturbance": _disturbance(plant, disturbance, samples),
         "noise": plant.noise(samples, rng) + added,
         "fault": np.zeros(samples) if fault is None else np.ascontiguousarray(fault),

@@ -49,7 +49,6 @@ def verify_stage(
     seed: int = 0,
     threads: int = 1,
     design: Design | None = None,
-    field: bool = False,
     bounds: bool = False,
 ) -> Verification:
     """Verify a parameter file against the identified stage.
@@ -59,9 +58,8 @@ def verify_stage(
     limits   by default those of ``[verification]`` in lab.toml, else those of ``Limits``
     draws    how many other stages the recordings allow are run as well
     threads  so many axes of a path run at once; what is found does not depend on it
-    design   that the file was exported from, for the next two
-    field    compare with the compensators of others as well
-    bounds   say how large errors may be, beside how large they are
+    design   that the file was exported from; needed for bounds
+    bounds   bound the largest errors as well
 
     Raises ``ParameterFileError`` for a tunnelling axis where the model has no plant of it, and
     where lab.toml declares other guards or another rig than those that ship.
@@ -83,11 +81,6 @@ def verify_stage(
         lab_digest=declared.digest,
         coupled=model.coupled,
     )
-    if design is not None and field:
-        from piezoid.verification.field import field_rows
-
-        rows = field_rows(file, design, model, plants, seed=seed, threads=threads)
-        found = replace(found, field=rows)
     if design is not None and bounds:
         from piezoid.verification.bounds import error_bounds
 

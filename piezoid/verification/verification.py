@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     pass
 
 SCHEMA = "piezoid.verification/1"
-FIELD = ("high_gain", "inversion", "gpi_dob", "charge")
 _LARGEST_m, _SMALLEST_m = 1e3, 1e-15  # no stage moves further, and no picture shows less
 _SLOWEST_Hz, _FASTEST_Hz = 1e-9, 1e9
 
@@ -39,17 +38,6 @@ class ComparisonRow:
     max_m: float
     aligned_rms_m: float
     delay_s: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class FieldRow(ComparisonRow):
-    """The same of a compensator that does not ship, one of ``FIELD``.
-
-    bandwidth_Hz, modulus_margin  of its loop, the least of all axes; None without a loop
-    """
-
-    bandwidth_Hz: float | None = None
-    modulus_margin: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +131,6 @@ class Verification:
     motions          rasters and steps in time, likewise; not in the file if empty
     coupling         what coupled axes do to each other in closed loop; not in the file if empty
     bounds           of the largest errors, on request; not in the file if empty
-    field            compensators of others on the same spirals; not in the file if empty
     verdicts         all of them
     proofs           builds that gave the same bits; empty if none was asked for
     limit_proofs     what abstract interpretation says of every input; not in the file if empty
@@ -168,7 +155,6 @@ class Verification:
     limit_proofs: tuple[LimitProof, ...] = ()
     motions: tuple[Motion, ...] = ()
     coupling: tuple[CouplingRow, ...] = ()
-    field: tuple[FieldRow, ...] = ()
     bounds: tuple[ErrorBound, ...] = ()
 
     @property
@@ -203,7 +189,7 @@ class Verification:
 
 def _fields(found: Verification) -> dict[str, Any]:
     """Return the entries of the file; what came later only where there is any."""
-    later = ("limit_proofs", "motions", "coupling", "field", "bounds")
+    later = ("limit_proofs", "motions", "coupling", "bounds")
     return {k: v for k, v in fields_of(found).items() if v or k not in later}
 
 
@@ -226,8 +212,6 @@ def verification_from_json(content: bytes, place: str = "verification.json") -> 
         named += [row.method for row in found.spirals] + [row.method for row in found.traces]
         for method in (*found.methods.values(), *named):
             METHODS.index(method)  # the report has a word for each of these and no other
-        for other in found.field:
-            FIELD.index(other.method)
         _check_spirals(found)
         _check_pictures(found)
     return found
@@ -243,11 +227,11 @@ def _check_spirals(found: Verification) -> None:
 
 def _check_pictures(found: Verification) -> None:
     """Raise ``ValueError`` for numbers that no stage has and no picture can show."""
-    frequencies_Hz = [row.frequency_Hz for row in (*found.comparison, *found.field)]
+    frequencies_Hz = [row.frequency_Hz for row in found.comparison]
     for frequency_Hz in (*frequencies_Hz, *(trace.frequency_Hz for trace in found.traces)):
         if not _SLOWEST_Hz <= frequency_Hz <= _FASTEST_Hz:
             raise ValueError(f"frequency_Hz is {frequency_Hz}")
-    sizes_m = [abs(row.aligned_rms_m) for row in (*found.comparison, *found.field)]
+    sizes_m = [abs(row.aligned_rms_m) for row in found.comparison]
     for trace in found.traces:
         if not len(trace.x_m) == len(trace.y_m) == len(trace.shape_error_m) > 0:
             raise ValueError(f"{len(trace.x_m)} places of a spiral and other numbers of the rest")

@@ -11,7 +11,7 @@ from piezoid.numerics.arrays import Array
 from piezoid.numerics.executor import Executor
 from piezoid.runtime.controller import Status
 from piezoid.verification import criteria
-from piezoid.verification.bench import Bench, Compensator, Run, bench_of
+from piezoid.verification.bench import Bench, Run, bench_of
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.coupled_loop import coupling_rows, judged
 from piezoid.verification.criteria import Limits, Verdict
@@ -115,30 +115,27 @@ def references_of(bench: Bench, path: Path) -> dict[str, Array]:
     }
 
 
-def lateral_runs(
+def _lateral_runs(
     bench: Bench,
     path: Path,
     method: str | None = None,
     plants: Mapping[str, AxisPlant] | None = None,
     fault: Array | None = None,
-    compensators: Mapping[str, Compensator] | None = None,
 ) -> dict[str, LoopRecord]:
-    """Run all lateral axes along a path, with what ships, one of its methods, or others."""
+    """Run all lateral axes along a path, with what ships or one of its methods."""
     runs = []
     others = (path.y, path.x)  # what another axis is driven by, for motion that follows it
     for place, (name, reference) in enumerate(references_of(bench, path).items()):
         axis = bench.file.axis(name)
         chosen = axis if method is None else axis.for_method(method)
-        used = compensators[name] if compensators else Compensator(axis=chosen)
         plant = (plants or bench.plants)[name]
         moved_m = plant.motion_m(len(reference), others[place % 2]) if plant.motions else None
         run = Run(
-            axis=used.axis,
+            axis=chosen,
             plant=plant,
             reference=reference,
             disturbance=moved_m,
             fault=fault,
-            other=used.other,
         )
         runs.append(run)
     return bench.run(runs)
@@ -154,7 +151,7 @@ def _centred(
     )
 
 
-def tracked(
+def _tracked(
     bench: Bench, scenario: Scenario, path: Path, records: Mapping[str, LoopRecord]
 ) -> Tracking:
     """Compare what was run with the path."""
@@ -174,9 +171,9 @@ def _run(bench: Bench, scenario: Scenario) -> None:
     if scenario.is_compared and bench.lateral:
         records = _compare(bench, scenario, path)
     elif bench.lateral:
-        records = lateral_runs(bench, path)
+        records = _lateral_runs(bench, path)
         bench.shown[scenario.name] = records
-        _judge(bench, scenario, records, tracked(bench, scenario, path, records))
+        _judge(bench, scenario, records, _tracked(bench, scenario, path, records))
     if scenario.kind == "spiral":
         judge_tips(bench, scenario, path, records)
 
@@ -202,12 +199,12 @@ def _compare(bench: Bench, scenario: Scenario, path: Path) -> dict[str, LoopReco
 
     Returns the records of what ships.
     """
-    pasts = all_pasts(bench)
+    pasts = _all_pasts(bench)
     found: dict[str, Tracking] = {}
     shipped: dict[str, LoopRecord] = {}
     for method in bench.methods():
-        runs = [lateral_runs(bench, path, method, plants) for plants in pasts]
-        each = [tracked(bench, scenario, path, records) for records in runs]
+        runs = [_lateral_runs(bench, path, method, plants) for plants in pasts]
+        each = [_tracked(bench, scenario, path, records) for records in runs]
         worst = max(range(len(runs)), key=lambda k: each[k].rms_m)
         found[method] = each[worst]
         _trace(bench, scenario, path, runs[worst], method, found[method])
@@ -240,7 +237,7 @@ def _compare(bench: Bench, scenario: Scenario, path: Path) -> dict[str, LoopReco
     return shipped
 
 
-def all_pasts(bench: Bench) -> list[dict[str, AxisPlant]]:
+def _all_pasts(bench: Bench) -> list[dict[str, AxisPlant]]:
     """Return all plants by axis, as each past left them; each axis has as many as the most."""
     by_axis = {name: with_pasts(plant) for name, plant in bench.plants.items()}
     count = max(len(pasts) for pasts in by_axis.values())
@@ -277,7 +274,7 @@ def _motions(bench: Bench, scenarios: Sequence[Scenario]) -> Iterator[Motion]:
             continue
         beside = {}
         if TRACED_BESIDE in bench.methods()[1:]:
-            beside = lateral_runs(bench, scenario.path(bench.rate_Hz), TRACED_BESIDE)
+            beside = _lateral_runs(bench, scenario.path(bench.rate_Hz), TRACED_BESIDE)
         shown = bench.shown[scenario.name]
         yield from motions_of(scenario.name, shown, beside, bench.centre_m, bench.rate_Hz)
 
@@ -290,9 +287,9 @@ def _run_varied(
     found: list[Verdict] = []
     for chosen in variations:
         plants = {**bench.plants, **{plant.axis: plant for plant in chosen}}
-        records = lateral_runs(bench, path, plants=plants)
+        records = _lateral_runs(bench, path, plants=plants)
         if records:
-            numbers = tracked(bench, scenario, path, records)
+            numbers = _tracked(bench, scenario, path, records)
             limit = bench.limits.varied_percent
             found.append(criteria.shape(scenario.name, numbers, bench.radius_m, limit))
         for record in run_tips(bench, path, records, plants).values():
@@ -307,9 +304,9 @@ def _run_fault(bench: Bench, scenario: Scenario) -> None:
     if np.isinf(scenario.fault_s):
         _run_blind(bench, scenario, path)
         return
-    healthy = tracked(bench, scenario, path, lateral_runs(bench, path))
+    healthy = _tracked(bench, scenario, path, _lateral_runs(bench, path))
     fault = scenario.fault_of(len(path.x), bench.rate_Hz)
-    records = lateral_runs(bench, path, fault=fault)
+    records = _lateral_runs(bench, path, fault=fault)
     error_m = np.sqrt(sum((r.position - r.reference) ** 2 for r in records.values()))
     bench.verdicts.extend(
         criteria.survived(scenario.name, error_m, healthy, bench.radius_m, bench.limits)
@@ -323,7 +320,7 @@ def _run_fault(bench: Bench, scenario: Scenario) -> None:
 def _run_blind(bench: Bench, scenario: Scenario, path: Path) -> None:
     """Judge the worst axis of a stage whose sensors never come back."""
     fault = scenario.fault_of(len(path.x), bench.rate_Hz)
-    records = lateral_runs(bench, path, fault=fault).values()
+    records = _lateral_runs(bench, path, fault=fault).values()
     found = [
         verdict
         for record in records

@@ -10,7 +10,7 @@ from piezoid.verification.verification import ComparisonRow, ErrorBound, Verific
 from piezoid_reports.chart import Canvas, decades_over
 from piezoid_reports.page import Figure, Fold, Heading, Page, Part, Prose, Section, Table
 from piezoid_reports.quantities import significant, told
-from piezoid_reports.spirals import FIELD, METHODS, errors_in_time, motions, spiral
+from piezoid_reports.spirals import METHODS, errors_in_time, motions, spiral
 
 STROKES = {"mpi_dob": "model", "none": "limit", "dob": "rising", "mpi": "trend"}
 _EVERY = "all"
@@ -82,7 +82,6 @@ def _figures(page: Page, found: Verification) -> list[Part]:
         ),
         *([_table(page, found)] if found.comparison else []),
         *_bounds(found),
-        *_field(found),
     ]
 
 
@@ -189,42 +188,6 @@ def _bounded(row: ErrorBound) -> str:
     if row.bound_m is None:
         return "none"
     return told(row.bound_m, "m") + (", not on all stages drawn" if row.is_exceeded else "")
-
-
-def _field(found: Verification) -> list[Part]:
-    """Return how compensators of others follow the same spirals, where they were run."""
-    if not found.field:
-        return []
-    turns_Hz = sorted({row.frequency_Hz for row in found.field})
-    both = (*found.comparison, *found.field)
-    rms_m = {(row.method, row.frequency_Hz): row.rms_m for row in both}
-    methods = sorted(
-        dict.fromkeys(row.method for row in both), key=lambda m: rms_m[m, turns_Hz[0]]
-    )
-    loops = {row.method: row for row in found.field}
-    shipped = set(found.methods.values())
-
-    def bandwidth(method: str) -> str:
-        loop = loops.get(method)
-        return "" if loop is None or loop.bandwidth_Hz is None else told(loop.bandwidth_Hz, "Hz")
-
-    rows = tuple(
-        (
-            (METHODS | FIELD)[method] + (" (ships)" if method in shipped else ""),
-            bandwidth(method),
-            *(told(rms_m[method, f], "m") for f in turns_Hz),
-        )
-        for method in methods
-    )
-    table = Table(
-        caption="Distance from the path, rms, by turns a second: our methods beside those of "
-        "others, best at the slowest spiral first. Their loops are tuned for the same plants, "
-        "limits and figure of merit, at the largest bandwidth up to ours with which all limits "
-        "are met; the charge drive is another amplifier and only simulated. They do not ship.",
-        columns=("method", "bandwidth", *(told(f, "Hz") for f in turns_Hz)),
-        rows=rows,
-    )
-    return [Fold(summary=f"Beside compensators of others: {len(loops)} methods", parts=(table,))]
 
 
 def _guaranteed(page: Page, found: Verification, row: ComparisonRow) -> str:
