@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.provenance import seal
+from piezoid.digests import seal
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
 TOKENS = (

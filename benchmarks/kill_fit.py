@@ -26,8 +26,8 @@ from pathlib import Path
 
 import numpy as np
 
+from piezoid.digests import unseal
 from piezoid.errors import PiezoidError
-from piezoid.provenance import unseal
 
 KEPT = Path(__file__).parents[1] / "build" / "kill_fit"
 OLD = {"model.json": b"old", "bundle/a.h": b"old"}

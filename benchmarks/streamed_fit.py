@@ -100,9 +100,9 @@ def peak_megabytes() -> float:
 
 def fit_one(path: Path, elsewhere: int = 0) -> None:
     """Fit one file and print what it took."""
+    from piezoid.digests import digest_of_bytes
     from piezoid.identification.store import write_model
     from piezoid.identification.streamed.fit_streamed import fit_streamed
-    from piezoid.provenance import digest_of_bytes
     from piezoid.records.streams.spool import spooled
 
     before, begun_s, at_s = peak_megabytes(), time.process_time(), time.monotonic()

@@ -100,16 +100,16 @@ def _table(
 ) -> "Table":
     from math import inf
 
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     def margin(delay_s: float | None) -> str:
-        return "any" if delay_s is None else told(delay_s, "s")
+        return "any" if delay_s is None else with_unit(delay_s, "s")
 
     rows = [
         (
             axis.axis,
             loop.method,
-            told(loop.bandwidth_Hz, "Hz"),
+            with_unit(loop.bandwidth_Hz, "Hz"),
             f"{loop.worst_modulus_margin:.3f}",
             margin(loop.worst_delay_margin_s),
             _bound(
@@ -126,10 +126,10 @@ def _table(
 def _bound(proven: "Certificate | None", range_m: float, *, is_verified: bool) -> str:
     from math import isfinite
 
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     if proven is None or not proven.is_guaranteed or not isfinite(proven.guaranteed_error_m):
         return "no bound"
     if proven.guaranteed_error_m > range_m:
         return "no useful bound: wider than the stroke"
-    return told(proven.guaranteed_error_m, "m") if is_verified else "not verified"
+    return with_unit(proven.guaranteed_error_m, "m") if is_verified else "not verified"

@@ -164,7 +164,7 @@ def _show(found: "Diagnosis", out: Path) -> None:
 
     from piezoid.counts import in_counts
     from piezoid.diagnosis.something_else import NAME
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
     from piezoid_reports.what_is_left import largest_first, left_of, nothing_named
 
     console = Console()
@@ -173,12 +173,12 @@ def _show(found: "Diagnosis", out: Path) -> None:
         console.print(plain(leading[0].explanation))
     if found.findings:
         console.print(_table(found))
-        was, now = told(found.baseline.rms_m, "m"), told(found.final.rms_m, "m")
+        was, now = with_unit(found.baseline.rms_m, "m"), with_unit(found.final.rms_m, "m")
         falls = found.final.rms_m < found.baseline.rms_m
         goes = f"{'falls' if falls else 'goes'} from {was} to {now}" if was != now else f"is {was}"
         said = (
             f"on rows left out the error {goes}; the sensor's noise is "
-            f"{told(found.noise_floor_rms_m, 'm')}"
+            f"{with_unit(found.noise_floor_rms_m, 'm')}"
         )
         console.print(plain(in_counts(said, found.counted)))
     else:

@@ -245,19 +245,19 @@ def _show_tip(tip: "TunnellingModel") -> None:
 
 def _table(model: "ActuatorModel") -> "Table":
     from piezoid.counts import in_counts
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     rows = [
         (
             axis.axis,
             str(len(axis.hysteresis.plays.weight)),
             str(len(axis.hysteresis.dead_zones.weight) - 1),
-            "loop or lag" if axis.quality.lag_is_open else told(axis.lag.time_s, "s"),
-            in_counts(told(axis.quality.held_out_rms_m, "m"), axis.counted)
+            "loop or lag" if axis.quality.lag_is_open else with_unit(axis.lag.time_s, "s"),
+            in_counts(with_unit(axis.quality.held_out_rms_m, "m"), axis.counted)
             + ("" if axis.quality.is_tested else " in sample"),
             f"{axis.quality.held_out_rms_percent:.3f} %",
             axis.quality.noise_bound
-            + in_counts(told(axis.quality.noise_rms_m, "m"), axis.counted),
+            + in_counts(with_unit(axis.quality.noise_rms_m, "m"), axis.counted),
         )
         for axis in model.axes.values()
     ]

@@ -204,13 +204,13 @@ def _state(column: "ColumnSummary") -> str:
 
 def response_lines(inspection: "Inspection") -> list[str]:
     """Return the band, what was measured through, each axis, and how they couple."""
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     found = inspection.response
     if found is None:
         return []
     through = " and ".join(found.includes) if found.includes else "neither amplifier nor sensor"
-    band = f"{told(found.lowest_Hz, 'Hz')} to {told(found.highest_Hz, 'Hz')}"
+    band = f"{with_unit(found.lowest_Hz, 'Hz')} to {with_unit(found.highest_Hz, 'Hz')}"
     lines = [
         f"  a frequency response, {band}, {found.lines} lines, with the poles of {through} in it",
     ]
@@ -224,7 +224,7 @@ def response_lines(inspection: "Inspection") -> list[str]:
 
 
 def _path(path: "PathSummary", lines: int) -> str:
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     coherent = (
         f"{path.coherent} of {lines} lines coherent" if path.has_coherence else "no coherence"
@@ -234,15 +234,15 @@ def _path(path: "PathSummary", lines: int) -> str:
         peaks += f" and {len(path.peaks) - _MOST_PEAKS} more" * (len(path.peaks) > _MOST_PEAKS)
     else:
         peaks = "no peak"
-    gain = f"{told(path.gain_m_per_V, 'm')}/V at low frequency"
+    gain = f"{with_unit(path.gain_m_per_V, 'm')}/V at low frequency"
     return f"  axis {path.output}: {gain}, {coherent}, {peaks}"
 
 
 def _peak(peak: "Peak") -> str:
-    from piezoid.formatting import significant, told
+    from piezoid.formatting import significant, with_unit
 
     quality = "" if peak.quality is None else f" (Q about {significant(peak.quality, 2)})"
-    return f"{told(peak.frequency_Hz, 'Hz')}{quality}"
+    return f"{with_unit(peak.frequency_Hz, 'Hz')}{quality}"
 
 
 def _coupling(coupling: "Coupling") -> str:

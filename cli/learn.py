@@ -126,15 +126,16 @@ def _axis(model: "ActuatorModel", file: "ParameterFile | None", asked: str | Non
 
 
 def _lines(found: "Learned", out: Path) -> list[str]:
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     lines = [
-        f"axis {found.axis}, {told(found.frequency_Hz, 'Hz')}: a period leaves at most "
+        f"axis {found.axis}, {with_unit(found.frequency_Hz, 'Hz')}: a period leaves at most "
         f"{found.contraction:.2g} of the error, on plant '{found.worst_plant}'; harmonics up to "
-        f"{told(found.learns_to_Hz, 'Hz')} are learnt",
-        f"the first table leaves {told(found.model_error_m, 'm')} rms on the identified plant",
+        f"{with_unit(found.learns_to_Hz, 'Hz')} are learnt",
+        f"the first table leaves {with_unit(found.model_error_m, 'm')} rms on the identified "
+        "plant",
     ]
     if found.errors_m and found.noise_m is not None:
-        errors = ", ".join(told(error_m, "m") for error_m in found.errors_m)
-        lines.append(f"recorded periods missed by {errors}; noise {told(found.noise_m, 'm')}")
+        errors = ", ".join(with_unit(error_m, "m") for error_m in found.errors_m)
+        lines.append(f"recorded periods missed by {errors}; noise {with_unit(found.noise_m, 'm')}")
     return [*lines, f"table: {out / found.axis}.csv"]

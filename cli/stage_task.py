@@ -105,7 +105,7 @@ def _worked(task: StageTask, run: "Run") -> Outcome:
 
 def inputs_of(task: StageTask) -> dict[str, str]:
     """Return the digest of every file of a stage by name, ``lab.toml`` among them."""
-    from piezoid.provenance import digest_of_file
+    from piezoid.digests import digest_of_file
 
     folder = Path(task.folder)
     return {name: digest_of_file(folder / name) for name in (LAB, *_recordings(folder))}

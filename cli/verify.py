@@ -174,31 +174,33 @@ def show(found: "Verification", file: "ParameterFile") -> None:
 
 
 def _comparison(found: "Verification") -> "Table":
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
     rows = [
         (
             f"{row.frequency_Hz:g}",
             row.method,
             *(f"{1e9 * error_m:.1f}" for error_m in (row.rms_m, row.max_m, row.aligned_rms_m)),
-            told(row.delay_s, "s"),
+            with_unit(row.delay_s, "s"),
         )
         for row in found.comparison
     ]
     headings = ("turns a second", "method", "rms", "largest", "shape rms", "delay")
-    return table(f"spirals of radius {told(found.radius_m, 'm')}, errors in nm", headings, rows)
+    return table(
+        f"spirals of radius {with_unit(found.radius_m, 'm')}, errors in nm", headings, rows
+    )
 
 
 def _bound_line(row: "ErrorBound") -> str:
-    from piezoid.formatting import told
+    from piezoid.formatting import with_unit
 
-    bounded = "not bounded" if row.bound_m is None else f"bounded by {told(row.bound_m, 'm')}"
+    bounded = "not bounded" if row.bound_m is None else f"bounded by {with_unit(row.bound_m, 'm')}"
     if row.is_exceeded:
         bounded += " (but not on all stages drawn here: some are farther from the model's class)"
     return (
-        f"axis {row.axis}, at most {told(row.slew_m_per_s, 'm/s')}: {bounded}, below "
-        f"{told(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst found "
-        f"{told(row.worst_found_m, 'm')}, simulated {told(row.simulated_m, 'm')}"
+        f"axis {row.axis}, at most {with_unit(row.slew_m_per_s, 'm/s')}: {bounded}, below "
+        f"{with_unit(row.probable_m, 'm')} with {100.0 * row.probability:g} % probability, worst "
+        f"found {with_unit(row.worst_found_m, 'm')}, simulated {with_unit(row.simulated_m, 'm')}"
     )
 
 

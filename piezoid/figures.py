@@ -15,7 +15,7 @@ from piezoid.design.sensitivity import sensitivities
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.experiment import Plan
 from piezoid.errors import PictureError
-from piezoid.formatting import told, words
+from piezoid.formatting import with_unit, words
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.interchange import linear_part
 from piezoid.identification.model import AxisModel
@@ -483,7 +483,7 @@ def _sensitivity(axis: AxisDesign, found: LoopDesign, color: str, axes: "Axes") 
     left_dB = 20.0 * np.log10(np.maximum(left, 1e-6))
     name = (
         f"axis {axis.axis}, {_METHODS.get(found.method, found.method)}, "
-        f"bandwidth {told(found.bandwidth_Hz, 'Hz')}"
+        f"bandwidth {with_unit(found.bandwidth_Hz, 'Hz')}"
     )
     axes.fill_between(
         frequency_Hz, left_dB.min(axis=0), left_dB.max(axis=0), color=color, alpha=0.2, linewidth=0

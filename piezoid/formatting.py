@@ -43,7 +43,7 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def told(value: float, unit: str, digits: int = 3) -> str:
+def with_unit(value: float, unit: str, digits: int = 3) -> str:
     """Return a number with its unit, for example ``66.0 nm``."""
     if not math.isfinite(value):
         return UNKNOWN

@@ -17,8 +17,8 @@ from typing import Annotated, Any, TypeVar, Union, cast, get_args, get_origin, g
 import numpy as np
 from msgspec import ValidationError, convert
 
+from piezoid.digests import unseal
 from piezoid.errors import ParameterFileError
-from piezoid.provenance import unseal
 
 Record = TypeVar("Record")
 _WRONG = (

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 
 
 class Kind(StrEnum):
@@ -65,7 +65,7 @@ class Statement:
     @property
     def formatted_value(self) -> str:
         """The value with its unit and a prefix; empty without a value."""
-        return "" if self.value is None else told(self.value, self.unit)
+        return "" if self.value is None else with_unit(self.value, self.unit)
 
 
 def select(

@@ -13,7 +13,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Unexplained
 from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as place_words
-from piezoid.formatting import told, words
+from piezoid.formatting import with_unit, words
 from piezoid.identification.model import AxisModel
 
 CHANCE = 0.05  # p-value: what more healthy stages leave is told to be usual
@@ -104,9 +104,9 @@ def shape_lacked(found: Diagnosis, axis: AxisModel | None) -> str:
     if _moved_zero_m2(axis) > MOST * (left_m**2 - wide_m**2):
         return ""
     return (
-        f"where the simulation leaves {told(left_m, 'm')}, the widest class of hysteresis leaves "
-        f"{told(wide_m, 'm')}; between them lie loops of a shape that plays and dead zones do not "
-        "have"
+        f"where the simulation leaves {with_unit(left_m, 'm')}, the widest class of hysteresis "
+        f"leaves {with_unit(wide_m, 'm')}; between them lie loops of a shape that plays and dead "
+        "zones do not have"
     )
 
 
@@ -149,7 +149,7 @@ def nothing_named(found: Diagnosis) -> str:
     rests = any(one.reason == RESTS for one in found.not_detected)
     beside = "with the drive at rest" if rests else "beside hysteresis of any shape"
     return (
-        f"{count} tested, and none is seen: {beside} {told(left_m, 'm')} rms are left{times}"
+        f"{count} tested, and none is seen: {beside} {with_unit(left_m, 'm')} rms are left{times}"
         f"{where}."
     )
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
-from piezoid.provenance import seal
 from piezoid.record_json import (
     Interval,
     RecordLayout,

@@ -11,7 +11,7 @@ from piezoid.design.hysteresis_bounds import HysteresisBounds
 from piezoid.design.plant import Fraction
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.errors import UnstableLoopError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import grid_Hz, response
 from piezoid.numerics.polynomial import delayed, product, spectral_radius, total
@@ -311,7 +311,8 @@ def _conditions(count: int, operation: Operation, bounds: HysteresisBounds) -> t
     return (
         *(as_recorded if disturbed else ()),
         f"the linear plant is one of the {count} members",
-        f"the reference moves at most {told(operation.reference_slew_m_per_s, 'm/s')}",
-        f"the command stays within {told(bounds.reach_V, 'V')} and inside the converter's limits",
+        f"the reference moves at most {with_unit(operation.reference_slew_m_per_s, 'm/s')}",
+        f"the command stays within {with_unit(bounds.reach_V, 'V')} and inside the converter's "
+        "limits",
         "sensor noise comes on top, as its own line",
     )

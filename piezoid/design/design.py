@@ -12,13 +12,13 @@ from piezoid.design.observer import DisturbanceObserver
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import Margins, closed_loop_polynomial, margins, sensitivities
 from piezoid.design.specification import Specification
+from piezoid.digests import seal
 from piezoid.errors import DesignError
+from piezoid.html_repr import html_table
 from piezoid.identification.interchange import control
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.polynomial import product
-from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, read_sealed, to_json
-from piezoid.showing import shown
 
 if TYPE_CHECKING:
     from scipy.signal import TransferFunction
@@ -230,7 +230,7 @@ class Design:
             for axis in self.axes
             for loop in axis.loops
         ]
-        return shown("Design", (*loops, ("model", self.model_digest)))
+        return html_table("Design", (*loops, ("model", self.model_digest)))
 
     def to_json(self) -> bytes:
         """Return the sealed file ``design.json``.

@@ -5,7 +5,7 @@ from math import isfinite
 from piezoid.design.certificate import Certificate
 from piezoid.design.design import AxisDesign, Design
 from piezoid.design.from_model import BEYOND, FIRST_MODE, unseen
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
@@ -57,11 +57,12 @@ def _bandwidth(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     if known.peak >= FIRST_MODE:
         reason, level = "no resonance was recorded", Level.ACTION
     else:
-        reason = f"the recordings show the response only up to {told(known.from_Hz, 'Hz')}"
+        reason = f"the recordings show the response only up to {with_unit(known.from_Hz, 'Hz')}"
         level = Level.WARNING
     text = (
-        f"Bandwidth limited to {told(bandwidth_Hz, 'Hz')}: {reason}. Record a chirp or multisine "
-        f"up to {told(until_Hz, 'Hz', 2)}, or state bandwidth_Hz under [actuator] in lab.toml."
+        f"Bandwidth limited to {with_unit(bandwidth_Hz, 'Hz')}: {reason}. Record a chirp or "
+        f"multisine up to {with_unit(until_Hz, 'Hz', 2)}, or state bandwidth_Hz under [actuator] "
+        "in lab.toml."
     )
     return [_statement(design.axis, level, "bandwidth", text, bandwidth_Hz, "Hz")]
 
@@ -84,9 +85,9 @@ def _bound(design: AxisDesign, axis: AxisModel) -> list[Statement]:
     largest = max(parts_m, key=lambda name: parts_m[name])
     error_m = certificate.guaranteed_error_m
     text = (
-        f"No useful bound of the error: the proven bound of {told(error_m, 'm')} is more than a "
-        f"tenth of the {told(axis.quality.range_m, 'm')} range; most of it, "
-        f"{told(parts_m[largest], 'm')}, comes from {largest}."
+        f"No useful bound of the error: the proven bound of {with_unit(error_m, 'm')} is more "
+        f"than a tenth of the {with_unit(axis.quality.range_m, 'm')} range; most of it, "
+        f"{with_unit(parts_m[largest], 'm')}, comes from {largest}."
     )
     return [_statement(design.axis, Level.WARNING, "guaranteed_error", text, error_m, "m")]
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.design.joint_error import JointError, joint_error
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.operators.dead_zone import DeadZones
@@ -105,9 +105,9 @@ def affine_bounds(
         error_m=error,
         reach_V=reach_V,
         conditions=(
-            f"the command stays within {told(reach_V, 'V')} of the model's centre",
+            f"the command stays within {with_unit(reach_V, 'V')} of the model's centre",
             "the stage started de-poled, or has passed an extreme larger than the scan",
-            f"the hysteresis model errs by at most {told(remainder_m, 'm')}",
+            f"the hysteresis model errs by at most {with_unit(remainder_m, 'm')}",
         ),
     )
 
@@ -159,10 +159,10 @@ def inverse_bounds(
         error_m=float(np.quantile(errors, confidence)) + remainder_m,
         reach_V=reach_V,
         conditions=(
-            f"the drive stays within {told(reach_V, 'V')} of the model's centre",
+            f"the drive stays within {with_unit(reach_V, 'V')} of the model's centre",
             f"the true hysteresis lies within {100.0 * confidence:g} % of {len(replicates)} "
             "refits",
-            f"what no such model explains stays below {told(remainder_m, 'm')}",
+            f"what no such model explains stays below {with_unit(remainder_m, 'm')}",
         ),
     )
 

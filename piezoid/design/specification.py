@@ -12,7 +12,7 @@ from piezoid.design.templates import FUNCTIONS, Template, attenuation
 from piezoid.errors import LabFileError
 from piezoid.numerics.frequency import decibel
 from piezoid.numerics.polynomial import roots_of
-from piezoid.toml_text import read_toml
+from piezoid.toml_files import read_toml
 
 AT_BANDWIDTH_dB = -3.0
 MODE_SHARE = 0.15

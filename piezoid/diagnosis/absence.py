@@ -7,7 +7,7 @@ from piezoid.diagnosis.diagnosis import NotDetected
 from piezoid.diagnosis.effect import BETWEEN, Effect
 from piezoid.diagnosis.score_test import ScoreTest
 from piezoid.diagnosis.search import Outcome
-from piezoid.formatting import told, words
+from piezoid.formatting import with_unit, words
 
 SPEEDS = (
     "Record the same loops at half the speed or less as well: what needs time shrinks with speed, "
@@ -36,7 +36,7 @@ def absent(effect: Effect, outcome: Outcome) -> NotDetected:
         effect=effect.name,
         upper_bound_m=limit_m,
         detection_limit_m=limit_m,
-        reason=f"no sign of it; {told(limit_m, 'm')} would have shown",
+        reason=f"no sign of it; {with_unit(limit_m, 'm')} would have shown",
         next_experiment=effect.experiment,
     )
 
@@ -85,7 +85,7 @@ def _bounded(found: ScoreTest, outcome: Outcome) -> NotDetected:
         upper_bound_m=bound_m,
         detection_limit_m=limit_m,
         reason=(
-            f"at most {told(bound_m, 'm')} rms; it takes {100 * found.cv.gain:.2g} % off the "
+            f"at most {with_unit(bound_m, 'm')} rms; it takes {100 * found.cv.gain:.2g} % off the "
             f"error on rows left out ({found.cv.z:.2g} standard errors){_beside_placebo(found)}"
             f"{_held_back(found, outcome) or _in_spite_of(found, outcome)}"
         ),

@@ -48,7 +48,7 @@ from piezoid.diagnosis.signals import GRIDS_Hz
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.unnamed import NEXT, seen_in_classes
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.hysteresis.sensor_noise import noise_rms
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
@@ -226,7 +226,7 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
 
     design, y  rows of all that was found, the cause's own columns last
     """
-    size = f"At rest it is {told(value_m, 'm')} rms."
+    size = f"At rest it is {with_unit(value_m, 'm')} rms."
     if name == LINE:
         return _Said(
             effect=SOMETHING_ELSE,
@@ -242,8 +242,8 @@ def _said(name: str, rest: Rest, value_m: float, design: Array, y: Array) -> _Sa
         return _Said(
             effect=SOMETHING_ELSE,
             explanation="No effect of the catalogue stands for it: one jump by "
-            f"{told(high_m, 'm')} at {told(rest.jump_s, 's')}, of the stage, its mount or the "
-            "sensor.",
+            f"{with_unit(high_m, 'm')} at {with_unit(rest.jump_s, 's')}, of the stage, its mount "
+            "or the sensor.",
             experiment=NEXT["time"],
             parameters={"instant_s": rest.jump_s, "jump_m": high_m},
             coordinate="time",
@@ -293,7 +293,7 @@ def _absent(effect: Effect, rest: Rest, final: Array) -> NotDetected:
         effect=effect.name,
         upper_bound_m=bound_m,
         detection_limit_m=bound_m,
-        reason=f"no sign of it; {told(bound_m, 'm')} rms would have shown",
+        reason=f"no sign of it; {with_unit(bound_m, 'm')} rms would have shown",
         next_experiment=effect.experiment,
     )
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from piezoid.counts import in_counts
 from piezoid.errors import RecordingError
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.extension import Extension
 from piezoid.identification.extensions.gain_change import GainChange
 from piezoid.identification.extensions.mains_lines import MainsLines
@@ -98,14 +98,14 @@ class Change:
         if self.holds and (as_good or self.as_it_was_m <= self.held_out_then_m):
             return (
                 f"the model still holds; it leaves {self._left(self.as_it_was_m)}, "
-                f"{told(self.held_out_then_m, 'm')} when it was fitted{self._noisier()}"
+                f"{with_unit(self.held_out_then_m, 'm')} when it was fitted{self._noisier()}"
             )
         verdict = "holds less well" if self.holds else "does not hold"
         return (
             f"more than the sensitivity changed, and the model {verdict}: it leaves "
-            f"{self._left(self.as_it_was_m)}, {told(self.held_out_then_m, 'm')} when it was "
-            f"fitted; {told(self.other_gain_m, 'm')} with another sensitivity"
-            f"{f' ({moves})' if moves else ''}, {told(self.refitted_m, 'm')} refitted"
+            f"{self._left(self.as_it_was_m)}, {with_unit(self.held_out_then_m, 'm')} when it was "
+            f"fitted; {with_unit(self.other_gain_m, 'm')} with another sensitivity"
+            f"{f' ({moves})' if moves else ''}, {with_unit(self.refitted_m, 'm')} refitted"
             f"{self._noisier()}"
         )
 
@@ -129,8 +129,8 @@ class Change:
         if self.noise_m <= NOISIER * self.noise_then_m:
             return ""
         return (
-            f"; the sensor's noise is {told(self.noise_m, 'm')} rms now, "
-            f"{told(self.noise_then_m, 'm')} when it was fitted"
+            f"; the sensor's noise is {with_unit(self.noise_m, 'm')} rms now, "
+            f"{with_unit(self.noise_then_m, 'm')} when it was fitted"
         )
 
     def _is_alone(self) -> bool:
@@ -149,7 +149,7 @@ class Change:
 
     def _left(self, error_m: float) -> str:
         share = 100.0 * error_m / self.motion_m
-        return f"{told(error_m, 'm')} ({significant(share, 2)} % of the motion)"
+        return f"{with_unit(error_m, 'm')} ({significant(share, 2)} % of the motion)"
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of ``since_model`` in diagnosis.json."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from piezoid.counts import record_in_counts
+from piezoid.html_repr import html_table
 from piezoid.identification.model import AxisModel
-from piezoid.showing import shown
 
 if TYPE_CHECKING:
     pass
@@ -205,7 +205,7 @@ class Diagnosis:
             (finding.effect, f"gain {100 * finding.held_out_gain:.1f} %, p {finding.p_value:.2g}")
             for finding in self.findings
         ]
-        return shown(
+        return html_table(
             f"Diagnosis of axis {self.axis}",
             (
                 *(found or [("found", "nothing")]),

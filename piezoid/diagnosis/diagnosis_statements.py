@@ -10,7 +10,7 @@ from piezoid.diagnosis.at_rest import RESTS
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding
 from piezoid.diagnosis.something_else import NAME
 from piezoid.diagnosis.unnamed import words as coordinate_words
-from piezoid.formatting import significant, told, words
+from piezoid.formatting import significant, with_unit, words
 from piezoid.identification.model import AxisModel
 from piezoid.statement import Kind, Level, Statement
 
@@ -91,9 +91,9 @@ def _loop_shape(diagnosis: Diagnosis, axis: AxisModel | None) -> list[Statement]
     if not shape_m:
         return []
     text = (
-        f"Loop shape that the model class cannot represent causes {told(shape_m, 'm')} of the "
-        f"held-out error of {told(diagnosis.final.rms_m, 'm')}; feedback reduces it within the "
-        "bandwidth of the loop."
+        f"Loop shape that the model class cannot represent causes {with_unit(shape_m, 'm')} of "
+        f"the held-out error of {with_unit(diagnosis.final.rms_m, 'm')}; feedback reduces it "
+        "within the bandwidth of the loop."
     )
     return [_statement(diagnosis, Kind.FINDING, Level.WARNING, "loop_shape", text, shape_m, "m")]
 
@@ -128,7 +128,7 @@ def _nothing_found(diagnosis: Diagnosis) -> list[Statement]:
     count = (
         "1 effect was tested and not" if n_tested == 1 else f"{n_tested} effects were tested, none"
     )
-    text = f"{count} detected: the residual {where} is {told(residual_m, 'm')} rms{times}."
+    text = f"{count} detected: the residual {where} is {with_unit(residual_m, 'm')} rms{times}."
     text += _structure(diagnosis)
     exceeds = not at_rest and residual_m > NEAR_NOISE * noise_m > 0.0
     if exceeds:

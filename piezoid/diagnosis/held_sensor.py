@@ -22,7 +22,7 @@ from piezoid.diagnosis.effects import effect_named, every_effect
 from piezoid.diagnosis.folds import gain_z
 from piezoid.diagnosis.rest_columns import BLOCKS, SLOWS, cubic, held
 from piezoid.diagnosis.unnamed import seen_in_classes
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.plausibility import held_stretch, is_held_throughout
 from piezoid.records.recording import Recording
@@ -156,10 +156,11 @@ def _finding(hold: _Hold, diagnosis: Diagnosis, gain_m_per_V: float) -> Finding 
         not_separable_from=effect.confounded if after > fit.cubic_V / SLOWS else (),
         explanation=f"{effect.summary} In "
         f"{hold.recording} a feedback holds the sensor, and the drive gives way by "
-        f"{told(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / {told(fit.scale_s, 's', 2)}): "
-        f"{significant(percent, 2)} % of the {told(abs(hold.step_V), 'V')} before it in every "
-        f"decade of time. {told(after, 'V')} rms of the drive are left, by a cubic of time "
-        f"{told(fit.cubic_V, 'V')}.",
+        f"{with_unit(float(np.ptp(hold.drive_V)), 'V')} as ln(1 + t / "
+        f"{with_unit(fit.scale_s, 's', 2)}): {significant(percent, 2)} % of the "
+        f"{with_unit(abs(hold.step_V), 'V')} before it in every decade of time. "
+        f"{with_unit(after, 'V')} rms of the drive are left, by a cubic of time "
+        f"{with_unit(fit.cubic_V, 'V')}.",
         next_experiment=effect.experiment,
         parameters={"scale_s": fit.scale_s},
         coordinate="time_since_turn",

@@ -12,7 +12,7 @@ import numpy as np
 
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, Size, with_finding
 from piezoid.diagnosis.effects import effect_named
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.axis_dynamics import quasi_static
 from piezoid.identification.dynamics.behind_hysteresis import voltage_behind_hysteresis
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
@@ -87,7 +87,7 @@ def _beside(diagnosis: Diagnosis, model: AxisModel, dynamics: LinearDynamics) ->
     modes = resolved_modes(dynamics)
     if not modes.any():
         return diagnosis
-    said = ", ".join(told(float(f), "Hz", 4) for f in dynamics.mode_frequency_Hz[modes])
+    said = ", ".join(with_unit(float(f), "Hz", 4) for f in dynamics.mode_frequency_Hz[modes])
     known = f"{model.response.name} shows it at {said}, and the model has it; of the recordings: "
     return replace(
         diagnosis,

@@ -7,7 +7,7 @@ from piezoid.counts import in_counts
 from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Unexplained
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.something_else import NAME
-from piezoid.provenance import seal, unseal
+from piezoid.digests import seal, unseal
 from piezoid.record_json import RecordLayout, fields_of, from_fields, from_json, refusing, to_json
 
 SCHEMA = "piezoid.diagnosis/1"

@@ -10,7 +10,7 @@ from piezoid.diagnosis.discovery import CoordinateScore
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.something_else import NAME, Discovered
 from piezoid.diagnosis.view import View
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 
 CLASSES = 40  # of the picture
@@ -87,7 +87,7 @@ def of_discovered(
         size=Size(value=1e9 * value_m, unit="nm, rms", ci95=(1e9 * low_m, 1e9 * high_m)),
         not_separable_from=(),
         explanation=f"No effect of the catalogue stands for it: {part} lives in "
-        f"{words(lives.coordinate)}{_where(found, seen)}. It is {told(value_m, 'm')} rms.",
+        f"{words(lives.coordinate)}{_where(found, seen)}. It is {with_unit(value_m, 'm')} rms.",
         next_experiment=NEXT.get(lives.coordinate, OTHER),
         parameters=_parameters(found),
         coordinate=lives.coordinate,
@@ -116,8 +116,9 @@ def of_noise(found: NoiseLevel, *, error: HeldOut, scale_m: float, middle_m: flo
         not_separable_from=(),
         explanation="No effect of the catalogue stands for it: the noise of the readings is not "
         f"the same everywhere, it lives in {words(lives.coordinate)}. It is "
-        f"{told(quiet_m, 'm')} rms in the quietest place and {told(loud_m, 'm')} in the loudest, "
-        f"{told(value_m, 'm')} rms beyond the quietest in all. No model can take it off.",
+        f"{with_unit(quiet_m, 'm')} rms in the quietest place and {with_unit(loud_m, 'm')} in the "
+        f"loudest, {with_unit(value_m, 'm')} rms beyond the quietest in all. No model can take it "
+        "off.",
         next_experiment=NOISE_NEXT,
         parameters={},
         coordinate=lives.coordinate,
@@ -162,14 +163,16 @@ def _where(found: Discovered, seen: Seen) -> str:
     if "frequency_Hz" in parameters:
         return f", at {parameters['frequency_Hz']:.5g} Hz"
     if "period_m" in parameters:
-        return f", every {told(parameters['period_m'], 'm')}"
+        return f", every {with_unit(parameters['period_m'], 'm')}"
     if "period_samples" in parameters:
         return f", every {parameters['period_samples']:.0f} samples"
     height = np.abs(seen.fitted_m)
     there = np.flatnonzero(height > FULL * float(height.max()))
     low, high = seen.place[int(there[0])], seen.place[int(there[-1])]
     recording = f" of {seen.recording}" if seen.recording else ""
-    return f", most of it from {told(low, seen.unit)} to {told(high, seen.unit)}{recording}"
+    return (
+        f", most of it from {with_unit(low, seen.unit)} to {with_unit(high, seen.unit)}{recording}"
+    )
 
 
 def _law(found: Discovered, scale_m: float, middle_m: float) -> str:
@@ -177,7 +180,7 @@ def _law(found: Discovered, scale_m: float, middle_m: float) -> str:
     if found.end is None:
         return ""
     way = "min" if found.end.side * scale_m > 0.0 else "max"
-    return f"reading = {way}(displacement, {told(middle_m + scale_m * found.end.level, 'm')})"
+    return f"reading = {way}(displacement, {with_unit(middle_m + scale_m * found.end.level, 'm')})"
 
 
 def _seen(

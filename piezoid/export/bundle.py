@@ -13,10 +13,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from piezoid.digests import digest_of_bytes
 from piezoid.export.c_header import c_header, inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.numerics.arrays import Array
-from piezoid.provenance import digest_of_bytes
 from piezoid.records.which_voltage import WHICH_VOLTAGE
 from piezoid.runtime.controller import Controller
 from piezoid.runtime.library import PRECISIONS, library

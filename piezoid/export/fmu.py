@@ -13,11 +13,11 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from piezoid.digests import digest_of_bytes
 from piezoid.export.bundle import SAMPLES, shipped
 from piezoid.export.c_header import c_header, inert
 from piezoid.export.parameter_file import AxisParameters, ParameterFile, digest_of
 from piezoid.export.shared_library import LINUX, shared_library
-from piezoid.provenance import digest_of_bytes
 
 _RUNTIME_SOURCES = ("piezoid_runtime.h", "piezoid_runtime.c", "fmu_controller.h")
 _MAIN = "fmu2.c"

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piezoid.digests import seal, unseal
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array, expect_shapes, freeze
-from piezoid.provenance import seal, unseal
 from piezoid.record_json import from_json as records_from_json
 from piezoid.record_json import to_json as records_to_json
 from piezoid.runtime.library import PRECISIONS, SEALED, Values, complete, library

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike
 
 from piezoid.counts import in_counts
 from piezoid.errors import IdentificationError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
+from piezoid.html_repr import html_table
 from piezoid.identification.coupled.coupled_stage import CoupledStage
 from piezoid.identification.interchange import to_control, to_scipy
 from piezoid.identification.model import AxisModel
@@ -17,7 +18,6 @@ from piezoid.identification.prediction import Comparison, compare, predict
 from piezoid.identification.tunnelling.model import TunnellingModel
 from piezoid.numerics.arrays import Array
 from piezoid.records.recording import Recording
-from piezoid.showing import shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -71,7 +71,7 @@ class ActuatorModel:
         return self.axes[axis]
 
     def _repr_html_(self) -> str:
-        return shown(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
+        return html_table(f"Stage {self.stage}", [_shown(axis) for axis in self.axes.values()])
 
     @property
     def counted(self) -> tuple[str, ...]:
@@ -233,7 +233,7 @@ def _shown(axis: AxisModel) -> tuple[str, str]:
         return f"axis {axis.axis}", f"the model class does not apply: {axis.verdict.reason}"
     said = (
         f"{len(held.plays.weight)} plays, {len(held.dead_zones.weight) - 1} dead zones; held-out "
-        f"error {told(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} % "
-        f"of the range; noise {told(quality.noise_rms_m, 'm')} rms"
+        f"error {with_unit(quality.held_out_rms_m, 'm')} rms, {quality.held_out_rms_percent:.3f} "
+        f"% of the range; noise {with_unit(quality.noise_rms_m, 'm')} rms"
     )
     return f"axis {axis.axis}", in_counts(said, axis.counted)

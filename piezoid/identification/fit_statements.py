@@ -6,7 +6,7 @@ and print the statements.
 
 from enum import StrEnum
 
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.identification.piece_start import wandering_zeros
 from piezoid.statement import Kind, Level, Statement
@@ -131,14 +131,14 @@ def _noise(axis: AxisModel) -> list[Statement]:
     quality = axis.quality
     if quality.noise_is_most:
         text = (
-            f"The sensor noise is at most {told(quality.noise_rms_m, 'm')}: it cannot be "
+            f"The sensor noise is at most {with_unit(quality.noise_rms_m, 'm')}: it cannot be "
             "separated from the residual. Repeat the drive: equal periods differ by the noise."
         )
         return [_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m")]
     if quality.held_out_rms_m < BELOW_NOISE * quality.noise_rms_m:
         text = (
-            f"The held-out error of {told(quality.held_out_rms_m, 'm')} is below the sensor noise "
-            f"of {told(quality.noise_rms_m, 'm')}: the noise is overestimated."
+            f"The held-out error of {with_unit(quality.held_out_rms_m, 'm')} is below the sensor "
+            f"noise of {with_unit(quality.noise_rms_m, 'm')}: the noise is overestimated."
         )
         return [_limit(axis, Level.WARNING, "noise", text, quality.noise_rms_m, "m")]
     return []
@@ -156,8 +156,8 @@ def _intervals(axis: AxisModel) -> list[Statement]:
     width_m, half_m = axis.uncertainty.loop_width_m
     if half_m > LOOSE_WIDTH * abs(width_m):
         text = (
-            f"The width of the loop is known to ±{told(half_m, 'm')} only, of "
-            f"{told(width_m, 'm')}. Record full-range cycles several times at one speed."
+            f"The width of the loop is known to ±{with_unit(half_m, 'm')} only, of "
+            f"{with_unit(width_m, 'm')}. Record full-range cycles several times at one speed."
         )
         statements.append(_limit(axis, Level.WARNING, "loop_width", text, half_m, "m"))
     return statements
@@ -180,7 +180,7 @@ def _zero(axis: AxisModel) -> list[Statement]:
             axis,
             Level.NOTE,
             "baseline_drift",
-            f"The zero drifts by {told(by_m, 'm')} "
+            f"The zero drifts by {with_unit(by_m, 'm')} "
             f"({significant(100.0 * by_m / quality.range_m, 2)} % of the range) during "
             f"{start.recording}; the fit follows the drift.",
             by_m,

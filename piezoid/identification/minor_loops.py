@@ -23,7 +23,7 @@ from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
 from piezoid.errors import IdentificationError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.extensions.rate_dependence import RateDependence
 from piezoid.identification.hysteresis.certificate import DRAWS, SEED
 from piezoid.identification.hysteresis.jackknife import BLOCKS
@@ -294,8 +294,8 @@ def _taken(axis: AxisModel, found: _Tried) -> AxisModel:
     likely_m = float(np.quantile(apart_m, 0.95))
     said = (
         f"on rows left out {lattice.plays} plays behind functions of {lattice.pieces} pieces "
-        f"leave {told(found.rms_m, 'm')}, where plays with dead zones leave "
-        f"{told(quality.held_out_rms_m, 'm')}: the controller inverts the former"
+        f"leave {with_unit(found.rms_m, 'm')}, where plays with dead zones leave "
+        f"{with_unit(quality.held_out_rms_m, 'm')}: the controller inverts the former"
     )
     return replace(
         axis,

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.optimize import least_squares
 
+from piezoid.html_repr import html_table
 from piezoid.identification.extensions.extension import Where
 from piezoid.identification.model import AxisModel
 from piezoid.identification.simulation import where_of, zero_of
 from piezoid.numerics.arrays import Array, freeze, same_length
 from piezoid.records.recording import Quantity, Recording
-from piezoid.showing import shown
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -82,7 +82,7 @@ class Comparison:
         return DataFrame({name: getattr(self, name) for name in names})
 
     def _repr_html_(self) -> str:
-        return shown(
+        return html_table(
             f"{self.recording}, axis {self.axis}, beside the model",
             (
                 ("error, rms", f"{self.rms_m:.3g} m, {self.rms_percent:.3f} % of the range"),

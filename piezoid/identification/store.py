@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from msgspec import convert
 
+from piezoid.digests import seal
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.extensions import LAYOUT_OF_EXTENSIONS
@@ -13,7 +14,6 @@ from piezoid.identification.quality import FitQuality
 from piezoid.operators.dead_zone import DeadZones
 from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
 from piezoid.operators.prandtl_ishlinskii import PrandtlIshlinskii
-from piezoid.provenance import seal
 from piezoid.record_json import RecordLayout, fields_of, from_fields, read_sealed, to_json
 
 GAUGE = "dead_zone_weight at threshold 0 is 1; the envelope keeps the range of the drive"

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from piezoid.design.from_model import lateral_task, unseen
 from piezoid.design.plant import Plant
 from piezoid.errors import DesignError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response, polynomial_response, unit_circle
@@ -235,17 +235,17 @@ def _no_contraction(
     first_Hz = float(harmonic_Hz[1])
     if first_Hz > known_Hz:
         return DesignError(
-            f"axis {axis}: a period of {told(first_Hz, 'Hz')}, and the recordings show the "
-            f"response up to {told(known_Hz, 'Hz')} only",
+            f"axis {axis}: a period of {with_unit(first_Hz, 'Hz')}, and the recordings show the "
+            f"response up to {with_unit(known_Hz, 'Hz')} only",
             needed="a response that is known where something is to be learnt from it",
             remedy="Record a chirp or multisine beyond it and fit again, or move slower.",
         )
     each = np.abs(1.0 - applied[:, 1]) + sector * np.abs(applied[:, 1])
     worst = int(np.argmax(each))
     return DesignError(
-        f"axis {axis}: a learning filter that does not contract: at {told(first_Hz, 'Hz')} and a "
-        f"learning gain of {gain:g}, a period may leave {each[worst]:.3g} of the error on the "
-        f"plant '{members[worst].label}', {sector * abs(applied[worst, 1]):.3g} of it by the "
+        f"axis {axis}: a learning filter that does not contract: at {with_unit(first_Hz, 'Hz')} "
+        f"and a learning gain of {gain:g}, a period may leave {each[worst]:.3g} of the error on "
+        f"the plant '{members[worst].label}', {sector * abs(applied[worst, 1]):.3g} of it by the "
         "slope sector of the hysteresis",
         needed=f"at most {_MOST_LEFT:g} on every plant that the recordings allow",
         remedy="Lower the learning gain, record more so that the family is narrower, or scan "

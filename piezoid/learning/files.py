@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from piezoid.errors import ParameterFileError, RecordingError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.learning.learn import Learned
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers import read_table
@@ -115,8 +115,8 @@ def read_reference(place: Path, sampling_rate_Hz: float) -> Array:
         rate_Hz = (len(wanted_m) - 1) / float(np.ptp(times[0].si_values))
         if abs(rate_Hz / sampling_rate_Hz - 1.0) > _CLOCK:
             raise RecordingError(
-                f"{table.name}: {told(rate_Hz, 'Hz', 6)} in {times[0].place}, and the table is "
-                f"played at {told(sampling_rate_Hz, 'Hz', 6)}",
+                f"{table.name}: {with_unit(rate_Hz, 'Hz', 6)} in {times[0].place}, and the table "
+                f"is played at {with_unit(sampling_rate_Hz, 'Hz', 6)}",
                 needed="a point for each sample of the controller",
                 remedy="Write the period at that rate.",
             )

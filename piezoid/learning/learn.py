@@ -16,15 +16,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from piezoid.digests import seal
 from piezoid.errors import DesignError, ParameterFileError, RecordingError
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.learning.contraction import LearningFilter, learning_filter
 from piezoid.learning.period import LIMITED, learning_shares, mean_period, play
 from piezoid.numerics.arrays import Array, freeze
 from piezoid.numerics.frequency import Response
-from piezoid.provenance import seal
 from piezoid.record_json import read_sealed, to_json
 from piezoid.records.recording import Recording
 from piezoid.runtime.controller import Status
@@ -263,7 +263,7 @@ def refuse_changed(
     if apart_m.max() > _SAME_m:
         raise RecordingError(
             f"axis {before.axis}: the reference differs from the table's by up to "
-            f"{told(float(apart_m.max()), 'm')}, at point {int(np.argmax(apart_m))}",
+            f"{with_unit(float(apart_m.max()), 'm')}, at point {int(np.argmax(apart_m))}",
             needed="the reference that the table was learnt for",
             remedy="Begin anew without --table, or pass the reference of before.",
         )
@@ -300,9 +300,10 @@ def _checked(
     least_m, most_m = float(wanted_m.min()), float(wanted_m.max())
     if least_m < low_m or most_m > high_m:
         raise ParameterFileError(
-            f"axis {axis}: the reference goes from {told(least_m, 'm')} to {told(most_m, 'm')}",
-            needed=f"all of it within {told(low_m, 'm')} to {told(high_m, 'm')}, the range of "
-            "the axis",
+            f"axis {axis}: the reference goes from {with_unit(least_m, 'm')} to "
+            f"{with_unit(most_m, 'm')}",
+            needed=f"all of it within {with_unit(low_m, 'm')} to {with_unit(high_m, 'm')}, the "
+            "range of the axis",
             remedy="Scale or move the reference.",
         )
     fastest = float(np.abs(np.diff(wanted_m, append=wanted_m[0])).max())
@@ -317,9 +318,10 @@ def _checked(
         allowed_m_per_s = min(allowed_m_per_s, step_m * plant.sampling_rate_Hz)
     if fastest_m_per_s > allowed_m_per_s:
         raise ParameterFileError(
-            f"axis {axis}: the reference moves by up to {told(fastest_m_per_s, 'm/s')}, from its "
-            "last point to its first included",
-            needed=f"at most {told(float(allowed_m_per_s), 'm/s')}, as drive and controller allow",
+            f"axis {axis}: the reference moves by up to {with_unit(fastest_m_per_s, 'm/s')}, from "
+            "its last point to its first included",
+            needed=f"at most {with_unit(float(allowed_m_per_s), 'm/s')}, as drive and controller "
+            "allow",
             remedy="Move slower or less far, and let the period end where it begins.",
         )
     return wanted_m
@@ -330,8 +332,8 @@ def _refuse_untouched(axis: str, found: LearningFilter, wanted_m: Array) -> None
     share = found.share_learnt(wanted_m)
     if share < _LEARNABLE:
         raise DesignError(
-            f"axis {axis}: learning contracts up to {told(found.learns_to_Hz, 'Hz')} only, where "
-            f"{100 * share:.3g} % of the motion's power lies",
+            f"axis {axis}: learning contracts up to {with_unit(found.learns_to_Hz, 'Hz')} only, "
+            f"where {100 * share:.3g} % of the motion's power lies",
             needed=f"at least {100 * _LEARNABLE:g} %",
             remedy="Record a chirp or multisine so that more of the response is known and fit "
             "again, or scan slower.",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from piezoid.errors import RecordingError
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import Response
 from piezoid.records.recording import Recording
@@ -132,8 +132,8 @@ def mean_period(
     points, rate_Hz = len(expected_m), recording.sampling_rate_Hz
     if abs(rate_Hz / sampling_rate_Hz - 1.0) > _CLOCK:
         raise RecordingError(
-            f"{recording.name}: it was recorded at {told(rate_Hz, 'Hz', 6)}, and the table is "
-            f"played at {told(sampling_rate_Hz, 'Hz', 6)}",
+            f"{recording.name}: it was recorded at {with_unit(rate_Hz, 'Hz', 6)}, and the table "
+            f"is played at {with_unit(sampling_rate_Hz, 'Hz', 6)}",
             needed="one reading for each point of the table",
             remedy="Record at the rate of the controller.",
         )
@@ -168,10 +168,11 @@ def _refuse_another(name: str, measured_m: Array, expected_m: Array) -> None:
     if missed_m <= _MISSED * size_m and not elsewhere:
         return
     raise RecordingError(
-        f"{name}: it misses the period by {told(missed_m, 'm')} rms, and the motion itself has "
-        f"{told(size_m, 'm')}; begun at its row {shift} it would miss by {told(fits_m, 'm')}",
-        needed=f"the period of this table, missed by less than {told(_MISSED * size_m, 'm')}, its "
-        "first row at point 0",
+        f"{name}: it misses the period by {with_unit(missed_m, 'm')} rms, and the motion itself "
+        f"has {with_unit(size_m, 'm')}; begun at its row {shift} it would miss by "
+        f"{with_unit(fits_m, 'm')}",
+        needed=f"the period of this table, missed by less than "
+        f"{with_unit(_MISSED * size_m, 'm')}, its first row at point 0",
         remedy="Start the recording with point 0, or check reference, unit and axis.",
     )
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
 from piezoid.records.recording import Problem, Recording
@@ -105,7 +105,7 @@ def told_early(recording: Recording, axis: str) -> list[Problem]:
     early = early_turns(drive, response)
     if early is None or not (early.share > WHOLE or early.noise > SMOOTH):
         return []
-    before = told(early.samples / recording.sampling_rate_Hz, "s")
+    before = with_unit(early.samples / recording.sampling_rate_Hz, "s")
     begins = (
         f"the displacement of {axis} begins to turn {before} ({early.samples} samples) before its "
         f"drive does, and has made {100 * early.share:.0f} % of the turn when it does"

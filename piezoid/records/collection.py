@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from piezoid.errors import RecordingError
+from piezoid.html_repr import html_table
 from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.ingest import ingest_parts
 from piezoid.records.lab import Lab
@@ -14,7 +15,6 @@ from piezoid.records.response_columns import is_response
 from piezoid.records.response_ingest import ingest_response
 from piezoid.records.table import RawTable
 from piezoid.records.units import Dimension
-from piezoid.showing import shown
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class Collection:
         rows = [(r.name, f"{r.samples} samples, axis {r.axis}") for r in self.recordings]
         rows += [(sweep.name, f"{sweep.rows} rows over height") for sweep in self.sweeps]
         rows += [(one.name, "frequency response") for one in self.responses]
-        return shown(f"{len(self.recordings)} recordings", rows)
+        return html_table(f"{len(self.recordings)} recordings", rows)
 
 
 def collection_of(given: object) -> Collection:

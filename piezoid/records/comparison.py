@@ -16,7 +16,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from piezoid.counts import record_in_counts
 from piezoid.errors import RecordingError
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.faults import noise_rms
 from piezoid.records.plausibility import NOISE_ONLY, is_held_throughout
@@ -188,15 +188,16 @@ def beside_the_widest(
     for name, (least_V, most_V) in ranges.items():
         if most_V - least_V <= STILL * (high_V - low_V):
             found.append(
-                (name, f"{name}: the drive of axis {axis} moves by {told(most_V - least_V, 'V')}, "
-                 f"less than a hundredth of the {told(high_V - low_V, 'V')} of {widest}: nothing "
-                 "is learned of the hysteresis from it")
+                (name, f"{name}: the drive of axis {axis} moves by "
+                 f"{with_unit(most_V - least_V, 'V')}, less than a hundredth of the "
+                 f"{with_unit(high_V - low_V, 'V')} of {widest}: nothing is learned of the hysteresis from it")
             )  # fmt: skip
         elif least_V > high_V or most_V < low_V:
             found.append(
-                (name, f"{name}: the drive of axis {axis} goes from {told(least_V, 'V')} to "
-                 f"{told(most_V, 'V')} and never meets that of {widest}, {told(low_V, 'V')} to "
-                 f"{told(high_V, 'V')}: is an offset missing? (offset = {{ voltage = ... }})")
+                (name, f"{name}: the drive of axis {axis} goes from {with_unit(least_V, 'V')} to "
+                 f"{with_unit(most_V, 'V')} and never meets that of {widest}, "
+                 f"{with_unit(low_V, 'V')} to {with_unit(high_V, 'V')}: is an offset missing? "
+                 "(offset = { voltage = ... })")
             )  # fmt: skip
     return found
 
@@ -378,11 +379,11 @@ def _monitors_near(size: float) -> tuple[int, ...]:
 
 
 def _gain(answer: _Answer) -> str:
-    return f"{told(answer.gain_m_per_V, 'm')} per volt"
+    return f"{with_unit(answer.gain_m_per_V, 'm')} per volt"
 
 
 def _volts(answer: _Answer) -> str:
-    return " to ".join(told(end, "V") for end in answer.voltage_V)
+    return " to ".join(with_unit(end, "V") for end in answer.voltage_V)
 
 
 def _times(ratio: float) -> str:

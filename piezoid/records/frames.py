@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from piezoid.counts import COUNTS
+from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError, UnitError
 from piezoid.numerics.arrays import Array
-from piezoid.provenance import digest_of_bytes
 from piezoid.records.ingest import ingest_table, parts_of, with_remarks
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import RecordingEntry

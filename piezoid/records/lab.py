@@ -27,8 +27,8 @@ from pathlib import Path
 
 import msgspec
 
+from piezoid.digests import digest_of_bytes, digest_of_json
 from piezoid.errors import LabFileError
-from piezoid.provenance import digest_of_bytes, digest_of_json
 from piezoid.records.lab_check import (
     check_file_name,
     check_number,
@@ -51,7 +51,7 @@ from piezoid.records.lab_tables import (
     Tunnelling,
 )
 from piezoid.records.readers.source import TextFormat, regular_size
-from piezoid.toml_text import read_toml
+from piezoid.toml_files import read_toml
 
 __all__ = (
     "Acquisition",

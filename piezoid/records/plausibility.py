@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.causality import told_early
 from piezoid.records.faults import noise_rms
@@ -63,10 +63,10 @@ def _implausible(voltage_V: Array, displacement_m: Array, axis: str) -> list[Pro
     if _LEAST_m_per_V <= gain <= _MOST_m_per_V or is_noise:
         return []
     text = (
-        f"a drive of {told(drive_V, 'V')} and a displacement of {told(stroke_m, 'm')} are "
-        f"{told(gain, 'm')} per volt; stacks, tubes and benders, amplifier included, make from "
-        f"{told(_LEAST_m_per_V, 'm')} to {told(_MOST_m_per_V, 'm')}: is a unit wrong, or the "
-        "drive a monitor's output?"
+        f"a drive of {with_unit(drive_V, 'V')} and a displacement of {with_unit(stroke_m, 'm')} "
+        f"are {with_unit(gain, 'm')} per volt; stacks, tubes and benders, amplifier included, "
+        f"make from {with_unit(_LEAST_m_per_V, 'm')} to {with_unit(_MOST_m_per_V, 'm')}: is a "
+        "unit wrong, or the drive a monitor's output?"
     )
     return [Problem(kind="implausible_gain", place=f"axis {axis}", text=text)]
 
@@ -146,9 +146,10 @@ def _held(recording: Recording, axis: str) -> list[Problem]:
     within_m = float(np.ptp(recording.displacement_m(axis)[stretch]))
     begin_s, end_s = (edge / recording.sampling_rate_Hz for edge in (stretch.start, stretch.stop))
     text = (
-        f"from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within {told(within_m, 'm')} "
-        f"while the drive moves by {told(moved_V, 'V')}: recorded under feedback, it seems, where "
-        "the drive's answer is the data; or the sensor does not see the motion"
+        f"from {begin_s:.4g} s to {end_s:.4g} s the sensor stays within "
+        f"{with_unit(within_m, 'm')} while the drive moves by {with_unit(moved_V, 'V')}: recorded "
+        "under feedback, it seems, where the drive's answer is the data; or the sensor does not "
+        "see the motion"
     )
     return [Problem(kind="closed_loop", place=f"axis {axis}", text=text)]
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from piezoid.digests import digest_of_bytes
 from piezoid.errors import RecordingError
+from piezoid.html_repr import html_table
 from piezoid.numerics.arrays import Array, frozen, same_length
-from piezoid.provenance import digest_of_bytes
-from piezoid.showing import shown
 
 if TYPE_CHECKING:
     pass
@@ -174,7 +174,7 @@ class Recording:
 
     def _repr_html_(self) -> str:
         channels = ", ".join(f"{c.quantity.name.lower()} of {c.axis}" for c in self.channels)
-        return shown(
+        return html_table(
             f"Recording {self.name}",
             (
                 ("channels", channels),

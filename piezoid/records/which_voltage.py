@@ -4,7 +4,7 @@ Between converter and ceramic stands an amplifier; what a loop is designed for, 
 clipped to are the volts in front of it. A recording of the other side is off by the gain.
 """
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Problem, Quantity, Recording
 
@@ -54,11 +54,12 @@ def beyond_the_controller(recording: Recording, lab: Lab) -> tuple[Problem, ...]
         drive_V = float(drive.values.min()), float(drive.values.max())
         if passes(drive_V, command_V, slack=_MONITORED):
             text = (
-                f"its drive goes from {told(drive_V[0], 'V')} to {told(drive_V[1], 'V')}, and "
-                f"lab.toml lets the controller put out {told(command_V[0], 'V')} to "
-                f"{told(command_V[1], 'V')}. {WHICH_VOLTAGE} If it was recorded behind the "
-                f"amplifier, write {scale_of_output(lab, axis)} into its [[recording]]; else "
-                "correct input_range_V or [amplifier]"
+                f"its drive goes from {with_unit(drive_V[0], 'V')} to "
+                f"{with_unit(drive_V[1], 'V')}, and lab.toml lets the controller put out "
+                f"{with_unit(command_V[0], 'V')} to {with_unit(command_V[1], 'V')}. "
+                f"{WHICH_VOLTAGE} If it was recorded behind the amplifier, write "
+                f"{scale_of_output(lab, axis)} into its [[recording]]; else correct input_range_V "
+                "or [amplifier]"
             )
             found.append(Problem(kind="beyond_the_controller", place=f"axis {axis}", text=text))
     return tuple(found)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.records.faults import step_size
 from piezoid.records.recording import Problem, Quantity, Recording
@@ -204,7 +204,8 @@ def told_jumps(recording: Recording) -> tuple[tuple[int, ...], tuple[Problem, ..
 
 def _told(jumps: Sequence[Jump], rate_Hz: float, axis: str) -> Problem:
     places = [
-        f"by {'+' if jump.size > 0 else ''}{told(jump.size, 'm')} at {jump.first / rate_Hz:.4g} s"
+        f"by {'+' if jump.size > 0 else ''}{with_unit(jump.size, 'm')} at "
+        f"{jump.first / rate_Hz:.4g} s"
         for jump in jumps[:TOLD]
     ]
     more = f" and {len(jumps) - TOLD} more" if len(jumps) > TOLD else ""
@@ -228,5 +229,5 @@ def _cause(jumps: Sequence[Jump]) -> str:
     for unit_m, what in (*FRINGES, (float(sizes.min()), "an interferometer or a counter")):
         times = sizes / unit_m
         if np.all(np.abs(times - np.maximum(np.round(times), 1.0)) < ALIKE):
-            return f"{what} loses multiples of {told(unit_m, 'm')}"
+            return f"{what} loses multiples of {with_unit(unit_m, 'm')}"
     return "the stage or its mount slips or the sensor loses its zero"

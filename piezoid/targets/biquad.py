@@ -6,7 +6,7 @@ import numpy as np
 
 from piezoid.errors import DesignError
 from piezoid.export.c_header import inert
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.targets.exported import Exported
 from piezoid.targets.held_sections import Held, held_axis
 from piezoid.targets.price import (
@@ -129,8 +129,8 @@ def _section(one: Held) -> str:
         axis=one.axis,
         box=chosen.box.name,
         sections=len(chosen.coefficient),
-        rate=told(chosen.update_Hz, "Hz", 6),
-        error=told(half * chosen.input_step_m, "m"),
+        rate=with_unit(chosen.update_Hz, "Hz", 6),
+        error=with_unit(half * chosen.input_step_m, "m"),
         low=ends[0],
         high=ends[1],
         price=one.price[0].upper() + one.price[1:],
@@ -141,8 +141,8 @@ def _section(one: Held) -> str:
         plants=one.plants,
         modulus=one.modulus,
         rows="\n".join(
-            f"| {row.asked} | {row.plant} | {told(row.own_m, 'm')} | {told(row.box_m, 'm')} "
-            f"| {told(row.apart_m, 'm')} |"
+            f"| {row.asked} | {row.plant} | {with_unit(row.own_m, 'm')} | "
+            f"{with_unit(row.box_m, 'm')} | {with_unit(row.apart_m, 'm')} |"
             for row in one.rows
         ),
     )

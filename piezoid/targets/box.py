@@ -10,7 +10,7 @@ import numpy as np
 
 from piezoid.errors import ParameterFileError
 from piezoid.numerics.arrays import Array
-from piezoid.toml_text import read_toml
+from piezoid.toml_files import read_toml
 from piezoid.verification.loop_library import Kept, LoopRun, loop_library
 from piezoid.verification.loop_plant import begun_plant
 from piezoid.verification.plant import AxisPlant

@@ -19,7 +19,7 @@ import numpy as np
 from piezoid.design.plant import Fraction
 from piezoid.errors import DesignError, ParameterFileError
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import (
     Response,
@@ -92,7 +92,7 @@ class Held:
         for asked in (_STILL, _SPIRAL):
             rows = [row for row in self.rows if row.asked == asked]
             own, box = max(row.own_m for row in rows), max(row.box_m for row in rows)
-            runs.append(f"{asked} {told(box, 'm')} rms instead of {told(own, 'm')}")
+            runs.append(f"{asked} {with_unit(box, 'm')} rms instead of {with_unit(own, 'm')}")
         return f"{loss(many, self.own_dB, self.box_dB)}; {', '.join(runs)}"
 
 
@@ -347,9 +347,9 @@ def _rows(axis: AxisParameters, chosen: Programmed, plants: Sequence[AxisPlant])
             box = tracked(quick_m[part], boxed_m[part], room, _SPIRAL_Hz, quick_Hz)
             if asked == _STILL and box.rms_m > _AWAY * room.farthest_m:
                 raise DesignError(
-                    f"axis {axis.axis}: {chosen.box.name} stands {told(box.rms_m, 'm')} rms away "
-                    f"from what is asked on plant {own.label}",
-                    needed=f"at most {told(_AWAY * room.farthest_m, 'm')}",
+                    f"axis {axis.axis}: {chosen.box.name} stands {with_unit(box.rms_m, 'm')} rms "
+                    f"away from what is asked on plant {own.label}",
+                    needed=f"at most {with_unit(_AWAY * room.farthest_m, 'm')}",
                     remedy="Set error_range_m and output_V of [biquad] so that codes are finer.",
                 )
             yield Row(

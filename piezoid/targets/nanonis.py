@@ -19,7 +19,7 @@ import numpy as np
 from piezoid.errors import ParameterFileError
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.targets.exported import Exported, shipped_position_m
 from piezoid.targets.waveform import inverted_V, last_period, refuse_beyond
@@ -143,9 +143,10 @@ def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, .
         rows = compared(exported, axis, table)
         worst = {name: max(row[name] for row in rows.values()) for name in COLUMNS}
         price = (
-            f"a table of {len(table.x_m)} points errs by {told(worst['table'], 'm')} rms on "
-            f"forward lines, the sensitivity alone by {told(worst['straight'], 'm')}, the "
-            f"exported controller by {told(worst['exported'], 'm')}; worst of {len(rows)} plants"
+            f"a table of {len(table.x_m)} points errs by {with_unit(worst['table'], 'm')} rms on "
+            f"forward lines, the sensitivity alone by {with_unit(worst['straight'], 'm')}, the "
+            f"exported controller by {with_unit(worst['exported'], 'm')}; worst of {len(rows)} "
+            "plants"
         )
         notes.append(f"axis {axis.axis}: {price}")
         sections.append(_section(exported, axis, table, rows, price))
@@ -166,7 +167,7 @@ def nanonis_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, .
         fast=f"Axis {tables[0].axis} is taken for the fast one"
         + (f", axis {tables[1].axis} for the slow one." if len(tables) > 1 else "."),
         axes="\n".join(sections),
-        line=told(_LINE_Hz, "Hz"),
+        line=with_unit(_LINE_Hz, "Hz"),
         crept=f"{_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s after it",
     )
     return {name: text.encode() for name, text in files.items()}, tuple(notes)
@@ -201,8 +202,8 @@ def table_of(exported: Exported, axis: AxisParameters) -> Table:
             if _polyline(forward_m, y_m, n)[2] <= _LEFT * bent_m
         )
         raise ParameterFileError(
-            f"axis {axis.axis}: {box.table_points} points leave {told(left_m, 'm')} rms of a loop "
-            f"that bends by {told(bent_m, 'm')}",
+            f"axis {axis.axis}: {box.table_points} points leave {with_unit(left_m, 'm')} rms of a "
+            f"loop that bends by {with_unit(bent_m, 'm')}",
             needed=f"at most {_LEFT:g} of it",
             remedy=f"What would fit: table_points = {enough} or more, in [nanonis] of box.toml.",
         )
@@ -332,23 +333,23 @@ def _section(
 ) -> str:
     speed, gone_m, left_m = crept(exported, table)
     drift = (
-        f"After a move by {told(table.half_m, 'm')} it creeps by {told(gone_m, 'm')} between "
-        f"{_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {told(speed, 'm')} a second leave at most "
-        f"{told(left_m, 'm')}"
+        f"After a move by {with_unit(table.half_m, 'm')} it creeps by {with_unit(gone_m, 'm')} "
+        f"between {_CREPT_s[0]:g} s and {_CREPT_s[1]:g} s; {with_unit(speed, 'm')} a second leave "
+        f"at most {with_unit(left_m, 'm')}"
         if gone_m
         else "No creep ships with this axis, so there is no speed to compensate"
     )
     return _AXIS.format(
         axis=axis.axis,
-        half=told(table.half_m, "m"),
-        centre=told(table.centre_m, "m"),
+        half=with_unit(table.half_m, "m"),
+        centre=with_unit(table.centre_m, "m"),
         count=len(table.x_m),
         sensitivity=f"{table.sensitivity_m_per_V:.6g}",
         low=table.ends_V[0],
         high=table.ends_V[1],
         price=price[0].upper() + price[1:],
         rows="\n".join(
-            f"| {label} | {' | '.join(told(row[name], 'm') for name in COLUMNS)} |"
+            f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in COLUMNS)} |"
             for label, row in rows.items()
         ),
         drift=drift,

@@ -9,7 +9,7 @@ from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
 from piezoid.targets.box import run_box
@@ -92,8 +92,8 @@ class Priced:
         """What the box loses, in one or two sentences."""
         own_dB, pid_dB = self.rejection_dB.T
         slow = [row for row in self.rows if row[0] == _SPIRALS_Hz[0]]
-        own = told(max(row[2].rms_m for row in slow), "m")
-        pid = told(max(row[3].rms_m for row in slow), "m")
+        own = with_unit(max(row[2].rms_m for row in slow), "m")
+        pid = with_unit(max(row[3].rms_m for row in slow), "m")
         said = loss(f"PID and {_COUNTED[len(self.tuned.pid.notches)]}", own_dB, pid_dB)
         return f"{said}; a spiral of {_SPIRALS_Hz[0]:g} Hz errs by {pid} rms instead of {own}"
 
@@ -225,10 +225,10 @@ def _section(one: Priced) -> str:
         price=one.price[0].upper() + one.price[1:],
         plants=one.plants,
         modulus=min(m.modulus_margin for m in one.tuned.margins),
-        delay=told(min(late), "s") if late else "none needed",
+        delay=with_unit(min(late), "s") if late else "none needed",
         rows="\n".join(
-            f"| {f:g} Hz | {label} | {told(own.rms_m, 'm')} | {told(pid.rms_m, 'm')} "
-            f"| {told(pid.aligned_rms_m, 'm')} |"
+            f"| {f:g} Hz | {label} | {with_unit(own.rms_m, 'm')} | {with_unit(pid.rms_m, 'm')} "
+            f"| {with_unit(pid.aligned_rms_m, 'm')} |"
             for f, label, own, pid in one.rows
         ),
     )

@@ -10,7 +10,7 @@ from piezoid.design.hysteresis_bounds import affine_bounds
 from piezoid.design.lateral import with_sector
 from piezoid.design.plant import PlantFamily
 from piezoid.design.sensitivity import sensitivities
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
@@ -51,7 +51,7 @@ def loss(structure: str, own_dB: Array, box_dB: Array) -> str:
     )
     loss_dB = float(np.max((box_dB - own_dB)[:last]))
     how = "lose up to" if loss_dB > 0.0 else "gain at least"
-    below = told(float(FREQUENCIES_Hz[last - 1]), "Hz")
+    below = with_unit(float(FREQUENCIES_Hz[last - 1]), "Hz")
     return (
         f"with {structure} you {how} {abs(loss_dB):.1f} dB of rejection below {below} "
         f"({parts}; worst plants)"

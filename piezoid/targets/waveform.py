@@ -17,7 +17,7 @@ from piezoid.design.from_model import plant_family
 from piezoid.errors import ParameterFileError
 from piezoid.export.c_header import inert
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import polynomial_response, unit_circle
 from piezoid.targets.box import Box, run_box
@@ -121,17 +121,17 @@ def waveform_files(exported: Exported) -> tuple[Mapping[str, bytes], tuple[str, 
         converters.append(f"Axis {one.axis}: {_converter(one)}")
         worst = {name: max(row[name] for row in rows.values()) for name in _COLUMNS[:3]}
         notes.append(
-            f"axis {one.axis}: the waveform errs by {told(worst['waveform'], 'm')} rms, straight "
-            f"by {told(worst['straight'], 'm')}, the exported controller by "
-            f"{told(worst['exported'], 'm')}; worst of {len(rows)} plants"
+            f"axis {one.axis}: the waveform errs by {with_unit(worst['waveform'], 'm')} rms, "
+            f"straight by {with_unit(worst['straight'], 'm')}, the exported controller by "
+            f"{with_unit(worst['exported'], 'm')}; worst of {len(rows)} plants"
         )
     if made:
         files["README.md"] = _README.format(
             name=inert(exported.file.name),
             shape=exported.box.shape,
-            frequency=told(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
+            frequency=with_unit(made[0].rate_Hz / len(made[0].wanted_m), "Hz"),
             points=len(made[0].wanted_m),
-            rate=told(made[0].rate_Hz, "Hz", 6),
+            rate=with_unit(made[0].rate_Hz, "Hz", 6),
             converters="\n".join(converters),
             axes="\n".join(sections),
             periods=_PERIODS,
@@ -275,8 +275,8 @@ def refuse_beyond(
         else f"a box that puts out {middle_V:.4g} V, about which the scan lies"
     )
     raise ParameterFileError(
-        f"axis {axis}: +-{told(radius_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and box and "
-        f"stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
+        f"axis {axis}: +-{with_unit(radius_m, 'm')} takes {low_V:.4g} V to {high_V:.4g} V, and "
+        f"box and stage allow {range_V[0]:.6g} V to {range_V[1]:.6g} V",
         needed="all of the period within them",
         remedy=f"What would fit: {fits}, in {table} of box.toml.",
     )
@@ -319,12 +319,12 @@ def waveform_csv(one: Waveform) -> str:
 def _section(one: Waveform, rows: Mapping[str, Mapping[str, float]]) -> str:
     return _AXIS.format(
         axis=one.axis,
-        half=told(0.5 * float(np.ptp(one.wanted_m)), "m"),
-        centre=told(0.5 * float(one.wanted_m.max() + one.wanted_m.min()), "m"),
+        half=with_unit(0.5 * float(np.ptp(one.wanted_m)), "m"),
+        centre=with_unit(0.5 * float(one.wanted_m.max() + one.wanted_m.min()), "m"),
         low=float(one.voltage_V.min()),
         high=float(one.voltage_V.max()),
         rows="\n".join(
-            f"| {label} | {' | '.join(told(row[name], 'm') for name in _COLUMNS)} |"
+            f"| {label} | {' | '.join(with_unit(row[name], 'm') for name in _COLUMNS)} |"
             for label, row in rows.items()
         ),
     )

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from piezoid.errors import LabFileError
 from piezoid.export.parameter_file import AxisParameters
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.numerics.arrays import Array
 from piezoid.runtime.controller import Status
-from piezoid.toml_text import read_toml
+from piezoid.toml_files import read_toml
 from piezoid.verification.closed_loop import LoopRecord
 from piezoid.verification.tracking import Tracking
 
@@ -86,7 +86,7 @@ def failure_of(verdict: Verdict) -> str:
 
     def shown(value: float) -> str:
         if verdict.unit in ("s", "m"):
-            return told(value, verdict.unit)
+            return with_unit(value, verdict.unit)
         return f"{significant(value)}{'' if verdict.unit == '1' else ' ' + verdict.unit}"
 
     found, allowed = shown(verdict.value), shown(verdict.limit)

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from piezoid.provenance import seal
+from piezoid.digests import seal
+from piezoid.html_repr import html_table
 from piezoid.record_json import (
     RecordLayout,
     Unbounded,
@@ -13,7 +14,6 @@ from piezoid.record_json import (
     to_json,
 )
 from piezoid.runtime.schema import METHODS
-from piezoid.showing import shown
 from piezoid.verification.criteria import Verdict
 from piezoid.verification.limit_proof import LimitProof
 from piezoid.verification.proof import Proof
@@ -168,7 +168,7 @@ class Verification:
 
     def _repr_html_(self) -> str:
         good = sum(verdict.passed for verdict in self.verdicts)
-        return shown(
+        return html_table(
             f"Verification of {self.name}: {'passed' if self.passed else 'failed'}",
             (
                 ("verdicts passed", f"{good} of {len(self.verdicts)}"),

@@ -16,8 +16,8 @@ from zlib import compress, decompress
 
 from msgspec import ValidationError, convert, json, msgpack
 
+from piezoid.digests import seal, seal_stream, unseal
 from piezoid.errors import ParameterFileError
-from piezoid.provenance import seal, seal_stream, unseal
 
 STAGE_SCHEMA = "piezoid.batch_stage/1"
 FLEET_SCHEMA = "piezoid.batch/1"

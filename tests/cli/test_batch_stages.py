@@ -9,7 +9,7 @@ import fsspec
 import pytest
 from distributed import Client, LocalCluster
 
-from piezoid.provenance import digest_of_bytes, unseal
+from piezoid.digests import digest_of_bytes, unseal
 from piezoid_cli.batch import done_by, write_summary
 from piezoid_cli.batch_cluster import bundle_size, stages_of
 from piezoid_cli.stage_task import SPELL_s, StageTask, work_off

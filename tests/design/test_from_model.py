@@ -10,6 +10,7 @@ from piezoid.design.from_model import LateralTask, lateral_task, relative_gain_h
 from piezoid.design.hysteresis_bounds import draw_replicates
 from piezoid.design.specification import slowest_Hz
 from piezoid.design.stage import Asked, design_stage
+from piezoid.digests import seal, unseal
 from piezoid.errors import DesignError, LabFileError, ParameterFileError, TemplateError
 from piezoid.export.stage import export_stage
 from piezoid.identification.actuator_model import ActuatorModel
@@ -21,7 +22,6 @@ from piezoid.identification.model import AxisModel, Lag
 from piezoid.numerics.frequency import response
 from piezoid.numerics.polynomial import roots_of
 from piezoid.operators.dead_zone import DeadZones
-from piezoid.provenance import seal, unseal
 from piezoid.records.lab import Acquisition, Lab
 from tests.reports.known_stage import axis_model, stage_model
 

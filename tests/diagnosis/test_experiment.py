@@ -14,8 +14,8 @@ from piezoid.diagnosis.planning.bench import Bench
 from piezoid.diagnosis.planning.menu import MENU, Experiment, played
 from piezoid.diagnosis.planning.plan_file import SCHEMA, plan_files, sentences
 from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from piezoid.digests import unseal
 from piezoid.errors import ExcitationError, LabFileError, ParameterFileError
-from piezoid.provenance import unseal
 from piezoid.records.excitation import DriveLimits
 from piezoid.records.ingest import ingest_all
 from piezoid.records.lab import Amplifier, Lab

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnoses, write_diagnosis
+from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
-from piezoid.provenance import seal
 from tests.reports.known_diagnosis import diagnosed, finding
 
 WRONG: tuple[Any, ...] = ("x", [[]], {"x": []}, True, None, 7.5)

@@ -19,8 +19,8 @@ from piezoid.diagnosis.diagnose import diagnose
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.sealed_diagnosis import SCHEMA, read_diagnosis, write_diagnosis
 from piezoid.diagnosis.something_else import NAME
+from piezoid.digests import unseal
 from piezoid.identification.fit import fit
-from piezoid.provenance import unseal
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 from piezoid_datasets.virtual_lab.laboratory import draw_laboratory
 from piezoid_datasets.virtual_lab.truths import TRUTHS

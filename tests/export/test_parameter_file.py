@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from piezoid.digests import seal, unseal
 from piezoid.errors import ParameterFileError
 from piezoid.export.parameter_file import (
     FUNCTIONS,
@@ -17,7 +18,6 @@ from piezoid.export.parameter_file import (
     from_json,
     to_json,
 )
-from piezoid.provenance import seal, unseal
 from piezoid.runtime.schema import PARAMETERS, SCHEMA
 from tests.export.stage import lateral, stage
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
+from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
 from piezoid.identification.model import SCHEMA
 from piezoid.identification.store import read_model, write_model
-from piezoid.provenance import seal
 from tests.reports.known_stage import axis_model, stage_model
 
 WRITTEN = json.loads(write_model(stage_model(axis_model())))

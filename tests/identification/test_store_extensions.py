@@ -6,10 +6,10 @@ import re
 import numpy as np
 import pytest
 
+from piezoid.digests import seal
 from piezoid.errors import ParameterFileError
 from piezoid.identification.simulation import simulate_recording
 from piezoid.identification.store import SCHEMA, read_model, write_model
-from piezoid.provenance import seal
 from tests.identification.extensions.samples import one_of_each
 from tests.identification.joint.stage import known_model, recordings_of
 from tests.reports.known_stage import stage_model

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from piezoid.digests import digest_of_file
 from piezoid.identification.store import write_model
-from piezoid.provenance import digest_of_file
 from piezoid_cli.main import app
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model

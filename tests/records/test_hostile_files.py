@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from piezoid.digests import unseal
 from piezoid.errors import ParameterFileError, PiezoidError, UnreadableFileError
-from piezoid.provenance import unseal
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table
 from piezoid.records.readers.block import Layout, parse_block

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from piezoid.design.design import design_from_json
+from piezoid.digests import seal
 from piezoid.errors import PiezoidError
 from piezoid.identification.store import read_model, write_model
-from piezoid.provenance import seal
 from piezoid.verification.verification import verification_from_json
 from piezoid_reports.fleet.chapters import render_fleet
 from piezoid_reports.fleet.records import Fleet, FleetStage, stage_from_json

@@ -5,8 +5,8 @@ from html import unescape
 
 import pytest
 
-from piezoid.provenance import digest_of_bytes
-from piezoid.showing import shown
+from piezoid.digests import digest_of_bytes
+from piezoid.html_repr import html_table
 from piezoid_reports.plot import plot
 from tests.reports.anatomy import Anatomy
 from tests.reports.known_stage import axis_model, recording, stage_model
@@ -24,7 +24,7 @@ def test_a_recording_and_a_model_show_themselves_with_their_numbers() -> None:
 def test_no_name_in_a_shown_record_is_markup() -> None:
     held = replace(recording(), name="<script>alert(1)</script>.csv")
     assert "<script" not in held._repr_html_()
-    assert "<b>" not in shown("<b>", [("<b>", "<b>")])
+    assert "<b>" not in html_table("<b>", [("<b>", "<b>")])
 
 
 @pytest.mark.parametrize(("kind", "figures"), [("loops", 2), ("residual", 3)])

@@ -32,7 +32,7 @@ from piezoid.diagnosis.rest_columns import peak_Hz, waves
 from piezoid.diagnosis.signals import GRIDS_Hz, added_percent, seconds_of, with_added
 from piezoid.diagnosis.tracks import Places
 from piezoid.diagnosis.view import View
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.extensions.mains_lines import MainsLines
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.noise import white_noise_rms
@@ -172,8 +172,8 @@ def _at_rest(standing: Standing) -> Array | str:
     rate_Hz, span_s = recording.sampling_rate_Hz, float(np.ptp(time_s))
     if rate_Hz <= 2.0 * GRIDS_Hz[0] or span_s * OFF_AT_REST_Hz < 1.0:
         return (
-            f"at {significant(rate_Hz)} Hz for {told(recording.duration_s, 's')} no line of the "
-            "grid can be told"
+            f"at {significant(rate_Hz)} Hz for {with_unit(recording.duration_s, 's')} no line of "
+            "the grid can be told"
         )
     steps = np.arange(-OFF_AT_REST_Hz, OFF_AT_REST_Hz, 0.25 / span_s)
     tried = [f + step for f in GRIDS_Hz if rate_Hz > 2.0 * f for step in steps.tolist()]

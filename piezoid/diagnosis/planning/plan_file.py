@@ -15,8 +15,8 @@ from piezoid.diagnosis.planning.question import (
 )
 from piezoid.diagnosis.planning.separation import Told
 from piezoid.diagnosis.planning.table import Alternative
-from piezoid.formatting import significant, told, words
-from piezoid.provenance import digest_of_bytes, seal
+from piezoid.digests import digest_of_bytes, seal
+from piezoid.formatting import significant, with_unit, words
 
 SCHEMA = "piezoid.plan/1"
 
@@ -121,7 +121,7 @@ def _settled(found: Plan) -> tuple[str, ...]:
     limit_m = 0.0 if absent is None else absent.detection_limit_m or 0.0
     return (
         f"These recordings would show {words(found.question.effects[0])} from "
-        f"{told(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
+        f"{with_unit(limit_m, 'm')} rms, as small a one as the diagnosis names: no recording is "
         "needed.",
         f"Of the menu {_played(found)} would serve it best.",
     )
@@ -141,7 +141,7 @@ def _why(question: Question) -> str:
     limit_m = question.absent.detection_limit_m if question.absent else None
     if limit_m is None:
         return f"These recordings cannot show {first} at all."
-    return f"These recordings would show {first} only from {told(limit_m, 'm')} rms."
+    return f"These recordings would show {first} only from {with_unit(limit_m, 'm')} rms."
 
 
 def _what(found: Plan) -> str:
@@ -180,7 +180,7 @@ def _shows_from(found: Plan) -> str:
     least = ", the least that the diagnosis names" if expected_m <= question.floor_m else ""
     held_m = None if question.absent is None else question.absent.detection_limit_m
     now = " as it does now" if held_m is not None and expected_m >= held_m else ""
-    return f"Expect it to show from {told(expected_m, 'm', 2)} rms{now}{least}."
+    return f"Expect it to show from {with_unit(expected_m, 'm', 2)} rms{now}{least}."
 
 
 def _separable(before: Told | None, after: Told) -> str:

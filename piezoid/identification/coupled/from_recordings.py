@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from piezoid.digests import digest_of_json
 from piezoid.errors import ExcitationError, RecordingError
 from piezoid.identification.coupled.coupled_stage import BEYOND, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
@@ -25,7 +26,6 @@ from piezoid.identification.dynamics.repetition import (
     find_repetition,
 )
 from piezoid.numerics.arrays import Array
-from piezoid.provenance import digest_of_json
 from piezoid.records.frequency_response import FrequencyResponseRecord, ResponsePath
 from piezoid.records.lab import Lab
 from piezoid.records.lab_tables import Coupled

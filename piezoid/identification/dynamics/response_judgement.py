@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from piezoid.errors import ExcitationError, IdentificationError
-from piezoid.formatting import significant, told
+from piezoid.formatting import significant, with_unit
 from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per_V
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -68,10 +68,10 @@ def judge_response(
     record = _record(axis, response, found, at_rest, sign)
     least, greatest = axis.hysteresis.slope_sector_m_per_V
     gains = (
-        f"Small quick drives move it by {told(record.gain_m_per_V, 'm')}/V, "
+        f"Small quick drives move it by {with_unit(record.gain_m_per_V, 'm')}/V, "
         f"{significant(record.gain_ratio)} times the middle of the hysteresis' slopes "
-        f"({told(least, 'm')}/V to {told(greatest, 'm')}/V): the hysteresis keeps its own gain, "
-        "and a controller is designed for both"
+        f"({with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V): the hysteresis keeps its "
+        "own gain, and a controller is designed for both"
     )
     if shown is not None:
         by_recording = _gain_beside(shown[0], found.dynamics)
@@ -97,18 +97,18 @@ def _reason_against(
     if not found.is_determined:
         return (
             f"no few modes follow it: {significant(100.0 * found.left, 2)} % of it are left at "
-            f"{told(found.left_Hz, 'Hz')}, or the numbers of a mode are not known. Measure more "
-            "finely about each peak, or up to a lower frequency"
+            f"{with_unit(found.left_Hz, 'Hz')}, or the numbers of a mode are not known. Measure "
+            "more finely about each peak, or up to a lower frequency"
         )
     gain = abs(float(found.dynamics.static_gain_m_per_V[0, 0]))
     least, greatest = axis.hysteresis.slope_sector_m_per_V
     if not least / FAR_OFF <= gain <= FAR_OFF * greatest:
         ratio = gain / middle_slope_m_per_V(axis)
         return (
-            f"its gain is {told(gain, 'm')}/V, the hysteresis' slopes are {told(least, 'm')}/V to "
-            f"{told(greatest, 'm')}/V: {significant(ratio)} times their middle. Another unit, "
-            "another axis, or volts in front of the amplifier: name them in lab.toml, a factor as "
-            "scale = { response = ... }"
+            f"its gain is {with_unit(gain, 'm')}/V, the hysteresis' slopes are "
+            f"{with_unit(least, 'm')}/V to {with_unit(greatest, 'm')}/V: {significant(ratio)} "
+            "times their middle. Another unit, another axis, or volts in front of the amplifier: "
+            "name them in lab.toml, a factor as scale = { response = ... }"
         )
     if shown is None:
         return ""
@@ -117,10 +117,10 @@ def _reason_against(
     own_Hz = found.dynamics.mode_frequency_Hz
     near = len(own_Hz) and float(np.abs(np.log(own_Hz / strongest_Hz)).min()) < SAME_MODE
     if strongest_Hz and strongest_Hz < found.dynamics.band_Hz[1] and not near:
-        held = ", ".join(told(float(f), "Hz") for f in own_Hz) or "none"
+        held = ", ".join(with_unit(float(f), "Hz") for f in own_Hz) or "none"
         return (
-            f"{name} has a mode at {told(strongest_Hz, 'Hz')}, where the response has none (its "
-            f"modes: {held}). Another axis, load or stage"
+            f"{name} has a mode at {with_unit(strongest_Hz, 'Hz')}, where the response has none "
+            f"(its modes: {held}). Another axis, load or stage"
         )
     return ""
 
@@ -184,8 +184,8 @@ def _words(found: ResponseFound, record: ResponseFit) -> str:
     rest = float(dynamics.static_gain_m_per_V[0, 0])
     quality = 0.5 / dynamics.mode_damping_interval()[:, ::-1]
     modes = [
-        f"a mode at {told(f, 'Hz', 4)} ({_ends(ends, 'Hz', 5)}), quality "
-        f"{significant(0.5 / damping)} ({_ends(between, '')}), residue {told(share, 'm')}/V "
+        f"a mode at {with_unit(f, 'Hz', 4)} ({_ends(ends, 'Hz', 5)}), quality "
+        f"{significant(0.5 / damping)} ({_ends(between, '')}), residue {with_unit(share, 'm')}/V "
         f"({significant(100.0 * share / rest)} % of the gain at rest)"
         for f, ends, damping, between, share in zip(
             dynamics.mode_frequency_Hz.tolist(),
@@ -197,7 +197,7 @@ def _words(found: ResponseFound, record: ResponseFit) -> str:
         )
     ]
     lags = [
-        f"a pole at {told(f, 'Hz')} ({_ends(ends, 'Hz')})"
+        f"a pole at {with_unit(f, 'Hz')} ({_ends(ends, 'Hz')})"
         for f, ends in zip(
             dynamics.lag_frequency_Hz.tolist(),
             dynamics.lag_frequency_interval_Hz().tolist(),
@@ -208,9 +208,9 @@ def _words(found: ResponseFound, record: ResponseFit) -> str:
     if record.left_out_Hz:
         left_out += f", {len(record.left_out_Hz)} that stand alone among those left out"
     return (
-        f"{told(low_Hz, 'Hz')} to {told(high_Hz, 'Hz')} ({left_out}): {', '.join(modes + lags)}; "
-        f"delay {told(dynamics.delay_s, 's')} ({_ends(dynamics.delay_interval_s(), 's')}); "
-        f"{slope_words(found)}"
+        f"{with_unit(low_Hz, 'Hz')} to {with_unit(high_Hz, 'Hz')} ({left_out}): "
+        f"{', '.join(modes + lags)}; delay {with_unit(dynamics.delay_s, 's')} "
+        f"({_ends(dynamics.delay_interval_s(), 's')}); {slope_words(found)}"
     )
 
 
@@ -220,7 +220,7 @@ def slope_words(found: ResponseFound) -> str:
     if slow is None:
         return "too few lines lie far below the first mode to tell creep"
     low, high = slow.slope_ci95
-    below = f"below {told(slow.high_Hz, 'Hz')}"
+    below = f"below {with_unit(slow.high_Hz, 'Hz')}"
     if slow.falls:
         return (
             f"{below} the gain falls by {significant(-slow.slope_dB, 2)} dB per decade "
@@ -233,5 +233,5 @@ def slope_words(found: ResponseFound) -> str:
 
 
 def _ends(interval: Iterable[float], unit: str, digits: int = 3) -> str:
-    low, high = (told(float(end), unit, digits) for end in interval)
+    low, high = (with_unit(float(end), unit, digits) for end in interval)
     return f"{low} to {high}"

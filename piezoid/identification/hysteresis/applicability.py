@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.hysteresis.coordinates import Shape
 from piezoid.identification.hysteresis.lag_rivals import EXPLAINED, no_lag
 from piezoid.identification.hysteresis.loops import Loop, loops_of
@@ -170,7 +170,7 @@ def reason_of_lag(
         trial = attempt(pieces, shape, replace(settings, lag_s=None), within=within)
         if trial is not None:
             return (
-                f"a {lag.replace('_', '-')} lag of {told(trial.lag_s, 's')} without any "
+                f"a {lag.replace('_', '-')} lag of {with_unit(trial.lag_s, 's')} without any "
                 f"hysteresis leaves {100 * trial.held_out_rms / height:.3g} % of the displacement "
                 "range on held-out data, the hysteresis model "
                 f"{100 * choice.best.held_out_rms / height:.3g} %: the loop "
@@ -201,10 +201,11 @@ def reason_of_no_answer(pieces: Sequence[Piece], choice: Choice, scales: Scales)
     stroke_m = abs(scales.displacement_m)
     low, high = widest_swing(pieces)
     return (
-        f"the displacement does not follow the drive: of its {told(moved * stroke_m, 'm')} rms "
-        f"about the mean the best fit leaves {told(left * stroke_m, 'm')} on held-out data, while "
-        f"the drive moves by {told((high - low) * scales.voltage_V, 'V')}; a feedback that holds "
-        "the sensor, a stage that is not connected and another axis' column look like that"
+        f"the displacement does not follow the drive: of its {with_unit(moved * stroke_m, 'm')} "
+        f"rms about the mean the best fit leaves {with_unit(left * stroke_m, 'm')} on held-out "
+        f"data, while the drive moves by {with_unit((high - low) * scales.voltage_V, 'V')}; a "
+        "feedback that holds the sensor, a stage that is not connected and another axis' column "
+        "look like that"
     )
 
 

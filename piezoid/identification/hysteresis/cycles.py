@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.dynamics.repetition import equal_cycles
 from piezoid.identification.hysteresis.pieces import Piece
 from piezoid.numerics.arrays import Array, freeze
@@ -131,8 +131,8 @@ def told_slide(cycles: Cycles) -> str:
     ppm = 1e6 * trend.slope / cycles.period_samples
     return (
         f"{cycles.name}: cycle by cycle the displacement {way} its drive, by "
-        f"{told(slides_s, 's')} over {cycles.count} equal cycles ({ppm:+.3g} ppm of the time): "
-        "two clocks, it seems, or a lag or a loop that changes; no one lag or width holds"
+        f"{with_unit(slides_s, 's')} over {cycles.count} equal cycles ({ppm:+.3g} ppm of the "
+        "time): two clocks, it seems, or a lag or a loop that changes; no one lag or width holds"
     )
 
 
@@ -159,10 +159,10 @@ def _tip(cycles: Cycles, tip: str, level: Array, scale: tuple[float, float]) -> 
     wanders = scatter > WANDERS * noise
     if not (goes or wanders):
         return []
-    parts = [f"goes by {told(change * stroke_m, 'm')}"] if goes else []
+    parts = [f"goes by {with_unit(change * stroke_m, 'm')}"] if goes else []
     parts += [
-        f"wanders by {told(scatter * stroke_m, 'm')} rms about its trend, where the noise of its "
-        f"samples is {told(noise * stroke_m, 'm')}"
+        f"wanders by {with_unit(scatter * stroke_m, 'm')} rms about its trend, where the noise of "
+        f"its samples is {with_unit(noise * stroke_m, 'm')}"
     ] * wanders
     return [
         f"{cycles.name}: over {cycles.count} equal cycles the {tip} tip {' and '.join(parts)}."

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.applicability import (
     AS_GOOD,
@@ -155,8 +155,8 @@ def _limits(ready: Prepared, choice: Choice, progress: Progress) -> tuple[tuple[
     left = (
         f"of the range, plays{envelope} and a lag leave {100 * plays / height:.2g} %, a lag of "
         f"second order without hysteresis {100 * plain.held_out_rms / height:.2g} % (at "
-        f"{told(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay besides "
-        f"{100 * late.held_out_rms / height:.2g} %"
+        f"{with_unit(plain.frequency_Hz, 'Hz')}, damping {plain.damping:.2g}), with a delay "
+        f"besides {100 * late.held_out_rms / height:.2g} %"
     )
     wide = widest_opening(ready.pieces) > WIDE * height
     explains = plain.rises and best < EXPLAINED * none.held_out_rms

@@ -5,7 +5,7 @@ What the numbers of the model show by themselves is said by ``fit_statements``.
 
 from collections.abc import Sequence
 
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.identification.hysteresis.forgetting import Transient
 from piezoid.identification.hysteresis.order import Choice
 from piezoid.identification.hysteresis.search import Fitted
@@ -69,7 +69,7 @@ def _about_lag(fitted: Fitted) -> list[str]:
             "channels are sampled at the same instant."
         ]
     if lag_s >= 0.999 * fitted.task.longest_lag_s:
-        return [f"The fitted lag lies on its upper bound, {told(lag_s, 's')}."]
+        return [f"The fitted lag lies on its upper bound, {with_unit(lag_s, 's')}."]
     return []
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from piezoid.digests import digest_of_file
 from piezoid.errors import UnreadableFileError
-from piezoid.provenance import digest_of_file
 
 # A recording of an hour at 20 kHz with six doubles a row is 3.5 GB; nothing this toolkit is for
 # comes near a whole one, and a hostile archive of a few kilobytes must not fill the memory.

@@ -1,14 +1,14 @@
-"""How a record shows itself in a notebook: a small table of texts, in which no name is markup."""
+"""HTML representation of records for notebooks: a small table of escaped text."""
 
 from collections.abc import Sequence
 from html import escape
 
 
-def shown(title: str, rows: Sequence[tuple[str, str]]) -> str:
-    """Return a record as HTML.
+def html_table(title: str, rows: Sequence[tuple[str, str]]) -> str:
+    """Return a table of names and values as HTML.
 
-    title  what it is
-    rows   name and value, both shown as text
+    title  caption of the table
+    rows   name and value, escaped
     """
     lines = "".join(
         f'<tr><th style="text-align:left">{escape(name)}</th>'

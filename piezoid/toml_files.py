@@ -1,4 +1,4 @@
-"""TOML as people write it: what only a program would write is refused before it costs minutes."""
+"""Read TOML written by people; text that would take the parser minutes is rejected."""
 
 import tomllib
 from typing import Any
