@@ -190,7 +190,8 @@ def beside_the_widest(
             found.append(
                 (name, f"{name}: the drive of axis {axis} moves by "
                  f"{with_unit(most_V - least_V, 'V')}, less than a hundredth of the "
-                 f"{with_unit(high_V - low_V, 'V')} of {widest}: nothing is learned of the hysteresis from it")
+                 f"{with_unit(high_V - low_V, 'V')} of {widest}: nothing is learned of "
+                 "the hysteresis from it")
             )  # fmt: skip
         elif least_V > high_V or most_V < low_V:
             found.append(
