@@ -1,1 +1,6 @@
-"""The terminal face: one file per verb; nothing heavy is imported before a verb needs it."""
+"""The command line: one file per verb, registered in main.py.
+
+A verb parses arguments, calls one function of the library and prints the result; it decides
+nothing about data. Heavy packages are imported inside the verb, so that help is immediate.
+May import everything. To add a verb, add a file and its line in main.py.
+"""

@@ -1,4 +1,7 @@
-"""Bundled recordings with their manifest, and the laboratory that made them."""
+"""Bundled recordings with their manifest, and the simulator that made them.
+
+May import none of the library, so that the library is tested against independent physics.
+"""
 
 from importlib.resources import files
 from pathlib import Path

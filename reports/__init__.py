@@ -1,1 +1,6 @@
-"""The paper face: records in, one self-contained HTML page out. Start at render.py."""
+"""Reports: records in, one self-contained HTML page out.
+
+Start at render.py; page.py holds the records behind a page.
+May import the library, never the command line.
+To add a section, add a file to ``sections`` and its line in ``SECTIONS``.
+"""

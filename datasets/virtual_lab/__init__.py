@@ -1,5 +1,6 @@
-"""A laboratory that knows nothing of our model: it makes recordings whose causes are known.
+"""Simulated test stages: recordings whose effects are known.
 
-``campaign.draw_campaign`` is the way in; ``stage.record`` is the bench; ``truths`` holds the
-ceramics and ``effects`` what goes wrong with them.
+Start at ``campaign.draw_campaign``; ``stage.record`` runs one stage, ``truths`` holds the
+hysteresis laws and ``effects`` the faults and dynamics added to them.
+May import none of the library. To add a law or an effect, add a file and its line in the tuple.
 """

@@ -1,5 +1,7 @@
-"""The whole way of one stage: recordings in, model, diagnoses, controllers and their files out.
+"""Calibrate a whole stage: recordings in; model, diagnoses, controllers and their files out.
 
-The command line and ``piezoid.calibrate`` go this way and no other. Nothing here starts processes:
-whoever has them runs the jobs of ``stage_jobs`` side by side and puts them together.
+Start at calibrate.py; `piezoid calibrate` and `piezoid.calibrate` both call it.
+May import every part of the library except the verbs and sealed files. It starts no
+processes: the command line distributes the jobs of ``stage_jobs`` and collects the results.
+To add a step, add it to the jobs of one axis or to what is done once all axes are known.
 """

@@ -1,11 +1,8 @@
-"""Model and specification in, a Design out. Start at specification.py, then lateral.py.
+"""Design controllers: a model and a specification in, a ``Design`` out.
 
-chain.py, plant.py   what is controlled: physical sections, a nominal plant and its family
-specification.py     what is asked
-lateral.py           X and Y: observer.py, its poles by tuning.py or its noise by kalman.py
-vertical.py          Z: rst.py, shaped by shaping.py (band-stops) or youla.py (convex: cones.py)
-sensitivity.py       what a loop does, from R, S, T and a plant alone
-certificate.py       what is guaranteed with hysteresis in the loop
-from_model.py        families and defaults from an identified axis; stage.py: all axes
-design.py            the record that leaves this floor
+Start at lateral.py for axes and from_junction.py for the tunnelling junction; design.py is the
+record that they fill, specification.py is what a user may ask for.
+May import identification, records, operators, numerics.
+To add a method, return R, S and T (rst.py); margins (sensitivity.py) and the bound with
+hysteresis in the loop (certificate.py) are computed from these polynomials alone.
 """

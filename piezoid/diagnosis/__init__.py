@@ -1,5 +1,6 @@
-"""What the simulation gets wrong, and why: causes named only where the data can tell them.
+"""Diagnose a stage: which effects explain the error of the model, and how certain that is.
 
-Read effect.py (what one effect provides), tracks.py and nuisance.py (what everything is compared
-with), then diagnose.py.
+Start at effect.py (what an effect provides) and diagnose.py (the sequence of the search).
+May import identification, records, operators, numerics.
+To add an effect, add a file to ``effects`` and a line to its ``EFFECTS``.
 """

@@ -1,8 +1,7 @@
-"""What leaves the house: the parameter file, the C header made of it, the bundle around both.
+"""Export controllers: parameter file, C header, firmware bundle, simulator unit, shared library.
 
-parameter_file.py  the record, to sealed JSON and back
-from_design.py     the record made of a model and a design; runtime_names.py exchanges letters
-c_header.py        piezo_params.h
-golden.py          inputs and the answers of the shipped source to them
-bundle.py          the folder a firmware engineer copies
+Start at parameter_file.py (the record and its sealed JSON), then from_design.py, which fills it
+from a model and a design; bundle.py writes the folder that a firmware engineer copies.
+May import design, identification, the runtime.
+To add a format, write a function from a ``ParameterFile`` to the files of that format.
 """

@@ -1,1 +1,5 @@
-"""Ground floor: arrays, small convex problems, filters. No piezo, no units. Start at arrays.py."""
+"""Numerical methods without physics: arrays, least squares, convex programs, filters, threads.
+
+Start at arrays.py. Nothing here knows a unit or a piezo.
+May import only ``errors``; a method that SciPy offers is called there, not written here.
+"""

@@ -1,5 +1,6 @@
-"""Memory operators, the readable reference: plays, dead zones, their sums and exact inverses.
+"""Hysteresis operators and linear systems: arrays in, arrays out.
 
-Arrays in, arrays out; hot loops in kernels.c, chain.c and states.c. Read play.py first, then
-prandtl_ishlinskii.py.
+Start at play.py, then prandtl_ishlinskii.py. The Python code is the readable reference, the hot
+loops are compiled from kernels.c, chain.c and states.c.
+May import numerics. A new operator states its equation and has an exact inverse or says why not.
 """

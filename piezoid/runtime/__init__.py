@@ -1,5 +1,7 @@
-"""The shipped controller: one C source, simulated here and copied into the bundle.
+"""The controller that ships: one C source, simulated here and copied into the bundle.
 
-Start at piezoid_runtime.h: the loop's equations, what every parameter means, what each call costs.
-schema.py is the one table of parameters, controller.py steps the compiled source from Python.
+Start at piezoid_runtime.h: the equations of the loop, every parameter and the cost of each call.
+schema.py is the only table of parameters; controller.py steps the compiled source from Python.
+May import numerics; it shares no code with the operators, so that each can test the other.
+To add a parameter, add it to the header, to schema.py and to the check of the source.
 """

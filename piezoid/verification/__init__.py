@@ -1,12 +1,7 @@
-"""From the parameter file to a verdict: what ships is run against what was identified.
+"""Verify a controller: the compiled source runs against the identified stage.
 
-plant.py         an axis between its converters: amplifier, response, mechanics, sensor
-uncertainty.py   other plants the recordings allow as well
-closed_loop.py   the plant and the compiled runtime, sample by sample
-trajectories.py  spirals, rasters, steps;  scenarios.py  the tuple SCENARIOS of what is run
-surface.py       what is under the tip;  over_surface.py  the tip's loop while the stage moves it
-tracking.py      records to numbers;       criteria.py   numbers to verdicts with limits
-trace.py         a few runs, place by place, for pictures;  limits.py  limits from a file
-verify.py        all of it, stage.py for a model;   verification.py  the record that leaves
-rebuild.py       the same bits from the bundle compiled here and on an emulated Cortex-M4F
+Start at verify.py (all scenarios of a parameter file) and plant.py (the simulated axis between its
+converters); criteria.py turns figures into verdicts, verification.py is the record.
+May import export, design, identification, records, the runtime.
+To add a scenario, add it to ``SCENARIOS`` in scenarios.py.
 """

@@ -1,4 +1,8 @@
-"""The chapters, in the order of the page. A new one is a file here and a line below."""
+"""The sections of a report, in the order of the page.
+
+Each file has one function, ``render``, from a page to a section or None.
+To add one, add a file and its line in ``SECTIONS`` below.
+"""
 
 from collections.abc import Callable
 

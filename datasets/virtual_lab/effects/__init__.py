@@ -1,6 +1,6 @@
-"""What goes wrong in the laboratory: one file per effect, its physics in the docstring.
+"""Effects of the simulated stages: one file each, with its physics in the docstring.
 
-The order is the order in which acts at the same place of the chain are applied.
+Effects at the same place of the signal chain are applied in the order of the tuple below.
 """
 
 from piezoid_datasets.virtual_lab.effects import (

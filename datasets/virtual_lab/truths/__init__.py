@@ -1,7 +1,7 @@
-"""The kinds of ceramic the laboratory owns; none of them is a sum of plays.
+"""Hysteresis laws of the simulated stages; none of them is a sum of plays.
 
-``TRUTHS`` are those that a campaign draws from when none is named: every seeded campaign keeps
-its bytes. ``ZOO`` is all of them, for whoever names one.
+``TRUTHS`` are the laws that a campaign draws from by default and must not change, because every
+seeded campaign keeps its bytes; ``ZOO`` has all laws. To add one, add a file and its line.
 """
 
 from piezoid_datasets.virtual_lab.truths import (

@@ -1,6 +1,8 @@
-"""All effects, data faults first, then what acts on the drive, then the rest.
+"""All effects, data faults first, then effects on the drive, then on the displacement.
 
-Adding one is adding a file and a line here.
+Start at the class ``Effect``, which describes every field.
+To add an effect, add a file here and its line in ``EFFECTS`` below: detection, size, control
+advice and next experiment are in that file alone.
 """
 
 from piezoid.diagnosis.effect import Effect

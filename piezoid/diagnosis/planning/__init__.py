@@ -1,1 +1,6 @@
-"""What the next experiment is chosen from and by: drives, tangents, separability."""
+"""Plan the next experiment: candidate drives, simulated responses, separability of effects.
+
+``diagnosis.experiment`` selects with these modules.
+May import the effects and what the diagnosis imports.
+To add a candidate drive, add it to menu.py.
+"""

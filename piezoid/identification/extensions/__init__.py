@@ -1,7 +1,8 @@
-"""The extensions an axis model may have, upstream first.
+"""Extensions of an axis model: creep, delay, drift, resonance, sensor error and so on.
 
-``EXTENSIONS`` is the order in which a model applies them. One that only its effect knows stands in
-the effect's own file and acts behind these.
+``EXTENSIONS`` is the order in which a model applies them, upstream first. Start at extension.py.
+To add one, add a file and its line; an extension that only one effect uses may instead be defined
+in the file of that effect and acts behind all others.
 """
 
 from collections.abc import Iterable, Mapping

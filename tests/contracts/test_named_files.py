@@ -1,0 +1,62 @@
+"""Files and names that docstrings and documentation mention exist."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("piezoid", "cli", "reports", "datasets")
+FILE = re.compile(r"[\w/]*\w\.(?:py|c|h)\b")
+NAME = re.compile(r"``([A-Za-z_][\w.]*)``")
+# Written by the export, or part of software by others that a page refers to.
+GENERATED = {"piezo_params.h", "plant_of_axis.h", "x_feedforward.h", "library/example.py"}
+GENERATED |= {"nanonis/send.py", "logic/chains.py", "iir.py", "bundle/piezoid_runtime.c"}
+GENERATED |= {"library/piezoid_controller.h"}
+
+EXISTING = [
+    path.relative_to(ROOT).as_posix()
+    for folder in (*PRODUCT, "tests", "benchmarks", "docs")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".c", ".h")
+]
+MODULES = sorted(path for folder in PRODUCT for path in (ROOT / folder).rglob("*.py"))
+PAGES = sorted([*(ROOT / "docs").rglob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md"])
+
+
+def docstring(module: Path) -> str:
+    return ast.get_docstring(ast.parse(module.read_text(encoding="utf-8"))) or ""
+
+
+def missing_files(text: str, existing: list[str]) -> list[str]:
+    return [
+        name
+        for name in FILE.findall(text)
+        if not name.endswith(tuple(GENERATED))
+        and not any(f"/{path}".endswith(f"/{name.lstrip('/')}") for path in existing)
+    ]
+
+
+@pytest.mark.parametrize("path", [*MODULES, *PAGES], ids=lambda p: str(p.relative_to(ROOT)))
+def test_files_named_in_docstrings_and_documentation_exist(path: Path) -> None:
+    text = docstring(path) if path.suffix == ".py" else path.read_text(encoding="utf-8")
+    existing = EXISTING
+    if path.name == "__init__.py" and path.parent.name not in PRODUCT:
+        package = path.parent.relative_to(ROOT).as_posix()
+        existing = [known for known in EXISTING if known.startswith(f"{package}/")]
+    assert missing_files(text, existing) == []
+
+
+@pytest.mark.parametrize(
+    "package",
+    [path for path in MODULES if path.name == "__init__.py"],
+    ids=lambda p: str(p.parent.relative_to(ROOT)),
+)
+def test_names_in_package_docstrings_exist(package: Path) -> None:
+    code = "\n".join(path.read_text(encoding="utf-8") for path in package.parent.rglob("*.py"))
+    code = code.replace(docstring(package), "")
+    modules = {path.stem for path in package.parent.rglob("*.py")}
+    names = [part for name in NAME.findall(docstring(package)) for part in name.split(".")]
+    known = {"piezoid", "piezoid_cli", "piezoid_reports", "piezoid_datasets", *PRODUCT, *modules}
+    assert [n for n in names if n not in known and not re.search(rf"\b{n}\b", code)] == []
