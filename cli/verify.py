@@ -223,12 +223,6 @@ def _proof_line(proof: "Proof", file: "ParameterFile") -> str:
         line += f"; axis {axis} {instructions:.0f} instructions a sample, {share:.1f} % of a core"
     if counted:
         line += f" of {1e-6 * CORE_Hz:.0f} MHz at one instruction a cycle"
-    for axis, bound in (proof.longest_path or {}).items():
-        most = (proof.most_instructions or {}).get(axis, 0)
-        line += (
-            f"; axis {axis} at most {bound.instructions} instructions or {bound.cycles} cycles a "
-            f"step by its longest path, {most} seen"
-        )
     if proof.stack_bytes:
         line += f"; {proof.stack_bytes} bytes of stack, {proof.state_bytes} of state for each axis"
     return line

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from piezoid.verification.longest_path import Bound
-
 
 @dataclass(frozen=True, kw_only=True)
 class Proof:
@@ -15,8 +13,6 @@ class Proof:
     differing                steps whose voltage or status was not the same in every bit
     instructions_per_sample  by axis, mean; empty where they were not counted
     most_instructions        of any sample, by axis, hostile ones included; likewise
-    longest_path             by axis, what a step of this build can execute at most, whatever comes
-                             in: instructions, and cycles of a Cortex-M4F without wait states
     stack_bytes              deepest stack of a step, None where it was not measured
     state_bytes              of one axis, None likewise
     """
@@ -27,7 +23,6 @@ class Proof:
     differing: int = 0
     instructions_per_sample: dict[str, float] | None = None
     most_instructions: dict[str, int] | None = None
-    longest_path: dict[str, Bound] | None = None
     stack_bytes: int | None = None
     state_bytes: int | None = None
 

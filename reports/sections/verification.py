@@ -276,10 +276,6 @@ def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
                 f"{axis}: {count:.0f}"
                 for axis, count in (proof.instructions_per_sample or {}).items()
             ),
-            ", ".join(
-                f"{axis}: {bound.instructions}, {bound.cycles} cycles"
-                for axis, bound in (proof.longest_path or {}).items()
-            ),
         )
         for proof in proofs
     )
@@ -287,7 +283,7 @@ def _proofs(proofs: tuple[Proof, ...]) -> list[Part]:
         Heading(text="The same bits from other builds"),
         Table(
             caption="The bundle compiled again and stepped through the same inputs.",
-            columns=("build", "samples", "differing", "instructions a sample", "longest path"),
+            columns=("build", "samples", "differing", "instructions a sample"),
             rows=rows,
         ),
     ]

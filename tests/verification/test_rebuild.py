@@ -36,15 +36,6 @@ def test_the_emulated_core_answers_bit_for_bit_and_has_time_to_spare():
     assert 0 < proof.stack_bytes < 1024
 
 
-def test_no_step_takes_longer_than_the_longest_path():
-    """The bound is of the binary that ran; hostile inputs come within a factor of it."""
-    proof = on_target(stage())
-    for axis, bound in proof.longest_path.items():
-        seen = proof.most_instructions[axis]
-        assert proof.instructions_per_sample[axis] < seen <= bound.instructions < 6 * seen
-        assert bound.instructions < bound.cycles < 3 * bound.instructions
-
-
 def test_counting_the_same_loop_again_gives_the_same_number():
     first, again = (on_target(stage("x")).instructions_per_sample["x"] for _ in range(2))
     assert first == pytest.approx(again, rel=0.01)

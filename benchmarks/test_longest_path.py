@@ -2,8 +2,9 @@
 
 import pytest
 
+from benchmarks.longest_path import Bound, bounds_of, longest_path, loop_counts
 from piezoid.errors import RuntimeLibraryError
-from piezoid.verification.longest_path import Bound, longest_path, loop_counts
+from piezoid.verification.rebuild import emulate
 from tests.verification.rig import stage
 
 SOURCE = """\
@@ -101,3 +102,14 @@ def test_every_loop_of_a_step_has_a_count_of_its_axis():
         counts = loop_counts(axis.values)
         assert counts["play_count"] == int(axis.values["play_count"])
         assert counts["dead_zones.count"] >= counts["knot_count"]
+
+
+def test_no_step_takes_longer_than_the_longest_path():
+    """The bound is of the binary that ran; hostile inputs come within a factor of it."""
+    proof = emulate(stage())
+    if not proof.is_built:
+        pytest.skip(proof.build)
+    for axis, bound in bounds_of(stage()).items():
+        most = proof.most_instructions[axis]
+        assert proof.instructions_per_sample[axis] < most <= bound.instructions < 6 * most
+        assert bound.instructions < bound.cycles < 3 * bound.instructions

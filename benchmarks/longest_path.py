@@ -1,4 +1,9 @@
-"""How long a step can take: the longest path through the compiled code, whatever comes in.
+"""How long a step of the runtime can take: the longest path through the compiled code.
+
+    python -m benchmarks.longest_path STAGE...
+
+The stages are folders of ``piezoid fit`` or ``piezoid demo``. For each axis it prints a row of the
+table in docs/proof.md. Needs arm-none-eabi-gcc with its C library, and qemu-system-arm.
 
 A function is a graph of basic blocks. With x the number of times each edge is taken, the longest
 path is at most
@@ -12,14 +17,20 @@ bound, not a time that is reached.
 """
 
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import lil_matrix
 
 from piezoid.errors import RuntimeLibraryError
+from piezoid.export.bundle import bundle
+from piezoid.export.parameter_file import ParameterFile, from_json
+from piezoid.verification.rebuild import build_for_cortex_m4, called, emulate
 
 _FUNCTION = re.compile(r"^[0-9a-f]+ <([^>]+)>:$")
 _SOURCE = re.compile(r"piezoid_runtime\.c:(\d+)")
@@ -49,6 +60,7 @@ _CYCLES = (
         1 + _REFILL,
     ),
 )
+_DISASSEMBLE = ("arm-none-eabi-objdump", "-d", "-l", "--no-show-raw-insn", "replay.elf")
 _MANY = re.compile(r"^(push|pop|ldm|stm|vpush|vpop|vldm|vstm)")
 
 
@@ -105,6 +117,7 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
     sections = max(counts["reference_section_count"], counts["command_section_count"])
     kinks = max(counts["knot_count"], counts["envelope_count"])
     inner, steps = max(counts["edge_count"] - 2, 0), int(float(str(values["edge_steps"])))
+    plays = counts["play_count"] if counts["edge_count"] else 0  # behind functions
     return counts | {
         "observer_order": order,
         "predict.n": order,
@@ -113,8 +126,8 @@ def loop_counts(values: Mapping[str, object]) -> dict[str, int]:
         "filter_rest.count": sections,
         "dead_zones.ZERO": kinks,  # while (knot[i] < ZERO)
         "dead_zones.count": kinks,
-        "value_inverse.count": inner * steps + 2 * counts["play_count"],  # marks and plays
-        "value_inverse.moving": -(-counts["play_count"] // max(steps, 1)),
+        "value_inverse.count": inner * steps + 2 * plays,  # marks and plays
+        "value_inverse.moving": -(-plays // max(steps, 1)),
         "shift_in.0": taps,  # from count - 1 down
         "pz_log.7": 7,
         "pz_log.3": 10,  # from 21 down, the odd ones
@@ -359,3 +372,38 @@ def _unbounded(name: str, why: str) -> RuntimeLibraryError:
         needed="code whose longest path can be computed",
         remedy="Build with gcc, -O2 -fno-jump-tables -fno-tree-loop-distribute-patterns.",
     )
+
+
+def bounds_of(file: ParameterFile) -> dict[str, Bound]:
+    """Return by axis the longest path of a step in the binary that ``verify`` emulates."""
+    contents = bundle(file).files
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        build_for_cortex_m4(folder, contents, file)
+        disassembly = called(_DISASSEMBLE, folder)
+    source = contents["piezoid_runtime.c"].decode()
+    return {
+        axis.axis: longest_path(disassembly, source, loop_counts(axis.values), entry="pz_step")
+        for axis in file.axes
+    }
+
+
+def main() -> None:
+    """Print a row for every axis of the stages."""
+    print("| stage, axis | instructions, ordinary | most seen | longest path | its cycles |")
+    print("| --- | --- | --- | --- | --- |")
+    for folder in map(Path, sys.argv[1:]):
+        file = from_json((folder / "params.json").read_bytes(), str(folder / "params.json"))
+        proof = emulate(file)
+        if not proof.is_built:
+            sys.exit(proof.build)
+        mean, most = proof.instructions_per_sample or {}, proof.most_instructions or {}
+        for axis, bound in bounds_of(file).items():
+            print(
+                f"| {folder.name}, {axis} | {mean[axis]:.0f} | {most[axis]} "
+                f"| {bound.instructions} | {bound.cycles} |"
+            )
+
+
+if __name__ == "__main__":
+    main()
