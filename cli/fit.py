@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from piezoid.identification.tunnelling.model import TunnellingModel
 
 UNDIAGNOSED = (
-    "not diagnosed: a fit in blocks does not look for causes; fit a part of the recording that "
-    "fits into memory (start_s and stop_s in lab.toml) to have it diagnosed"
+    "not diagnosed: recordings that are read in chunks are not searched for causes; fit a part "
+    "that fits into memory (start_s and stop_s in lab.toml) to have it diagnosed"
 )
 
 
@@ -37,7 +37,7 @@ def fit(
         bool,
         typer.Option(
             "--stream",
-            help="For files larger than memory: in blocks, without dynamics and diagnosis.",
+            help="For files larger than memory: read in chunks and thinned, without diagnosis.",
         ),
     ] = False,
     processes: Annotated[
@@ -79,7 +79,7 @@ def fit(
     count = processes or usable_cores()
     with shown(quiet=quiet or json) as told:
         if stream:
-            found = calibrate_streamed(files, lab, out.absolute().parent, told, count)
+            found = calibrate_streamed(files, lab, told, count)
         else:
             found = calibrate(files, lab, told, count)
         write_folder(out, found.files, force=force)
@@ -266,24 +266,29 @@ def _table(model: "ActuatorModel") -> "Table":
 
 
 def calibrate_streamed(
-    files: Sequence[Path], lab: Path | None, folder: Path, told: "Told", processes: int = 1
+    files: Sequence[Path], lab: Path | None, told: "Told", processes: int = 1
 ) -> "Calibration":
-    """Fit in blocks, design, export, verify and report one stage.
+    """Fit recordings that are read in chunks, design, export, verify and report one stage.
 
-    folder     where the scratch files go, 16 bytes a sample; they have no names and leave nothing
-    processes  at most so many blocks are read and followed side by side, in threads of this one
+    processes  at most so many threads verify
 
-    The report has no loops and no residuals: they would take the recordings at once.
+    The report has no diagnosis, no loops and no residuals: they need the whole recordings.
     """
+    from dataclasses import replace
+
     from piezoid.calibration.calibrate import FittedStage, finished
-    from piezoid.identification.streamed.fit_streamed import fit_streamed
+    from piezoid.identification.fit import fit as fit_stage
+    from piezoid.records.chunked_reader import read_thinned
     from piezoid.records.lab import read_lab
-    from piezoid.records.streams.spool import spooled
     from piezoid_reports.render import with_report
 
     declared = None if lab is None else read_lab(lab)
-    with spooled(files, declared, folder=folder, workers=processes, progress=told) as spool:
-        model = fit_streamed(spool, lab=declared, workers=processes, progress=told)
-    done = finished(FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told)
+    recordings = read_thinned(files, declared, progress=told)
+    model = fit_stage(recordings, lab=declared, progress=told)
+    problems = dict.fromkeys(f"{r.name}: {p.text}" for r in recordings for p in r.problems)
+    model = replace(model, remarks=(*problems, *model.remarks))
+    done = finished(
+        FittedStage(model=model, undiagnosed=(UNDIAGNOSED,)), declared, told, processes
+    )
     told("writing the report")
     return with_report(done, None, declared)

@@ -6,7 +6,7 @@
 Simulation, prediction, the fit of the hysteresis and the joint fit run these parts and no others;
 what they vary are the numbers of the parts. Numbers are volts and metres, or those of a fit:
 ``Scales`` says what one of them is. The derivatives stand here as well. Those of the hysteresis,
-of lag and sensor come from ``operators.chain``, which a streamed pass follows chunk by chunk.
+of lag and sensor come from ``operators.chain``.
 """
 
 from dataclasses import dataclass, replace
@@ -148,7 +148,7 @@ class Forward:
         """Return the same with lag and sensor behind it, and by how many whole samples it is late.
 
         Followed chunk by chunk, it is ``static`` and ``filtered`` with the derivatives by all
-        their numbers, and its state is all that a pass over a stream carries along.
+        their numbers.
         """
         late = int(np.floor(self.lag_s * rate_Hz)) if self.lag == "delay" else 0
         share = self.lag_s * rate_Hz - late if self.lag == "delay" else None

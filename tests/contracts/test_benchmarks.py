@@ -95,7 +95,7 @@ def test_a_long_campaign_has_as_many_samples_as_asked_for_and_is_diagnosed_step_
 def test_a_recording_is_fitted_from_its_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    place = tmp_path / "long.parquet"
+    place = tmp_path / "long_5e+03.parquet"
     streamed_fit.write(place, 5000)
     streamed_fit.fit_one(place)
     row = capsys.readouterr().out

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from piezoid.errors import UnreadableFileError
+from piezoid.records.chunked_reader import read_thinned
 from piezoid.records.lab import Acquisition, Lab
 from piezoid.records.readers import read_table
 from piezoid.records.readers.source import FREE_SIZE, MOST_COLUMNS, MOST_GROWTH, growth_limit
-from piezoid.records.streams.spool import spooled
 from tests.records.tables import said
 
 LAB = Lab(acquisition=Acquisition(sampling_rate_Hz=1000.0))
@@ -96,8 +96,8 @@ def test_read_in_blocks_an_archive_may_grow_no_further(
     """No memory is lost there, but the disk and the day."""
     write(tmp_path / name)
     expected = pytest.raises(UnreadableFileError, match=r"bytes once unpacked\. Needed: at most")
-    with expected as told, spooled([tmp_path / name], LAB):
-        pass
+    with expected as told:
+        read_thinned([tmp_path / name], LAB)
     assert "--stream" not in str(told.value)
 
 
@@ -106,12 +106,12 @@ def test_a_packed_text_is_read_in_blocks_up_to_its_limit(tmp_path: Path) -> None
     text, rows = _steady(FREE_SIZE)
     path.write_bytes(gzip.compress(text, 9))
     assert path.stat().st_size < FREE_SIZE // MOST_GROWTH
-    with spooled([path], LAB) as spool:
-        assert sum(piece.samples for piece in spool.pieces["x"]) == rows
+    (recording,) = read_thinned([path], LAB)
+    assert recording.samples == rows
     path.write_bytes(gzip.compress(text + b"\n", 9))
     expected = pytest.raises(UnreadableFileError, match=f"at most {FREE_SIZE} bytes")
-    with expected as told, spooled([path], LAB):
-        pass
+    with expected as told:
+        read_thinned([path], LAB)
     assert "--stream" not in str(told.value)
 
 

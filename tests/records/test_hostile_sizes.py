@@ -9,7 +9,7 @@ import pytest
 from piezoid.errors import PiezoidError, UnreadableFileError
 from piezoid.records.inspection import inspect_file
 from piezoid.records.readers import read_table
-from piezoid.records.readers.foreign import reading
+from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.source import open_source
 from tests.records.tables import said
 

@@ -1,5 +1,6 @@
 """Every format gives back the one known recording, channels and units included."""
 
+import importlib
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,7 @@ from piezoid.records.ingest import ingest
 from piezoid.records.lab import Lab, RecordingEntry, Sensor
 from piezoid.records.meaning import Role, meaning_of
 from piezoid.records.readers import READERS, read_table
+from piezoid.records.readers.reader import Reader
 from tests.records.formats import SAMPLES, SPEAKING, VOLTAGE_V, DISPLACEMENT_um, RATE_Hz
 
 # The files print six decimals of a micrometre at most.
@@ -21,11 +23,12 @@ ATOL_V = 1e-6
 
 
 def test_every_reader_of_the_folder_is_registered() -> None:
-    folder = Path(readers.__file__).parent
-    modules = {reader.read.__module__.rsplit(".", 1)[-1] for reader in READERS}
-    parts = {"__init__", "reader", "source", "block", "heading_lines", "foreign", "matlab_growth"}
-    parts |= {"hdf5_trees", "complex_cells"}
-    assert {path.stem for path in folder.glob("*.py")} - parts == modules
+    modules = [
+        importlib.import_module(f"{readers.__name__}.{path.stem}")
+        for path in Path(readers.__file__).parent.glob("*.py")
+    ]
+    defined = {id(held) for m in modules for held in vars(m).values() if isinstance(held, Reader)}
+    assert defined == set(map(id, READERS))
     assert len({reader.name for reader in READERS}) == len(READERS)
 
 

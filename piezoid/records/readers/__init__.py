@@ -49,8 +49,6 @@ READERS: tuple[Reader, ...] = (
     gcs_array.READER,
     text_table.READER,
 )
-# Those whose writing lab.toml may declare.
-WRITTEN = (text_table.READER, excel.READER)
 
 
 def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
@@ -64,7 +62,7 @@ def read_table(path: Path, text: TextFormat | None = None) -> RawTable:
     source = replace(open_source(path), text=text or TextFormat())
     for reader in READERS:
         if reader.recognises(source):
-            if source.text.keys and reader not in WRITTEN:
+            if source.text.keys and not reader.is_written:
                 raise LabFileError(
                     f"lab.toml: {', '.join(source.text.keys)} of {source.name} is declared, which "
                     f"is {reader.name}",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from piezoid.errors import UnreadableFileError
 from piezoid.records.readers.archive import members
-from piezoid.records.readers.foreign import reading
 from piezoid.records.readers.heading_lines import HEAD_LINES, find_start
+from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.readers.text_table import read_text
@@ -124,4 +124,6 @@ def _cell(value: object) -> str:
     return repr(value) if isinstance(value, float) else " ".join(str(value).split())
 
 
-READER = Reader(name="Excel", suffixes=(".xlsx",), recognises=recognises, read=read)
+READER = Reader(
+    name="Excel", suffixes=(".xlsx",), recognises=recognises, read=read, is_written=True
+)

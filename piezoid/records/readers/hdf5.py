@@ -1,15 +1,56 @@
-"""HDF5: the numeric vectors of all groups, units from the attribute ``unit`` or ``units``."""
+"""HDF5: the numeric vectors of all groups, units from the attribute ``unit`` or ``units``.
 
-from typing import Any
+Before the library opens a file, its search trees are followed here. The nodes of a tree of the
+first kind name their neighbours; the library follows these names without counting, in compiled
+code that nothing interrupts, and never returns from a damaged file whose node names itself.
+"""
 
-from piezoid.records.readers.foreign import reading, table_of
-from piezoid.records.readers.hdf5_trees import SIGNATURE, check_trees
-from piezoid.records.readers.reader import Reader
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from typing import Any, BinaryIO
+
+from piezoid.records.readers.optional_readers import chunk_tables, reading, table_of
+from piezoid.records.readers.reader import Arrays, Reader, overlapping_chunks
 from piezoid.records.readers.source import MOST_COLUMNS, Source, check_growth
 from piezoid.records.table import RawTable
 
-_DEEPEST = 32  # groups; the library takes minutes to walk through some thousand
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_MAX_DEPTH = 32  # groups; the library takes minutes to walk through some thousand
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units", "UNIT")
+_NODE = b"TREE"
+_LINKS_AT = 8  # bytes of a node before the addresses of its left and its right neighbour
+_FIRST_BASE = 512  # the file begins at 0 or, behind a user block, at 512, 1024, 2048 ...
+_PIECE = 1 << 20
+
+
+def read(source: Source) -> RawTable:
+    """Read every numeric dataset; a name that two groups share has its group in front."""
+    with reading(source, "HDF5"):
+        check_datasets(source)
+        with source.open() as stream:
+            datasets = _named_datasets(stream)
+            arrays = {name: dataset[()] for name, dataset in datasets.items()}
+            units = {name: _unit_of(dataset) for name, dataset in datasets.items()}
+    return table_of(source, "HDF5", arrays, units=units)
+
+
+def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
+    """Yield the numeric datasets of the commonest length, slice by slice."""
+    with reading(source, "HDF5"), source.open() as stream:
+        check_trees(stream)
+        datasets = _named_datasets(stream)
+        lengths = Counter(max(d.shape, default=0) for d in datasets.values() if d.size > 1)
+        length = max(sorted(lengths), key=lengths.__getitem__, default=0)
+        columns = {name: d for name, d in datasets.items() if d.shape[:1] == (length,)}
+        check_growth(source, 8 * sum(d.size for d in columns.values()), whole=False)
+        units = {name: _unit_of(dataset) for name, dataset in columns.items()}
+        chunks = overlapping_chunks(_slices(columns, length, rows), rows)
+        yield from chunk_tables(source, "HDF5", chunks, units=units)
+
+
+def _slices(columns: Mapping[str, Any], length: int, rows: int) -> Iterator[Arrays]:
+    for first in range(0, length, rows):
+        yield {name: dataset[first : first + rows] for name, dataset in columns.items()}
 
 
 def check_datasets(source: Source) -> None:
@@ -19,50 +60,37 @@ def check_datasets(source: Source) -> None:
         check_growth(source, 8 * sum(dataset.size for dataset in _datasets(stream).values()))
 
 
-def read(source: Source) -> RawTable:
-    """Read every numeric dataset; a name that two groups share keeps its group before it."""
-    with reading(source, "HDF5"):
-        check_datasets(source)
-        with source.open() as stream:
-            held = named_datasets(stream)
-            arrays = {name: dataset[()] for name, dataset in held.items()}
-            units = {name: unit_of_dataset(dataset) for name, dataset in held.items()}
-    return table_of(source, "HDF5", arrays, units=units)
-
-
-def named_datasets(stream: object) -> dict[str, Any]:
-    """Return the numeric datasets by name; one that two groups share keeps its group before it."""
-    held = _datasets(stream)
-    short = [path.rsplit("/", 1)[-1] for path in held]
+def _named_datasets(stream: object) -> dict[str, Any]:
+    datasets = _datasets(stream)
+    short = [path.rsplit("/", 1)[-1] for path in datasets]
     return {
         name if short.count(name) == 1 else path: dataset
-        for name, (path, dataset) in zip(short, held.items(), strict=True)
+        for name, (path, dataset) in zip(short, datasets.items(), strict=True)
     }
 
 
 def _datasets(stream: object) -> dict[str, Any]:
     import h5py
 
-    found: dict[str, Any] = {}
+    numeric: dict[str, Any] = {}
 
     def keep(path: str, item: Any) -> None:
-        if path.count("/") > _DEEPEST:
-            raise ValueError(f"its groups lie more than {_DEEPEST} deep in one another")
+        if path.count("/") > _MAX_DEPTH:
+            raise ValueError(f"its groups lie more than {_MAX_DEPTH} deep in one another")
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "biuf":
             return
-        # No digest of this file would tell that they changed, and a pipe among them never ends.
+        # No digest of this file would change with them, and a pipe among them never ends.
         if item.external or item.is_virtual:
             raise ValueError(f"the numbers of {path} lie in other files")
-        if len(found) == MOST_COLUMNS:
+        if len(numeric) == MOST_COLUMNS:
             raise ValueError(f"it holds more than {MOST_COLUMNS} datasets")
-        found[path] = item
+        numeric[path] = item
 
     h5py.File(stream, "r").visititems(keep)
-    return found
+    return numeric
 
 
-def unit_of_dataset(dataset: Any) -> str:
-    """Return the unit among a dataset's attributes, empty where there is none."""
+def _unit_of(dataset: Any) -> str:
     for key in _UNIT_ATTRIBUTES:
         if key in dataset.attrs:
             value = dataset.attrs[key]
@@ -70,9 +98,67 @@ def unit_of_dataset(dataset: Any) -> str:
     return ""
 
 
+def check_trees(stream: BinaryIO) -> None:
+    """Raise ``ValueError`` where the nodes of a search tree form a ring."""
+    base = _base(stream)
+    stream.seek(base)
+    head = stream.read(len(SIGNATURE) + 6)
+    if len(head) < len(SIGNATURE) + 6:
+        return  # the library says itself that this is no such file
+    # Superblocks of version 2 and later have the width of an address where others have versions.
+    width = head[13] if head[8] < 2 else head[9]
+    ring = _ring(dict(_neighbours(stream, base, width)))
+    if ring is not None:
+        raise ValueError(f"the search tree at byte {base + ring} leads round in a ring")
+
+
+def _base(stream: BinaryIO) -> int:
+    """Return where the file's own bytes begin, from which its addresses count."""
+    size = stream.seek(0, 2)
+    base = 0
+    while base < size:
+        stream.seek(base)
+        if stream.read(len(SIGNATURE)) == SIGNATURE:
+            return base
+        base = 2 * base or _FIRST_BASE
+    return size
+
+
+def _neighbours(stream: BinaryIO, base: int, width: int) -> Iterator[tuple[int, int]]:
+    """Yield the address of each node, and that of its right neighbour."""
+    length = _LINKS_AT + 2 * width
+    stream.seek(base)
+    buffer, address = b"", 0
+    while piece := stream.read(_PIECE):
+        buffer += piece
+        position = buffer.find(_NODE)
+        while 0 <= position <= len(buffer) - length:
+            right = buffer[position + length - width : position + length]
+            yield address + position, int.from_bytes(right, "little")
+            position = buffer.find(_NODE, position + 1)
+        done = max(len(buffer) - length, 0) if position < 0 else position
+        buffer, address = buffer[done:], address + done
+
+
+def _ring(right: Mapping[int, int]) -> int | None:
+    """Return a node of a ring of neighbours, None where every chain of neighbours ends."""
+    visited: set[int] = set()
+    for first in right:
+        chain: set[int] = set()
+        node = first
+        while node in right and node not in visited:
+            if node in chain:
+                return node
+            chain.add(node)
+            node = right[node]
+        visited |= chain
+    return None
+
+
 READER = Reader(
     name="HDF5",
     suffixes=(".h5", ".hdf5"),
     recognises=lambda source: source.head.startswith(SIGNATURE),
     read=read,
+    read_chunks=read_chunks,
 )

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.optional_readers import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_columns, unreadable
 from piezoid.records.table import RawTable, rate_of

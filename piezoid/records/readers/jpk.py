@@ -11,7 +11,7 @@ import numpy as np
 
 from piezoid.numerics.arrays import Array
 from piezoid.records.readers.archive import ZIP, members
-from piezoid.records.readers.foreign import reading, table_of
+from piezoid.records.readers.optional_readers import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.table import RawTable

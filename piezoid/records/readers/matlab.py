@@ -1,16 +1,16 @@
 """MATLAB files, version 5 to 7.3: vectors of the workspace, or of the fields of a structure."""
 
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
-from piezoid.records.readers.foreign import reading, table_of
-from piezoid.records.readers.hdf5 import check_datasets
-from piezoid.records.readers.hdf5_trees import SIGNATURE
-from piezoid.records.readers.matlab_growth import check_matlab_growth
+from piezoid.records.readers.hdf5 import SIGNATURE, check_datasets
+from piezoid.records.readers.optional_readers import reading, table_of
 from piezoid.records.readers.reader import Reader
 from piezoid.records.readers.source import Source, check_growth, unreadable
 from piezoid.records.recording import Problem
@@ -23,6 +23,9 @@ _SAVE = (
     "In MATLAB, save columns as vectors (time_s = seconds(T.Time); voltage_V = T.Voltage), or "
     "write the table with writetable or writetimetable as CSV."
 )
+_HEADER = 128  # bytes in front of the elements of versions 5 to 7
+_COMPRESSED = 15  # type of an element that zlib compressed
+_PIECE = 1 << 20
 
 
 def recognises(source: Source) -> bool:
@@ -72,9 +75,35 @@ def _check_sizes(source: Source) -> None:
         with suppress(TypeError):
             found = whosmat(str(source.path))
             check_growth(source, 8 * sum(int(np.prod(s, dtype=object)) for _, s, _ in found))
-        check_matlab_growth(source)
+        _check_elements(source)
     else:
         check_datasets(source)
+
+
+def _check_elements(source: Source) -> None:
+    """Refuse a file whose variables, those in structures too, grow beyond any measurement."""
+    total = 0
+    with source.open() as stream:
+        for size in _decompressed_sizes(stream):
+            total += size
+            # Numbers stand in the smallest type that holds them, and come out as doubles.
+            check_growth(source, 8 * total)
+
+
+def _decompressed_sizes(stream: BinaryIO) -> Iterator[int]:
+    """Yield the bytes of each piece of the file's elements, decompressed where needed."""
+    order = ">" if stream.read(_HEADER)[126:128] == b"MI" else "<"
+    while len(tag := stream.read(8)) == 8:
+        kind, size = struct.unpack(f"{order}II", tag)
+        inflate = zlib.decompressobj()
+        while size > 0 and (content := stream.read(min(size, _PIECE))):
+            size -= len(content)
+            if kind != _COMPRESSED:
+                yield len(content)
+                continue
+            while content and not inflate.eof:
+                yield len(inflate.decompress(content, _PIECE))
+                content = inflate.unconsumed_tail
 
 
 def _objects_of_hdf5(source: Source) -> dict[str, str]:

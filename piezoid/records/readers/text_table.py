@@ -1,6 +1,11 @@
 """Text tables: CSV, TSV, semicolons or blanks, decimal point or comma, with whatever is above."""
 
+import gzip
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from typing import BinaryIO
 
 import numpy as np
 
@@ -20,14 +25,24 @@ from piezoid.records.readers.heading_lines import (
     unit_cell,
     without_headings,
 )
+from piezoid.records.readers.optional_readers import reading
 from piezoid.records.readers.reader import Reader
-from piezoid.records.readers.source import Source, encoding_of, text_of
+from piezoid.records.readers.source import (
+    Source,
+    check_growth,
+    encoding_of,
+    text_of,
+    unreadable,
+    with_hyphens,
+)
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
 
 # No binary format begins with so many lines without a zero byte, unless it has a header of text:
 # those that are known here are asked before.
 _LINES_OF_TEXT = 3
+_LONGEST_LINE = 1 << 20  # characters; 4096 columns of whole doubles have a tenth of it
+_LONGEST_HEAD = 1 << 24
 
 
 def read(source: Source) -> RawTable:
@@ -153,6 +168,133 @@ def metadata_of(lines: tuple[str, ...]) -> dict[str, str]:
     return found
 
 
+def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
+    """Yield a text table in chunks; layout and headings are those of the file's beginning.
+
+    Columns that hold text at the beginning are left out throughout; other columns are NaN in
+    chunks where they hold only text.
+    """
+    with _decoded(source) as stream:
+        start = _start_in_stream(stream, source)
+        first: Block | None = None
+        line, first_row = start.row + 1, 0
+        for text in _line_chunks(stream, rows, source.name):
+            block, begins, problems = parsed(text, start, source.name, line)
+            _refuse_dates(block, source.name, line)
+            if first is None:
+                named = names_but_first(start)
+                if named is not None and are_row_numbers(block.columns[0]):
+                    start = replace(start, labels=named, above=start.above[:-1])
+                first = block
+                problems = (*stray_problems(start), *textual_problems(start, block), *problems)
+            yield RawTable(
+                name=source.name,
+                digest=source.digest,
+                format="text table",
+                columns=columns_of(start, _with_columns_of(first, block)),
+                first_line=line if lines_are_rows(text) and not begins else 0,
+                segment_starts=begins,
+                first_row=first_row,
+                metadata=metadata_of(start.above),
+                problems=(*problems, *block.problems),
+            )
+            line += text.rstrip("\n").count("\n")
+            first_row += len(block.columns[0]) - 1
+
+
+@contextmanager
+def _decoded(source: Source) -> Iterator[io.TextIOWrapper]:
+    """Open the text as ``text_of`` decodes it, as far as the file's beginning tells."""
+    with reading(source, "text"), source.path.open("rb") as raw:
+        stream = _BoundedGzip(source, raw) if source.packed else raw
+        yield io.TextIOWrapper(
+            io.BufferedReader(stream) if source.packed else raw,  # type: ignore[type-var]
+            encoding=encoding_of(source.head),
+            errors="replace",
+        )
+
+
+class _BoundedGzip(gzip.GzipFile):
+    """A gzip stream that is refused once it grows beyond what measured numbers can."""
+
+    def __init__(self, source: Source, packed: BinaryIO) -> None:
+        super().__init__(fileobj=packed)
+        self._source = source
+
+    def read(self, size: int | None = -1) -> bytes:
+        content = super().read(size)
+        check_growth(self._source, self.tell(), whole=False)
+        return content
+
+
+def _start_in_stream(stream: io.TextIOWrapper, source: Source) -> Start:
+    """Find the table, and leave the stream at its first row."""
+    lines: list[str] = []
+    while len(lines) < HEAD_LINES and sum(map(len, lines)) < _LONGEST_HEAD:
+        line = stream.readline(_LONGEST_LINE)
+        if not line:
+            break
+        lines.append(line.removesuffix("\n"))
+    start = find_start(lines, source.name, source.text)
+    stream.seek(0)
+    for _ in range(start.row):
+        stream.readline()
+    return start
+
+
+def _line_chunks(stream: io.TextIOWrapper, rows: int, name: str) -> Iterator[str]:
+    """Yield whole lines of about so many rows; each chunk repeats the last line of the one before.
+
+    A short remainder goes with the chunk in front of it.
+    """
+    text = stream.readline(_LONGEST_LINE)
+    characters = max(rows, 2) * len(text)
+    text += _whole_lines(stream, characters, name)
+    while text:
+        more = _whole_lines(stream, characters, name)
+        if len(more) < characters:
+            yield text + more
+            return
+        yield text
+        lines = text.rstrip("\n")
+        text = lines[lines.rfind("\n") + 1 :] + "\n" + more
+
+
+def _whole_lines(stream: io.TextIOWrapper, characters: int, name: str) -> str:
+    text, end_of_line = stream.read(characters), ""
+    if text and not text.endswith("\n"):
+        end_of_line = stream.readline(_LONGEST_LINE)
+    if "\x00" in text or len(end_of_line) >= _LONGEST_LINE:
+        raise unreadable(
+            name,
+            "it holds zero bytes, or a line of more than a million characters",
+            needed="a text table to its end",
+            remedy="Export the recording as CSV.",
+        )
+    return with_hyphens(text + end_of_line)
+
+
+def _with_columns_of(first: Block, block: Block) -> Block:
+    """Return a block whose columns of text are those of the first block."""
+    columns = tuple(
+        np.full_like(values, np.nan) if k in block.textual else values
+        for k, values in enumerate(block.columns)
+    )
+    return replace(block, columns=columns, textual=first.textual)
+
+
+def _refuse_dates(block: Block, name: str, line: int) -> None:
+    if block.stamped:
+        raise unreadable(
+            name,
+            f"column {min(block.stamped) + 1} holds dates from line {line} on",
+            needed="times in seconds, where a file is read in chunks",
+            remedy="Write the time as seconds, or state sampling_rate_Hz for the file in lab.toml "
+            "and name its other columns there.",
+            line=line,
+        )
+
+
 def recognises(source: Source) -> bool:
     """Take whatever is not the beginning of some other binary file.
 
@@ -170,4 +312,7 @@ READER = Reader(
     suffixes=(".csv", ".tsv", ".txt", ".dat", ".asc"),
     recognises=recognises,
     read=read,
+    read_chunks=read_chunks,
+    reads_gzip=True,
+    is_written=True,
 )

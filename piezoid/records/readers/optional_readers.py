@@ -1,12 +1,14 @@
-"""Where other people's readers are called: a missing one is named, a failing one is explained."""
+"""Calls of optional reader libraries: name a missing one, explain a failing one, make tables."""
 
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from piezoid.errors import PiezoidError
+from piezoid.records.readers.reader import Arrays
 from piezoid.records.readers.source import Source, check_columns, check_growth, unreadable
 from piezoid.records.recording import Problem
 from piezoid.records.table import Column, RawTable
@@ -90,6 +92,22 @@ def table_of(
         metadata=metadata,
         problems=tuple(problems),
     )
+
+
+def chunk_tables(
+    source: Source,
+    format_name: str,
+    chunks: Iterable[tuple[int, Arrays]],
+    *,
+    units: Mapping[str, str],
+    sampling_rate_Hz: float | None = None,
+) -> Iterator[RawTable]:
+    """Make a table of every chunk as ``table_of`` makes one of the whole file."""
+    for first_row, arrays in chunks:
+        table = table_of(
+            source, format_name, arrays, units=units, sampling_rate_Hz=sampling_rate_Hz
+        )
+        yield replace(table, first_row=first_row)
 
 
 def _in_seconds(

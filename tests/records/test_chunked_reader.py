@@ -1,0 +1,306 @@
+"""Files read in chunks give the recording of a whole reading, gap for gap, or the same refusal."""
+
+import gzip
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid.errors import LabFileError, PiezoidError, RecordingError, UnreadableFileError
+from piezoid.operators.play import play_columns
+from piezoid.records.chunked_reader import read_thinned
+from piezoid.records.ingest import ingest
+from piezoid.records.lab import Lab, RecordingEntry
+from piezoid.records.readers import READERS, read_table
+from piezoid.records.readers.source import open_source
+from piezoid.records.recording import Recording
+from piezoid.records.thinning import Thinning
+from tests.records.formats import RATE_Hz
+from tests.records.tables import lab_with, table
+
+IN_CHUNKS = (
+    "run.csv", "run.csv.gz", "run.tsv", "german.csv", "run.txt", "run.h5", "run.parquet",
+    "run.tdms",
+)  # fmt: skip
+SAMPLES = 3000
+TIME_s = np.arange(SAMPLES) / 1000
+VOLTAGE_V = 50 + 40 * np.sin(2 * np.pi * 7 * TIME_s)
+RESPONSE = 3 * np.sin(2 * np.pi * 7 * TIME_s - 0.1) + 0.02 * TIME_s
+ROWS = 1024  # of a chunk, the least
+HEADINGS = "time [s],voltage [V],position [um]"
+
+
+def read_one(path: Path, lab: Lab | None = None, rows: int = ROWS) -> Recording:
+    (recording,) = read_thinned([path], lab, chunk_rows=rows)
+    return recording
+
+
+def assert_as_a_whole(path: Path, rows: int, lab: Lab | None = None) -> None:
+    """The recording is, bit for bit, that of the whole file."""
+    whole, recording = ingest(path, lab), read_one(path, lab, rows)
+    np.testing.assert_array_equal(recording.voltage_V(), whole.voltage_V())
+    np.testing.assert_array_equal(recording.displacement_m(), whole.displacement_m())
+    assert recording.breaks == whole.breaks
+    assert recording.sampling_rate_Hz == whole.sampling_rate_Hz
+    assert (recording.name, recording.digest) == (whole.name, whole.digest)
+    assert recording.counted == whole.counted
+
+
+@pytest.mark.parametrize("rows", [1, 100_000])
+@pytest.mark.parametrize("name", IN_CHUNKS)
+def test_every_format_reads_in_chunks_as_it_reads_whole(
+    name: str, rows: int, write: Callable[[str], Path]
+) -> None:
+    assert_as_a_whole(write(name), rows)
+
+
+@pytest.mark.parametrize("rows", [2, 7, 199, 200])
+@pytest.mark.parametrize("name", IN_CHUNKS)
+def test_each_chunk_begins_with_the_last_row_of_the_one_before(
+    name: str, rows: int, write: Callable[[str], Path]
+) -> None:
+    whole, source = read_table(write(name)), open_source(write(name), whole=False)
+    reader = next(reader for reader in READERS if reader.recognises(source))
+    assert reader.read_chunks is not None
+    chunks = list(reader.read_chunks(source, rows))
+    assert chunks[0].first_row == 0
+    for before, after in itertools.pairwise(chunks):
+        assert after.first_row == before.first_row + before.rows - 1
+    for k, column in enumerate(whole.columns):
+        parts = [chunk.columns[k].values[1:] for chunk in chunks[1:]]
+        joined = np.concatenate([chunks[0].columns[k].values, *parts])
+        np.testing.assert_array_equal(joined, column.values)
+        assert chunks[-1].columns[k].place == column.place
+
+
+@pytest.mark.parametrize("name", ["run.h5", "run.parquet", "run.tdms"])
+def test_a_packed_file_without_seeking_is_refused_with_the_way_out(
+    name: str, write: Callable[[str], Path]
+) -> None:
+    packed = write(name).with_name(f"{name}.gz")
+    packed.write_bytes(gzip.compress(write(name).read_bytes()))
+    with pytest.raises(UnreadableFileError, match=r"packed by gzip.* gunzip") as refusal:
+        read_one(packed)
+    assert "damaged" not in str(refusal.value)
+    assert "Copy" not in str(refusal.value)
+
+
+def test_there_is_a_file_for_every_format_that_is_read_in_chunks() -> None:
+    suffixes = {"." + name.split(".")[1] for name in IN_CHUNKS}
+    assert all(suffixes & set(reader.suffixes) for reader in READERS if reader.read_chunks)
+
+
+@pytest.mark.parametrize("lost", [1, 2, 50])
+@pytest.mark.parametrize("at", [2, 1022, 1023, 1024, 2046, 2950])
+def test_a_gap_is_one_wherever_the_chunks_are_cut(at: int, lost: int, tmp_path: Path) -> None:
+    keep = np.r_[0:at, at + lost : SAMPLES]
+    columns = [c[keep] for c in (TIME_s, VOLTAGE_V, RESPONSE)]
+    assert_as_a_whole(table(tmp_path, HEADINGS, *columns), ROWS)
+
+
+@pytest.mark.parametrize("at", [0, 1023, 1024, 2000, SAMPLES - 3])
+@pytest.mark.parametrize("count", [1, 1500])
+def test_missing_numbers_break_a_recording_wherever_they_are(
+    at: int, count: int, tmp_path: Path
+) -> None:
+    holed = RESPONSE.copy()
+    holed[at : at + count] = np.nan
+    if at == 0:
+        holed[:3] = RESPONSE[:3]  # a first chunk without any number is refused
+    assert_as_a_whole(table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, holed), ROWS)
+
+
+def test_a_part_of_a_file_is_the_part_of_the_whole(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    assert_as_a_whole(path, 50, lab_with(start_s=0.5, stop_s=2.25))
+    with pytest.raises(LabFileError, match="holds 0 of 3000 samples"):
+        read_one(path, lab_with(start_s=99.0), rows=50)
+
+
+@pytest.mark.parametrize(
+    "headings",
+    [
+        "time [s],voltage,displacement [um]",
+        "time [s],CH 1 (V),CH 2 (V)",
+        "time [s],pos A [um],pos B [um]",
+        "time [s],foo,bar",
+        "voltage [V],displacement [um],foo",
+        "time [s],voltage [V],sensor voltage [V]",
+    ],
+)
+def test_what_a_whole_reading_refuses_is_refused_in_the_same_words(
+    headings: str, tmp_path: Path
+) -> None:
+    path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE)
+    with pytest.raises(PiezoidError) as whole:
+        ingest(path)
+    with pytest.raises(PiezoidError) as chunks:
+        read_one(path, rows=40)
+    assert type(chunks.value) is type(whole.value)
+    assert str(chunks.value) == str(whole.value)
+
+
+def test_a_rate_that_changes_on_the_way_is_refused(tmp_path: Path) -> None:
+    stamps = np.where(TIME_s < 2, TIME_s, 2 + 2 * (TIME_s - 2))
+    with pytest.raises(RecordingError, match="at 1000 Hz at its beginning and at"):
+        read_one(table(tmp_path, HEADINGS, stamps, VOLTAGE_V, RESPONSE), rows=50)
+
+
+def test_columns_that_come_to_hold_numbers_later_are_refused(tmp_path: Path) -> None:
+    late = np.where(TIME_s < 2, np.nan, 293.0)
+    path = table(tmp_path, HEADINGS + ",temp [K]", TIME_s, VOLTAGE_V, RESPONSE, late)
+    with pytest.raises(RecordingError, match="other columns hold numbers"):
+        read_one(path, rows=50)
+
+
+def test_a_damaged_line_is_named_by_its_number_in_the_file(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    lines = path.read_text().split("\n")
+    lines[1500] = "broken,by,hand"
+    path.write_text("\n".join(lines))
+    places = {problem.place for problem in read_one(path, rows=50).problems}
+    assert any(place.startswith("line 1501") for place in places)
+
+
+def test_dates_and_formats_without_chunks_are_refused(write: Callable[[str], Path]) -> None:
+    with pytest.raises(UnreadableFileError, match="holds dates from line"):
+        read_one(write("logger.csv"))
+    with pytest.raises(UnreadableFileError, match="it is MATLAB"):
+        read_one(write("run5.mat"))
+
+
+def test_a_line_without_end_does_not_fill_the_memory(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    path.write_text("time [s],voltage [V],position [um]\n0,1,2\n1,2,3\n" + "9" * 3_000_000)
+    with pytest.raises(UnreadableFileError, match="more than a million characters"):
+        read_one(path, rows=50)
+
+
+def test_a_recording_in_shreds_or_without_drive_is_refused(tmp_path: Path) -> None:
+    time_s = np.arange(6006) / RATE_Hz
+    holed = np.where(np.arange(6006) % 6 == 5, np.nan, np.sin(40 * time_s))
+    with pytest.raises(RecordingError, match="interrupted more than 1000 times"):
+        read_one(table(tmp_path, HEADINGS, time_s, np.sin(9 * time_s), holed))
+    silent = table(tmp_path, "time [s],position [um]", TIME_s, RESPONSE)
+    with pytest.raises(RecordingError, match="only displacement is recorded"):
+        read_one(silent)
+
+
+def test_headings_among_the_rows_cut_or_end_a_file_in_chunks_too(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join([*rows[:2000], HEADINGS, *rows[2000:]]) + "\n")
+    assert_as_a_whole(path, ROWS)
+    other = HEADINGS.replace("[V]", "[mV]")
+    path.write_text("\n".join([*rows[:2000], other, *rows[2000:]]) + "\n")
+    with pytest.raises(UnreadableFileError, match="line 2001 heads the columns anew"):
+        read_one(path, rows=ROWS)
+
+
+@pytest.mark.parametrize("before", [1024, 1025, 2047, 2500])
+def test_a_counter_that_begins_anew_goes_on_in_chunks_too(before: int, tmp_path: Path) -> None:
+    counts = (2**16 - before + np.arange(SAMPLES)) % 2**16
+    path = table(tmp_path, "t [ms],voltage [V],position [um]", counts, VOLTAGE_V, RESPONSE)
+    assert_as_a_whole(path, ROWS)
+    assert [problem.kind for problem in read_one(path).problems] == ["wrapped_clock"]
+
+
+def test_counts_stay_counts_in_chunks(tmp_path: Path) -> None:
+    counts = np.round(1e3 * RESPONSE)
+    assert_as_a_whole(
+        table(tmp_path, HEADINGS.replace("um", "LSB"), TIME_s, VOLTAGE_V, counts), ROWS
+    )
+
+
+def test_two_axes_of_a_file_are_two_recordings(tmp_path: Path) -> None:
+    headings = "time [s],voltage x [V],position x [um],voltage y [V],position y [um]"
+    path = table(tmp_path, headings, TIME_s, VOLTAGE_V, RESPONSE, VOLTAGE_V / 2, RESPONSE / 3)
+    x, y = read_thinned([path], chunk_rows=ROWS)
+    assert (x.axis, y.axis, x.axes, y.axes) == ("x", "y", ("x",), ("y",))
+    np.testing.assert_allclose(y.voltage_V(), VOLTAGE_V / 2, atol=1e-6)
+
+
+def test_a_part_of_an_axis_is_named_after_its_entry(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    recording = read_one(path, Lab(recordings=(RecordingEntry(file="run.csv", axis="y"),)))
+    assert recording.axis == "y"
+
+
+def swelling_drive(cycles: int, rows_per_cycle: int) -> np.ndarray:
+    """Cycles of changing amplitude: minor loops at all levels."""
+    phase = np.arange(cycles * rows_per_cycle) / rows_per_cycle
+    swell = 0.2 + 0.8 * np.abs(np.cos(np.pi * phase / 11))
+    return np.asarray(swell * np.sin(2 * np.pi * phase))
+
+
+def thinned(drive: np.ndarray, max_rows: int, cuts: tuple[int, ...] = ()) -> np.ndarray:
+    thinning = Thinning(max_rows)
+    for part in np.split(drive, cuts):
+        thinning.append(part, 2 * part, begins=False)
+    return thinning.result().rows
+
+
+def test_thinned_rows_are_rows_of_the_file_and_do_not_depend_on_the_chunks() -> None:
+    drive = swelling_drive(20, 3000)
+    rows = thinned(drive, 1 << 13)
+    assert 1 << 12 < rows.shape[1] <= 1 << 13
+    np.testing.assert_array_equal(rows[1], 2 * rows[0])
+    assert np.isin(rows[0], drive).all()
+    np.testing.assert_array_equal(rows, thinned(drive, 1 << 13, cuts=(1, 700, 701, 33_333)))
+
+
+def test_every_turning_point_of_the_drive_is_kept_and_the_play_states_with_it() -> None:
+    drive = swelling_drive(20, 3000)
+    rows = thinned(drive, 1 << 13)
+    inner = slice(1, -1)
+    turns = 1 + np.flatnonzero(np.diff(np.sign(np.diff(drive))))
+    assert np.isin(drive[turns], rows[0]).all()
+    thresholds = np.array([0.05, 0.2, 0.45])
+    exact, _ = play_columns(drive, thresholds, np.zeros(3))
+    states, _ = play_columns(rows[0], thresholds, np.zeros(3))
+    after_turns = np.isin(rows[0], drive[turns])
+    places = np.searchsorted(turns, turns)
+    assert len(places) == after_turns.sum()
+    np.testing.assert_array_equal(states[after_turns][inner], exact[turns][inner])
+
+
+def test_noise_of_the_drive_makes_no_turning_points(rng: np.random.Generator) -> None:
+    noise = 0.002 * rng.standard_normal(60_000)
+    rows = thinned(swelling_drive(20, 3000) + noise, 1 << 13)
+    smooth = thinned(swelling_drive(20, 3000), 1 << 13)
+    assert np.std(rows[0] - smooth[0]) < 0.003
+
+
+def test_a_drive_too_fast_to_be_thinned_keeps_stretches_of_the_file() -> None:
+    drive = swelling_drive(4000, 30)
+    thinning = Thinning(1 << 13)
+    thinning.append(drive, drive, begins=True)
+    found = thinning.result()
+    assert found.stride == 1
+    assert 4 <= len(found.starts) <= 16
+    assert found.rows.shape[1] <= 1 << 13
+    assert found.share == pytest.approx(found.rows.shape[1] / len(drive))
+    first = found.rows[0, : found.starts[1]]
+    np.testing.assert_array_equal(first, drive[: len(first)])
+
+
+def test_gaps_of_the_file_stay_gaps_of_the_thinned_recording() -> None:
+    thinning = Thinning(1 << 13)
+    drive = swelling_drive(10, 3000)
+    for _ in range(3):
+        thinning.append(drive, drive, begins=True)
+    found = thinning.result()
+    assert found.stride > 1
+    assert len(found.starts) == 3
+    length = len(drive) // found.stride
+    assert np.diff(found.starts) == pytest.approx(length, abs=2)
+
+
+def test_a_thinned_recording_says_how_many_samples_stand_for_how_many(tmp_path: Path) -> None:
+    path = table(tmp_path, HEADINGS, TIME_s, VOLTAGE_V, RESPONSE)
+    (recording,) = read_thinned([path], max_rows=1 << 11)
+    (problem,) = recording.problems
+    assert problem.kind == "thinned"
+    assert f"{recording.samples} samples at 500 Hz of axis x" in problem.text
