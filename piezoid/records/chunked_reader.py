@@ -6,6 +6,7 @@ This module joins the chunks, and `thinning` bounds the number of rows. The resu
 """
 
 import itertools
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -278,12 +279,11 @@ class _Join:
             self._kept += last - first
         self._read += stop - start
 
-    def _limits(self, rate_Hz: float) -> tuple[int, float]:
-        entry = self._entry
-        start_s = 0.0 if entry is None or entry.start_s is None else entry.start_s
-        stop_s = np.inf if entry is None or entry.stop_s is None else entry.stop_s
-        high = np.inf if np.isinf(stop_s) else round(stop_s * rate_Hz) + 1
-        return max(0, round(start_s * rate_Hz)), high
+    def _limits(self, rate_Hz: float) -> tuple[int, int]:
+        start_s = None if self._entry is None else self._entry.start_s
+        stop_s = None if self._entry is None else self._entry.stop_s
+        low = 0 if start_s is None else max(0, round(start_s * rate_Hz))
+        return low, sys.maxsize if stop_s is None else round(stop_s * rate_Hz) + 1
 
     def _check_one_rate(self, table: RawTable) -> None:
         """Refuse a chunk within which the rate changes."""

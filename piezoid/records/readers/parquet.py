@@ -51,7 +51,7 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
 def _is_number(kind: Any) -> bool:
     import pyarrow.types as types
 
-    return types.is_floating(kind) or types.is_integer(kind)
+    return bool(types.is_floating(kind) or types.is_integer(kind))
 
 
 def _units(fields: list[Any]) -> dict[str, str]:

@@ -206,12 +206,8 @@ def read_chunks(source: Source, rows: int) -> Iterator[RawTable]:
 def _decoded(source: Source) -> Iterator[io.TextIOWrapper]:
     """Open the text as ``text_of`` decodes it, as far as the file's beginning tells."""
     with reading(source, "text"), source.path.open("rb") as raw:
-        stream = _BoundedGzip(source, raw) if source.packed else raw
-        yield io.TextIOWrapper(
-            io.BufferedReader(stream) if source.packed else raw,  # type: ignore[type-var]
-            encoding=encoding_of(source.head),
-            errors="replace",
-        )
+        stream = io.BufferedReader(_BoundedGzip(source, raw)) if source.packed else raw
+        yield io.TextIOWrapper(stream, encoding=encoding_of(source.head), errors="replace")
 
 
 class _BoundedGzip(gzip.GzipFile):
