@@ -121,6 +121,12 @@ def _failed(found) -> str:
     return "; ".join(f"{v.name}, {v.scenario}" for v in made.verification.verdicts if not v.passed)
 
 
+def is_stable_on(name: str, seed: int, params: Path) -> bool:
+    """Return whether a shipped controller follows spirals, and rests, on the simulated stage."""
+    shipped = from_json(params.read_bytes(), params.name).axes[0]
+    return bool(_driven(simulator(name), seed, shipped, [])["stable"])
+
+
 def middle_of(shipped: AxisParameters) -> tuple[float, float]:
     """Return the middle of the references and how far they go from it."""
     low, high = (float(shipped.values[f"reference_{end}_m"]) for end in ("minimum", "maximum"))
