@@ -126,8 +126,8 @@ def diagnose(
 ) -> Diagnosis:
     """Name what a simulation with hysteresis alone gets wrong about one axis, and how much.
 
-    model    of a fit; errors are then of it, and ``model.extended(diagnosis)`` holds what was
-             found. None: errors are of a linear stand-in
+    model    of a fit; ``model.extended(diagnosis)`` holds what was found. None: the axis is fitted
+             first
     axis     default: the first
     threads  so many search; what they find does not depend on it
 
@@ -135,8 +135,8 @@ def diagnose(
     nothing moves.
 
     >>> found = piezoid.diagnose(recordings["check.csv"], lab="lab.toml")
-    >>> found.axis, found.model is None
-    ('x', True)
+    >>> found.axis, found.model.axis
+    ('x', 'x')
     """
     declared = _lab(lab)
     coupled = None if model is None else model.coupled
@@ -144,7 +144,7 @@ def diagnose(
     refuse_misfits(held)
     wanted = axis or (next(iter(model.axes), None) if model is not None else None)
     known = None if model is None else _known(model, wanted, held)
-    found = engine.diagnose(
+    return engine.diagnose(
         held,
         axis=wanted,
         lab=declared,
@@ -152,10 +152,6 @@ def diagnose(
         progress=_told(progress),
         threads=threads,
     )
-    if found.model is None:
-        return found
-    follows = identification.refined(found.model, held, declared or Lab())
-    return replace(found, model=follows)
 
 
 @on_one_thread

@@ -36,6 +36,7 @@ FAIR = {
     "thyristor_spike": {"mains_interference"},
 }
 ELSE = "something_else"
+LOOPS = "loop_shape"  # a property of the class of model, true of most laws
 PAST = "initial_state"
 SETTLED = 30  # full cycles, after which no law here moves any more
 OTHER_WORD = {"time_since_turn": "since_turn", "distance_travelled": "distance"}
@@ -114,7 +115,7 @@ def judge(task: tuple[int, str, float]) -> CauseResult:
     rest = [f for f in found["findings"] if f["effect"] == ELSE]
     return CauseResult(
         **known,
-        names=tuple(f["effect"] for f in found["findings"]),
+        names=tuple(f["effect"] for f in found["findings"] if f["effect"] != LOOPS),
         coordinate=_in_its_words(rest[0].get("coordinate", "")) if rest else "",
         left=found["final"]["held_out_rms_m"] / truth["noise_m"],
         seconds=seconds,

@@ -27,6 +27,7 @@ from piezoid_datasets.virtual_lab.write import write_campaign
 
 PUT_IN = 0.1
 ELSE = "something_else"
+LOOPS = "loop_shape"  # a property of the class of model, true of most laws
 PAST = "initial_state"
 Numbers = Mapping[str, float | str]
 
@@ -197,7 +198,11 @@ def judged(asked: Asked, drawn: Callable[..., Campaign]) -> Case:
         return Case(**known, failed=str(error))
     return Case(
         **known,
-        said=tuple(_said(finding, campaign, known["hidden"]) for finding in found.findings),
+        said=tuple(
+            _said(finding, campaign, known["hidden"])
+            for finding in found.findings
+            if finding.effect != LOOPS
+        ),
         unexplained=found.unexplained.p_value if found.unexplained else None,
         times_noise=found.envelope_rms_m / found.noise_floor_rms_m,
         time_s=time_s,

@@ -157,7 +157,7 @@ def run_job(job: "AxisJob | TipJob", told: Told) -> "AxisFound | TipFound":
 
 
 def _run_axis(job: AxisJob, told: Told) -> AxisFound:
-    from piezoid.identification.fit import fit_axis, refined
+    from piezoid.identification.fit import fit_axis
     from piezoid.records.lab import Lab
 
     def of_axis(text: str) -> None:
@@ -174,8 +174,7 @@ def _run_axis(job: AxisJob, told: Told) -> AxisFound:
     )
     diagnosis, missing, stumbled = _diagnosed(job, model, of_axis)
     if diagnosis is not None and diagnosis.model is not None:
-        of_axis("what follows from the diagnosis")
-        model = refined(diagnosis.model, job.recordings, job.lab or Lab(), job.response)
+        model = diagnosis.model
     return AxisFound(
         model=model,
         diagnosis=diagnosis,
@@ -199,6 +198,7 @@ def _diagnosed(
             axis=job.axis,
             lab=job.lab,
             model=model,
+            response=job.response,
             progress=told,
             threads=job.threads,
         )

@@ -17,8 +17,10 @@ from math import erfc, sqrt
 
 import numpy as np
 
+from piezoid.diagnosis.budget import RemainingErrors, relative_scatter, with_budget
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
+    FinalError,
     Finding,
     HeldOut,
     NotDetected,
@@ -89,11 +91,11 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
     before, after = _error(held(y, [], block), span_m), _error(final, span_m)
     findings = [_finding(name, rest, chosen, y, block) for name in chosen]
     findings.sort(key=lambda finding: finding.held_out_gain, reverse=True)
-    return Diagnosis(
+    diagnosis = Diagnosis(
         axis=axis,
         stroke_m=span_m,
         baseline=before,
-        final=after,
+        final=FinalError(rms_m=after.rms_m, rms_percent=after.rms_percent),
         envelope_rms_m=after.rms_m,
         noise_floor_rms_m=noise_m,
         explained_fraction=fraction_explained(before.rms_m, after.rms_m, noise_m),
@@ -103,6 +105,13 @@ def diagnose_at_rest(recordings: Sequence[Recording], axis: str) -> Diagnosis:
             _absent(effect, rest, final) for effect in every_effect() if effect.name not in chosen
         ),
     )
+    errors = RemainingErrors(
+        explained_m=after.rms_m,
+        wide_m=after.rms_m,
+        scatter=relative_scatter(final),
+        is_compared=False,
+    )
+    return with_budget(diagnosis, errors)
 
 
 def _unexplained(left_m: Array, noise_m: float) -> Unexplained:

@@ -9,10 +9,17 @@ import numpy as np
 from piezoid.counts import refusing_in_counts
 from piezoid.diagnosis.absence import absent, not_sought
 from piezoid.diagnosis.at_rest import diagnose_at_rest
-from piezoid.diagnosis.attribution import Simulated, attributed, simulated
+from piezoid.diagnosis.attribution import Simulated, attributed
+from piezoid.diagnosis.budget import (
+    RemainingErrors,
+    corrected,
+    explained_rms_m,
+    with_budget,
+)
 from piezoid.diagnosis.candidate import Candidate
 from piezoid.diagnosis.diagnosis import (
     Diagnosis,
+    FinalError,
     Finding,
     HeldOut,
     Size,
@@ -36,13 +43,22 @@ from piezoid.diagnosis.tracks import tracks_of
 from piezoid.diagnosis.unnamed import of_discovered, of_noise
 from piezoid.diagnosis.view import View, view_of
 from piezoid.formatting import words
-from piezoid.identification.fit import axes_of, lacking, moving, recorded_of, rig_of
-from piezoid.identification.hysteresis.applicability import UNEXPLAINED, reason_in_loops
+from piezoid.identification.fit import (
+    axes_of,
+    fit_axis,
+    lacking,
+    moving,
+    recorded_of,
+    refined,
+    rig_of,
+)
+from piezoid.identification.hysteresis.applicability import UNEXPLAINED
 from piezoid.identification.hysteresis.pieces import Scales, pieces_of, scales_of
 from piezoid.identification.hysteresis.scope import scope_of
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.executor import Executor
 from piezoid.records.comparison import counted_in
+from piezoid.records.frequency_response import FrequencyResponseRecord
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid.records.rest import is_at_rest
@@ -59,6 +75,7 @@ def diagnose(
     axis: str | None = None,
     lab: Lab | None = None,
     model: AxisModel | None = None,
+    response: FrequencyResponseRecord | None = None,
     progress: Progress = lambda _: None,
     threads: int = 1,
 ) -> Diagnosis:
@@ -67,8 +84,9 @@ def diagnose(
     recordings  of one stage, in the order in which they were made
     axis        which one; the first that has both drive and displacement
     lab         what the laboratory declares; declared poles are part of the simulation
-    model       the axis as ``fit`` made it: errors are then of this model refitted with what is
-                found, and the diagnosis carries it; None: of a quick linear stand-in
+    model       the axis as ``fit`` made it, of these recordings or of earlier ones; None: it is
+                fitted first. The diagnosis carries this model refitted with what is found
+    response    measured frequency response of the axis
     progress    told what is being done, by whichever thread does it, one at a time
     threads     so many work at once; what is found does not depend on it
 
@@ -78,10 +96,8 @@ def diagnose(
     ``unexplained`` tells how much is left.
     """
     counted = counted_in(recordings)
-    if model is not None:
-        model = model.without_minor_loops()
     with refusing_in_counts(counted):
-        found = _diagnosed(recordings, axis, lab or Lab(), model, progress, threads)
+        found = _diagnosed(recordings, axis, lab or Lab(), model, response, progress, threads)
         return found.told_in_counts(counted)
 
 
@@ -90,6 +106,7 @@ def _diagnosed(
     axis: str | None,
     declared: Lab,
     model: AxisModel | None,
+    response: FrequencyResponseRecord | None,
     progress: Progress,
     threads: int,
 ) -> Diagnosis:
@@ -102,26 +119,24 @@ def _diagnosed(
     if resting and all(is_at_rest(recording, wanted) for recording in resting):
         progress("looking at a stage at rest")
         return diagnose_at_rest(resting, wanted)
+    if model is None:
+        model = fit_axis(recordings, wanted, declared, response=response, progress=progress)
+    model = model.without_minor_loops()
     progress("fitting the envelope")
     chosen, shaped = told_apart(moving(recordings, wanted), wanted, model, declared)
     scales, executor = scales_of(chosen, wanted), Executor(progress=progress, threads=threads)
     view = view_on(chosen, axis=wanted, lab=declared)
-    if model is None:
-        against = reason_in_loops(pieces_of(chosen, wanted, scales, rig_of(declared, wanted)))
-    else:
-        against = "" if model.verdict.applies else model.verdict.reason
+    against = "" if model.verdict.applies else model.verdict.reason
     found = _nothing_in(view, against, executor) if against else explained(view, executor)
     progress("refitting the simulation")
-    weighed = simulated
-    if model is not None:
-        weighed = partial(
-            attributed,
-            recordings=chosen,
-            model=model,
-            lab=declared,
-            scales=scales,
-            progress=progress,
-        )
+    weighed = partial(
+        attributed,
+        recordings=chosen,
+        model=model,
+        lab=declared,
+        scales=scales,
+        progress=progress,
+    )
     found, numbers = _worth_most(found, weighed)
     if numbers.final > 2.0 * UNEXPLAINED and not against:
         against = f"everything found leaves {50.0 * numbers.final:.1f} % of the range"
@@ -129,11 +144,33 @@ def _diagnosed(
         numbers = weighed(found)
     found = _without_idle_slips(found, numbers)
     found = replace(found, outcome=with_ingested(found.outcome, chosen, view.stroke_m))
-    diagnosis = _diagnosis(wanted, found, numbers, chosen, scales)
+    progress("dynamics and loop shape of the extended model")
+    final = refined(numbers.model, recordings, declared, response)
+    diagnosis = _diagnosis(wanted, found, numbers, final, chosen, scales)
+    in_budget = set(diagnosis.names)
     gain_m_per_V = scales.displacement_m / scales.voltage_V
     diagnosis = with_creep_of_holds(diagnosis, recorded_of(recordings, wanted), gain_m_per_V)
-    return (
-        diagnosis if model is None else with_modes(diagnosis, model, shaped, len(every_effect()))
+    diagnosis = with_modes(diagnosis, model, shaped, len(every_effect()))
+    return with_budget(
+        diagnosis,
+        _remaining_errors(found.outcome, numbers, final),
+        {
+            name: f"{words(name).capitalize()}: seen in other recordings than the baseline."
+            for name in diagnosis.names
+            if name not in in_budget
+        },
+    )
+
+
+def _remaining_errors(outcome: Outcome, numbers: Simulated, final: AxisModel) -> RemainingErrors:
+    null, plain = outcome.final.null, final.minor_loops
+    rows, columns = null.every.shape
+    return RemainingErrors(
+        explained_m=explained_rms_m(final),
+        wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
+        scatter=numbers.scatter,
+        before_m=None if plain is None else plain.plain.held_out_rms_m,
+        is_compared=not outcome.against,
     )
 
 
@@ -199,14 +236,14 @@ def _diagnosis(
     axis: str,
     found: Explained,
     numbers: Simulated,
+    model: AxisModel,
     recordings: Sequence[Recording],
     scales: Scales,
 ) -> Diagnosis:
     outcome, rest = found.outcome, found.unexplained
     stroke_m = found.raw.stroke_m
-    noise = outcome.final.noise
-    if numbers.model is not None:  # one figure wherever it is told
-        noise = numbers.model.quality.noise_rms_m / stroke_m
+    noise = model.quality.noise_rms_m / stroke_m
+    final = model.quality.held_out_rms_m / stroke_m
     findings = [
         *(_of_fault(name, fault, numbers, stroke_m) for name, fault in outcome.faults.items()),
         *(_of_cause(cause, outcome, numbers) for cause in outcome.causes),
@@ -241,10 +278,10 @@ def _diagnosis(
         axis=axis,
         stroke_m=2.0 * stroke_m,
         baseline=_held_out(numbers.baseline, stroke_m),
-        final=_held_out(numbers.final, stroke_m),
+        final=FinalError(rms_m=final * stroke_m, rms_percent=50.0 * final),
         envelope_rms_m=outcome.final.rms * stroke_m,
         noise_floor_rms_m=noise * stroke_m,
-        explained_fraction=fraction_explained(numbers.baseline, numbers.final, noise),
+        explained_fraction=fraction_explained(numbers.baseline, final, noise),
         findings=tuple(findings),
         not_detected=tuple(unseen),
         unexplained=Unexplained(
@@ -254,7 +291,7 @@ def _diagnosis(
             coordinate=rest.coordinate,
             gain=rest.gain,
         ),
-        model=numbers.model,
+        model=model,
         strengths={
             one.effect.name: one.strength
             for one in sorted((*outcome.causes, *outcome.dismissed), key=lambda one: one.strength)

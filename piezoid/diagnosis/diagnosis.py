@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
-
 from piezoid.counts import record_in_counts
 from piezoid.html_repr import html_table
 from piezoid.identification.model import AxisModel
 
-if TYPE_CHECKING:
-    pass
+
+NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,6 +132,31 @@ class HeldOut:
     rms_percent: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class FinalError(HeldOut):
+    """The held-out error of the final model, and its error in sample.
+
+    explained_rms_m  in sample, corrected for the number of parameters; None in older files
+    """
+
+    explained_rms_m: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BudgetPart:
+    """One part of the held-out error of the baseline; the squares of all parts add up to it.
+
+    part          name of an effect, ``noise``, ``extrapolation`` or ``unexplained``
+    is_explained  whether the final model takes it off
+    text          what it is, in one or two sentences
+    """
+
+    part: str
+    rms_m: float
+    is_explained: bool
+    text: str
+
+
 def fraction_explained(before: float, after: float, noise: float) -> float:
     """Return the part of the power above the noise that was taken off, from rms values."""
     explainable = before**2 - noise**2
@@ -152,11 +175,13 @@ class Diagnosis:
     noise_floor_rms_m   of the sensor
     explained_fraction  of the variance above the noise floor
     unexplained         what no name stands for; None in files of versions that did not ask
+    budget              parts of the error of ``baseline``: effects in the model, largest first,
+                        then what remains of the final error, then the noise
     findings            by falling gain
     strengths           of every effect that was evidence, named or not: its rms over the structure
                         that is left beside it. Not in diagnosis.json
-    model               the axis with everything found in it, as it ships; None where no model was
-                        at hand. It stands in model.json, not here
+    model               the axis with everything found in it, as it ships; None for a stage at
+                        rest. It stands in model.json, not here
     counted             as ``AxisModel.counted``
     """
 
@@ -167,9 +192,10 @@ class Diagnosis:
     envelope_rms_m: float
     findings: tuple[Finding, ...]
     not_detected: tuple[NotDetected, ...]
-    final: HeldOut
+    final: FinalError
     explained_fraction: float
     unexplained: Unexplained | None = None
+    budget: tuple[BudgetPart, ...] = ()
     counted: tuple[str, ...] = ()
     strengths: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     model: AxisModel | None = field(default=None, compare=False, repr=False)
@@ -192,6 +218,7 @@ class Diagnosis:
             counted=counted,
             findings=record_in_counts(findings, counted),
             not_detected=record_in_counts(self.not_detected, counted),
+            budget=record_in_counts(self.budget, counted),
             unexplained=record_in_counts(self.unexplained, counted),
         )
 
@@ -199,6 +226,17 @@ class Diagnosis:
     def names(self) -> tuple[str, ...]:
         """Return the names of what was found, largest gain first."""
         return tuple(finding.effect for finding in self.findings)
+
+    @property
+    def largest_remaining(self) -> BudgetPart | None:
+        """Return the part that dominates the final error beside the noise.
+
+        None where the final error is at most 1.3 times the noise.
+        """
+        if self.final.rms_m <= NOISE_RATIO * self.noise_floor_rms_m:
+            return None
+        remaining = [p for p in self.budget if not p.is_explained and p.part != "noise"]
+        return max(remaining, key=lambda part: part.rms_m, default=None)
 
     def _repr_html_(self) -> str:
         found = [

@@ -40,7 +40,7 @@ class Refitted:
     extensions  the extensions each effect became, as fitted
     spread      for each effect the standard errors of their numbers
     model       what ships: with the fitted lag where no lag or delay was found; as it was given
-                where nothing was found
+                where its class does not apply
     """
 
     baseline: Extended
@@ -117,14 +117,15 @@ def refitted(
             structure=structure,
             places=places_of_whole,
         )
-    changed = bool(found) or bool(faults) or whole is not None
     return Refitted(
         baseline=baseline,
         final=final,
         without=without,
         extensions=fitted,
         spread={name: _spread_of(parts, final) for name, parts in fitted.items()},
-        model=_shipped(model, recordings, final, structure, places) if changed else model,
+        model=_shipped(model, recordings, final, structure, places)
+        if model.verdict.applies
+        else model,
     )
 
 

@@ -4,7 +4,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from piezoid.counts import in_counts
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Unexplained
+from piezoid.diagnosis.diagnosis import (
+    Diagnosis,
+    FinalError,
+    Finding,
+    HeldOut,
+    NotDetected,
+    Unexplained,
+)
 from piezoid.diagnosis.effects import every_effect
 from piezoid.diagnosis.something_else import NAME
 from piezoid.digests import seal, unseal
@@ -61,7 +68,7 @@ def _diagnosis_entries(diagnosis: Diagnosis) -> dict[str, Any]:
     unit = in_counts("m, rms", diagnosis.counted)
     said = {n: v for n, v in fields_of(diagnosis).items() if n not in NOT_WRITTEN}
     absent = [_absent_entries(one, unit) for one in diagnosis.not_detected]
-    return _telling({**said, "not_detected": absent}, "unexplained", "counted")
+    return _telling({**said, "not_detected": absent}, "unexplained", "budget", "counted")
 
 
 def _absent_entries(absent: NotDetected, unit: str) -> dict[str, Any]:
@@ -109,6 +116,7 @@ LAYOUTS = (
         read=lambda table: from_fields(Finding, _of_known(table)),
     ),
     RecordLayout(kind=NotDetected, write=fields_of, read=_read_absent),
+    _layout(FinalError, HELD_OUT),
     _layout(HeldOut, HELD_OUT),
     _layout(Unexplained, UNEXPLAINED),
 )

@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size
+from piezoid.diagnosis.diagnosis import Finding, HeldOut, Seen, Size, Unexplained
 from piezoid.diagnosis.discovery import CoordinateScore
 from piezoid.diagnosis.noise_level import NoiseLevel, excess_of
 from piezoid.diagnosis.something_else import NAME, Discovered
@@ -93,6 +93,37 @@ def of_discovered(
         coordinate=lives.coordinate,
         law=_law(found, scale_m, middle_m),
         seen=seen,
+    )
+
+
+def of_residual(
+    rest: Unexplained, *, rms_m: float, scatter: float, final: HeldOut, stroke_m: float
+) -> Finding:
+    """Return the finding of a residual above the noise that no test assigned to a coordinate.
+
+    Args:
+        rest: the residual, with the coordinate that explains most of it on left-out blocks.
+        rms_m: of the part along this coordinate.
+        scatter: relative standard error of the mean square of the residual.
+        final: error of the model, which does not change: the residual is not modelled.
+        stroke_m: range of the displacement.
+    """
+    low, high = (sqrt(max(1.0 + side * 1.96 * scatter, 0.0)) for side in (-1.0, 1.0))
+    return Finding(
+        effect=NAME,
+        held_out_gain=0.0,
+        held_out_rms_before_m=final.rms_m,
+        held_out_rms_after_m=final.rms_m,
+        p_value=rest.p_value,
+        rms_percent=100.0 * rms_m / stroke_m,
+        size=Size(value=1e9 * rms_m, unit="nm, rms", ci95=(1e9 * low * rms_m, 1e9 * high * rms_m)),
+        not_separable_from=(),
+        explanation=f"The residual exceeds the noise and no effect of the catalogue explains it. "
+        f"{words(rest.coordinate).capitalize()} explains {100.0 * rest.gain:.0f} % of its power "
+        "on left-out blocks, more than any other coordinate.",
+        next_experiment=NEXT.get(rest.coordinate, OTHER),
+        parameters={},
+        coordinate=rest.coordinate,
     )
 
 

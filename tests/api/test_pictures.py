@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import piezoid
-from piezoid.diagnosis.diagnosis import Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import FinalError, Finding, HeldOut, NotDetected, Size
 from piezoid.errors import PictureError
 from tests.api.stage import fitted, recorded, unseen_drive
 from tests.verification.known_fit import fitted as known
@@ -69,7 +69,7 @@ def test_a_diagnosis_draws_what_was_found_and_what_was_not() -> None:
         axis="x",
         stroke_m=1e-5,
         baseline=held,
-        final=HeldOut(rms_m=1e-8, rms_percent=0.1),
+        final=FinalError(rms_m=1e-8, rms_percent=0.1),
         envelope_rms_m=9e-9,
         noise_floor_rms_m=8e-9,
         explained_fraction=0.9,

@@ -40,14 +40,14 @@ def shipping(lab, design) -> piezoid.Shipping:
 
 
 def diagnosis(axis: str) -> piezoid.Diagnosis:
-    from piezoid.diagnosis.diagnosis import HeldOut
+    from piezoid.diagnosis.diagnosis import FinalError, HeldOut
 
     held = HeldOut(rms_m=3e-9, rms_percent=0.03)
     return piezoid.Diagnosis(
         axis=axis,
         stroke_m=1e-5,
         baseline=held,
-        final=held,
+        final=FinalError(rms_m=3e-9, rms_percent=0.03),
         envelope_rms_m=2e-9,
         noise_floor_rms_m=1e-9,
         explained_fraction=0.5,

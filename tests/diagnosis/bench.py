@@ -4,12 +4,18 @@ from functools import cache
 
 from benchmarks.zoo.score import recorded as recorded
 from piezoid.diagnosis.diagnose import view_on
+from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.diagnosis.view import View
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 from piezoid_datasets.virtual_lab.campaign import draw_campaign
 
 PLANS = ("sweep", "rates", "staircase", "chirp", "other_axis")
+
+
+def causes(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Return the findings that accuse the stage: the shape of its loops is no fault."""
+    return tuple(name for name in diagnosis.names if name != "loop_shape")
 
 
 @cache

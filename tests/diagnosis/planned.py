@@ -12,7 +12,7 @@ from zlib import crc32
 import numpy as np
 from scipy.optimize import nnls
 
-from piezoid.diagnosis.diagnosis import Diagnosis, Finding, HeldOut, NotDetected, Size
+from piezoid.diagnosis.diagnosis import Diagnosis, FinalError, Finding, NotDetected, Size
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
@@ -136,7 +136,7 @@ def diagnosis_of(
 ) -> Diagnosis:
     """Return a diagnosis that found these and not the rest."""
     stroke_m = case.rig.stroke_m
-    left = HeldOut(rms_m=left_percent / 100.0 * stroke_m, rms_percent=left_percent)
+    left = FinalError(rms_m=left_percent / 100.0 * stroke_m, rms_percent=left_percent)
     names = {finding.effect for finding in findings}
     return Diagnosis(
         axis="x",

@@ -18,7 +18,8 @@ from .bench import healthy, healthy_view, recorded, view_of_recordings
 
 NAMES = [effect.name for effect in EFFECTS]
 # asymmetry is part of the simulation and can be missing from nothing
-FOUND = [effect for effect in EFFECTS if effect.name != "asymmetry"]
+COMPARED = ("asymmetry", "loop_shape")  # with the class of the model, not with a column
+FOUND = [effect for effect in EFFECTS if effect.name not in COMPARED]
 # one recording alone does not know at which bias of the whole range it lies; and products with
 # the drive are in a Bouc-Wen ceramic by themselves
 TOGETHER = ("non_congruence",)
@@ -42,7 +43,6 @@ def speaks(effect: Effect, view) -> bool:
 def test_every_file_of_the_folder_is_registered_under_its_own_name():
     files = {path.stem for path in Path(folder.__path__[0]).glob("*.py")} - {"__init__"}
     assert files == set(NAMES)
-    assert len(NAMES) == 18
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=NAMES)

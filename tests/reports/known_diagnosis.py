@@ -1,7 +1,9 @@
 """A diagnosis known by heart: what is to be found in a page is put in here."""
 
 from piezoid.diagnosis.diagnosis import (
+    BudgetPart,
     Diagnosis,
+    FinalError,
     Finding,
     HeldOut,
     NotDetected,
@@ -41,12 +43,17 @@ def diagnosed(*findings: Finding) -> Diagnosis:
         axis="x",
         stroke_m=STROKE_m,
         baseline=HeldOut(rms_m=5e-8, rms_percent=0.2),
-        final=HeldOut(rms_m=3e-8, rms_percent=0.12),
+        final=FinalError(rms_m=3e-8, rms_percent=0.12, explained_rms_m=2.5e-8),
         envelope_rms_m=2.2e-8,
         noise_floor_rms_m=5e-9,
         explained_fraction=0.64,
         unexplained=Unexplained(
             rms_m=1.9e-8, share=0.94, p_value=0.04, coordinate="drive", gain=0.05
+        ),
+        budget=(
+            BudgetPart(part="creep", rms_m=4e-8, is_explained=True, text="Creep, modelled."),
+            BudgetPart(part="loop_shape", rms_m=2.96e-8, is_explained=False, text="Loop shape."),
+            BudgetPart(part="noise", rms_m=5e-9, is_explained=False, text="Sensor noise."),
         ),
         findings=findings,
         not_detected=tuple(

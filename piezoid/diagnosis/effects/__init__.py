@@ -15,6 +15,7 @@ from piezoid.diagnosis.effects import (
     gain_change,
     initial_state,
     lag,
+    loop_shape,
     mains_interference,
     non_congruence,
     outliers,
@@ -46,6 +47,7 @@ EFFECTS: tuple[Effect, ...] = (
     initial_state.EFFECT,
     asymmetry.EFFECT,
     non_congruence.EFFECT,
+    loop_shape.EFFECT,
 )
 
 

@@ -1,0 +1,260 @@
+"""Error budget: split the held-out error of the baseline into named causes and the noise.
+
+The budget is a chain of errors, each contained in the one before:
+
+    baseline^2 = sum_i effect_i^2 + extrapolation^2 + loop_shape^2 + unexplained^2 + noise^2
+
+    baseline     held-out error of the simulation without any effect
+    final        held-out error of the model that ships:  effects        = baseline^2 - final^2
+    explained    its error in sample, corrected for the   extrapolation  = final^2 - explained^2
+                 number of parameters
+    wide class   error of the widest class of hysteresis  loop_shape     = explained^2 - wide^2
+    noise        of the sensor                            unexplained    = wide^2 - noise^2
+
+The gain of the model is divided among the effects in proportion to what the error rises by when
+one of them is left out. An error that is larger than the one before it counts as equal to it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import erfc, sqrt
+from types import MappingProxyType
+
+import numpy as np
+
+from piezoid.diagnosis.diagnosis import (
+    NOISE_RATIO,
+    BudgetPart,
+    Diagnosis,
+    FinalError,
+    Finding,
+    NotDetected,
+    Size,
+    with_finding,
+)
+from piezoid.diagnosis.effects import effect_named
+from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
+from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
+from piezoid.diagnosis.unnamed import of_residual
+from piezoid.formatting import told
+from piezoid.formatting import words as name_of
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+
+BLOCKS = 20  # of the residual, for the scatter of its mean square
+ONE_SIDED_95 = 1.645
+EXTRAPOLATION_TEXT = (
+    "The held-out error exceeds the error in sample: left-out blocks go beyond the amplitudes or "
+    "speeds of all others. Record every amplitude and speed at least twice."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RemainingErrors:
+    """Errors of the final model from which the budget takes the parts that no effect explains.
+
+    explained_m  in sample, corrected for the number of parameters
+    wide_m       of the widest class of hysteresis with every effect, corrected in the same way
+    scatter      relative standard error of a mean square of the residual, from blocks
+    before_m     held-out error without the wider class of hysteresis, where the model has it
+    is_compared  whether model and widest class follow the same stage at all; False where the
+                 class of the model does not apply
+    """
+
+    explained_m: float
+    wide_m: float
+    scatter: float
+    before_m: float | None = None
+    is_compared: bool = True
+
+
+def explained_rms_m(model: AxisModel) -> float:
+    """Return the error in sample of a fitted axis, corrected for its number of parameters.
+
+    rms sqrt(rows / (rows - parameters))
+    """
+    extension_values = sum(len(extension.std) for extension in model.extensions)
+    parameters = len(model.uncertainty.names) + extension_values + len(model.starts)
+    return model.quality.rms_m * corrected(model.quality.rows, parameters)
+
+
+def corrected(rows: int, parameters: int) -> float:
+    """Return the factor from an error in sample to the error of the true parameters."""
+    return sqrt(rows / max(rows - parameters, 0.5 * rows)) if rows else 1.0
+
+
+def relative_scatter(residual_m: Array) -> float:
+    """Return the relative standard error of the mean square of a correlated residual."""
+    squares = np.array([np.mean(block**2) for block in np.array_split(residual_m, BLOCKS)])
+    return float(np.std(squares, ddof=1) / max(float(np.mean(squares)), 1e-300) / sqrt(BLOCKS))
+
+
+def with_budget(
+    diagnosis: Diagnosis,
+    errors: RemainingErrors,
+    other_recordings: Mapping[str, str] = MappingProxyType({}),
+) -> Diagnosis:
+    """Return a diagnosis with its error budget, and with a name for the largest remaining part.
+
+    Args:
+        diagnosis: with every effect that was found; ``final`` is of the model that ships.
+        errors: of that model in sample, and of the widest class of hysteresis.
+        other_recordings: findings whose errors belong to other recordings than the baseline, by
+            name, with the reason; their part of this budget is 0.
+    """
+    final = FinalError(
+        rms_m=diagnosis.final.rms_m,
+        rms_percent=diagnosis.final.rms_percent,
+        explained_rms_m=min(errors.explained_m, diagnosis.final.rms_m),
+    )
+    diagnosis = replace(diagnosis, final=final)
+    total = diagnosis.baseline.rms_m**2
+    noise = min(diagnosis.noise_floor_rms_m**2, total)
+    after = float(np.clip(final.rms_m**2, noise, total))
+    explained = float(np.clip(errors.explained_m**2, noise, after))
+    wide = float(np.clip(errors.wide_m**2, noise, explained))
+    if errors.is_compared:
+        diagnosis = _with_loop_shape(diagnosis, errors, explained - wide)
+    remaining = {"extrapolation": after - explained, "unexplained": wide - noise}
+    if errors.before_m is None:
+        remaining[LOOP_SHAPE] = explained - wide
+    else:
+        remaining["unexplained"] += explained - wide
+    diagnosis, remaining = _with_something_else(diagnosis, errors, remaining)
+    effects = _effect_parts(diagnosis, total - after, other_recordings)
+    effects = [part for part in effects if part.part not in remaining]
+    parts = [
+        *effects,
+        *(_remaining_part(name, power, diagnosis) for name, power in remaining.items()),
+        BudgetPart(part="noise", rms_m=sqrt(noise), is_explained=False, text="Sensor noise."),
+    ]
+    return replace(diagnosis, budget=tuple(parts))
+
+
+def _with_something_else(
+    diagnosis: Diagnosis, errors: RemainingErrors, remaining: Mapping[str, float]
+) -> tuple[Diagnosis, dict[str, float]]:
+    """Name the coordinate of an unexplained residual that dominates the final error.
+
+    Returns the diagnosis with that finding, and the parts with its own taken off ``unexplained``.
+    """
+    powers = dict(remaining)
+    rest, dominant = diagnosis.unexplained, max(powers, key=lambda name: powers[name])
+    far = diagnosis.final.rms_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
+    is_named = SOMETHING_ELSE in diagnosis.names
+    if rest is None or is_named or not far or dominant != "unexplained":
+        return diagnosis, powers
+    powers[SOMETHING_ELSE] = rest.gain * powers["unexplained"]
+    powers["unexplained"] -= powers[SOMETHING_ELSE]
+    finding = of_residual(
+        rest,
+        rms_m=sqrt(powers[SOMETHING_ELSE]),
+        scatter=errors.scatter,
+        final=diagnosis.final,
+        stroke_m=diagnosis.stroke_m,
+    )
+    return with_finding(diagnosis, finding), powers
+
+
+def _effect_parts(
+    diagnosis: Diagnosis, power: float, apart: Mapping[str, str]
+) -> list[BudgetPart]:
+    """Divide the gain of the model among the findings; loop shape outside the model has none."""
+    rises = {
+        finding.effect: max(
+            finding.held_out_rms_before_m**2 - finding.held_out_rms_after_m**2, 0.0
+        )
+        for finding in diagnosis.findings
+        if finding.effect not in apart
+    }
+    whole = sum(rises.values())
+    if whole == 0.0 and power > 0.0:
+        # the model's lag, which is no finding where it cannot be told from a width of the loop
+        rises["lag"] = whole = power
+    parts = []
+    names = dict.fromkeys((*(finding.effect for finding in diagnosis.findings), *rises))
+    for name in names:
+        share = rises.get(name, 0.0) / whole if whole > 0.0 else 0.0
+        parts.append(
+            BudgetPart(
+                part=name,
+                rms_m=sqrt(power * share),
+                is_explained=True,
+                text=apart.get(name, _effect_text(name)),
+            )
+        )
+    return sorted(parts, key=lambda part: -part.rms_m)
+
+
+def _effect_text(name: str) -> str:
+    if name == SOMETHING_ELSE:
+        return "Residual along one coordinate, taken off the data."
+    is_fault = effect_named(name).fault is not None
+    return f"{name_of(name).capitalize()}, {'repaired in the data' if is_fault else 'modelled'}."
+
+
+def _remaining_part(name: str, power: float, diagnosis: Diagnosis) -> BudgetPart:
+    rms_m, noise_m = sqrt(max(power, 0.0)), diagnosis.noise_floor_rms_m
+    sizes = f"{told(rms_m, 'm')} rms; sensor noise {told(noise_m, 'm')}"
+    texts = {
+        LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
+        "extrapolation": EXTRAPOLATION_TEXT,
+        SOMETHING_ELSE: f"Residual that lives in one coordinate ({sizes}).",
+        "unexplained": f"Residual that no effect explains ({sizes}).",
+    }
+    return BudgetPart(part=name, rms_m=rms_m, is_explained=False, text=texts[name])
+
+
+def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float) -> Diagnosis:
+    """Return the diagnosis with loop shape among its findings, or among what was not detected.
+
+    It is found where the model has a wider class of hysteresis, or where the error is above the
+    noise and the widest class takes off a significant part of it.
+    """
+    doubt = max(errors.scatter, 1e-6) * errors.explained_m**2
+    if errors.before_m is not None:
+        before_m, after_m = errors.before_m, diagnosis.final.rms_m
+        power = max(before_m**2 - after_m**2, 0.0)
+        doubt = max(errors.scatter, 1e-6) * before_m**2
+    else:
+        before_m = after_m = diagnosis.final.rms_m
+        far = errors.explained_m > NOISE_RATIO * diagnosis.noise_floor_rms_m
+        half = power > 0.5 * (errors.explained_m**2 - diagnosis.noise_floor_rms_m**2)
+        if not (far and half and power > ONE_SIDED_95 * doubt):
+            return _without_loop_shape(diagnosis, sqrt(max(power, 0.0) + ONE_SIDED_95 * doubt))
+    effect = effect_named(LOOP_SHAPE)
+    low, high = (sqrt(max(power + side * 1.96 * doubt, 0.0)) for side in (-1.0, 1.0))
+    gain = 1.0 - after_m / before_m if before_m > 0.0 else 0.0
+    finding = Finding(
+        effect=LOOP_SHAPE,
+        held_out_gain=float(np.clip(gain, 0.0, 1.0)),
+        held_out_rms_before_m=before_m,
+        held_out_rms_after_m=after_m,
+        p_value=0.5 * erfc(power / doubt / sqrt(2.0)) if doubt > 0.0 else 0.0,
+        rms_percent=100.0 * sqrt(power) / diagnosis.stroke_m,
+        size=Size(value=1e9 * sqrt(power), unit=effect.unit, ci95=(1e9 * low, 1e9 * high)),
+        not_separable_from=(),
+        explanation=f"{effect.summary} "
+        + (
+            "The model simulates with the wider class."
+            if errors.before_m is not None
+            else f"The widest class of hysteresis reaches {told(errors.wide_m, 'm')} in sample "
+            f"where the model reaches {told(errors.explained_m, 'm')}."
+        ),
+        next_experiment=effect.experiment,
+        parameters={},
+    )
+    return with_finding(diagnosis, finding)
+
+
+def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
+    absent = NotDetected(
+        effect=LOOP_SHAPE,
+        upper_bound_m=bound_m,
+        detection_limit_m=bound_m,
+        reason=f"the widest class of hysteresis takes at most {told(bound_m, 'm')} rms off the "
+        "error of the model",
+        next_experiment=effect_named(LOOP_SHAPE).experiment,
+    )
+    others = [n for n in diagnosis.not_detected if n.effect != LOOP_SHAPE]
+    return replace(diagnosis, not_detected=(*others, absent))

@@ -1,0 +1,94 @@
+"""The error budget: its parts add up, and whatever leaves the model above the noise has a name."""
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from piezoid import diagnose, read
+from piezoid.diagnosis.budget import RemainingErrors, with_budget
+from piezoid.diagnosis.diagnosis import Diagnosis
+from piezoid.diagnosis.sealed_diagnosis import read_diagnosis, write_diagnosis
+from tests.records.responses import write_csv
+from tests.reports.known_diagnosis import diagnosed, finding
+
+NOISE_um = 4e-3
+
+
+def bouc_wen_um(drive_V: np.ndarray) -> np.ndarray:
+    state, reading_um = 0.0, []
+    steps = np.diff(drive_V, prepend=drive_V[0])
+    for drive, step in zip(drive_V, steps, strict=True):
+        state += 0.035 * step - 0.030 * abs(step) * state - 0.012 * step * abs(state)
+        reading_um.append(0.1 * drive + 1.2e-4 * drive**2 - 0.6 * state)
+    return np.array(reading_um)
+
+
+@cache
+def bouc_wen_diagnosis(folder: Path) -> Diagnosis:
+    time_s = np.arange(12000) / 2000.0
+    height_V = np.where(time_s < 3.0, 100.0, 100.0 - 25.0 * (time_s - 3.0))
+    drive_V = height_V * 0.5 * (1.0 - np.cos(2.0 * np.pi * time_s))
+    reading_um = bouc_wen_um(drive_V) + np.random.default_rng(7).normal(0.0, NOISE_um, 12000)
+    place = folder / "loops.csv"
+    write_csv(place, "time [s],voltage [V],displacement [um]", time_s, drive_V, reading_um)
+    return diagnose(read(place))
+
+
+@pytest.fixture(scope="module")
+def bouc_wen(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    return bouc_wen_diagnosis(tmp_path_factory.mktemp("bouc_wen"))
+
+
+def power(diagnosis: Diagnosis) -> float:
+    return sum(part.rms_m**2 for part in diagnosis.budget)
+
+
+def test_loops_of_another_class_are_named_loop_shape_and_neither_drift_nor_creep(
+    bouc_wen: Diagnosis,
+) -> None:
+    assert bouc_wen.names == ("loop_shape",)
+    part = next(part for part in bouc_wen.budget if part.part == "loop_shape")
+    assert part.rms_m > 3.0 * NOISE_um * 1e-6
+
+
+def test_the_final_error_is_that_of_the_model_and_the_parts_add_up(bouc_wen: Diagnosis) -> None:
+    assert bouc_wen.model is not None
+    assert bouc_wen.final.rms_m == bouc_wen.model.quality.held_out_rms_m
+    assert power(bouc_wen) == pytest.approx(bouc_wen.baseline.rms_m**2, rel=1e-9)
+    assert read_diagnosis(write_diagnosis(bouc_wen)) == bouc_wen
+
+
+def budget_of(known: Diagnosis, explained_m: float, wide_m: float) -> dict[str, float]:
+    errors = RemainingErrors(explained_m=explained_m, wide_m=wide_m, scatter=0.01)
+    found = with_budget(known, errors)
+    assert power(found) == pytest.approx(known.baseline.rms_m**2)
+    return {part.part: part.rms_m for part in found.budget}
+
+
+def test_each_error_is_split_by_the_next_smaller_one() -> None:
+    parts = budget_of(diagnosed(finding("creep", 0.4)), explained_m=2e-8, wide_m=1e-8)
+    assert parts["creep"] == pytest.approx(4e-8)
+    assert parts["extrapolation"] == pytest.approx(np.sqrt(5.0) * 1e-8)
+    assert parts["loop_shape"] == pytest.approx(np.sqrt(3.0) * 1e-8)
+    assert parts["unexplained"] == pytest.approx(np.sqrt(0.75) * 1e-8)
+    assert parts["noise"] == pytest.approx(5e-9)
+
+
+def test_a_residual_that_dominates_is_something_else_with_its_coordinate() -> None:
+    errors = RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01)
+    found = with_budget(diagnosed(finding("creep", 0.4)), errors)
+    named = next(one for one in found.findings if one.effect == "something_else")
+    assert named.coordinate == "drive"
+    assert found.largest_remaining.part in ("something_else", "unexplained")
+
+
+def test_a_model_at_the_noise_has_nothing_left_to_name() -> None:
+    known = diagnosed(finding("creep", 0.4))
+    quiet = with_budget(known, RemainingErrors(explained_m=3e-8, wide_m=3e-8, scatter=0.01))
+    assert quiet.largest_remaining is not None
+    from dataclasses import replace
+
+    silent = replace(quiet, noise_floor_rms_m=2.5e-8)
+    assert silent.largest_remaining is None
