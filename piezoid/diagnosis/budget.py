@@ -36,9 +36,8 @@ from piezoid.diagnosis.effects import effect_named
 from piezoid.diagnosis.effects.loop_shape import NAME as LOOP_SHAPE
 from piezoid.diagnosis.something_else import NAME as SOMETHING_ELSE
 from piezoid.diagnosis.unnamed import of_residual
-from piezoid.formatting import told
+from piezoid.formatting import with_unit
 from piezoid.formatting import words as name_of
-from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 
 BLOCKS = 20  # of the residual, for the scatter of its mean square
@@ -66,16 +65,6 @@ class RemainingErrors:
     scatter: float
     before_m: float | None = None
     is_compared: bool = True
-
-
-def explained_rms_m(model: AxisModel) -> float:
-    """Return the error in sample of a fitted axis, corrected for its number of parameters.
-
-    rms sqrt(rows / (rows - parameters))
-    """
-    extension_values = sum(len(extension.std) for extension in model.extensions)
-    parameters = len(model.uncertainty.names) + extension_values + len(model.starts)
-    return model.quality.rms_m * corrected(model.quality.rows, parameters)
 
 
 def corrected(rows: int, parameters: int) -> float:
@@ -195,7 +184,7 @@ def _effect_text(name: str) -> str:
 
 def _remaining_part(name: str, power: float, diagnosis: Diagnosis) -> BudgetPart:
     rms_m, noise_m = sqrt(max(power, 0.0)), diagnosis.noise_floor_rms_m
-    sizes = f"{told(rms_m, 'm')} rms; sensor noise {told(noise_m, 'm')}"
+    sizes = f"{with_unit(rms_m, 'm')} rms; sensor noise {with_unit(noise_m, 'm')}"
     texts = {
         LOOP_SHAPE: f"Loop shape that the model class cannot represent ({sizes}).",
         "extrapolation": EXTRAPOLATION_TEXT,
@@ -238,8 +227,8 @@ def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float
         + (
             "The model simulates with the wider class."
             if errors.before_m is not None
-            else f"The widest class of hysteresis reaches {told(errors.wide_m, 'm')} in sample "
-            f"where the model reaches {told(errors.explained_m, 'm')}."
+            else f"The widest class of hysteresis reaches {with_unit(errors.wide_m, 'm')} in sample "
+            f"where the model reaches {with_unit(errors.explained_m, 'm')}."
         ),
         next_experiment=effect.experiment,
         parameters={},
@@ -252,7 +241,7 @@ def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
         effect=LOOP_SHAPE,
         upper_bound_m=bound_m,
         detection_limit_m=bound_m,
-        reason=f"the widest class of hysteresis takes at most {told(bound_m, 'm')} rms off the "
+        reason=f"the widest class of hysteresis takes at most {with_unit(bound_m, 'm')} rms off the "
         "error of the model",
         next_experiment=effect_named(LOOP_SHAPE).experiment,
     )

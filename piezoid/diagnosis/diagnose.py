@@ -13,7 +13,6 @@ from piezoid.diagnosis.attribution import Simulated, attributed
 from piezoid.diagnosis.budget import (
     RemainingErrors,
     corrected,
-    explained_rms_m,
     with_budget,
 )
 from piezoid.diagnosis.candidate import Candidate
@@ -166,7 +165,7 @@ def _remaining_errors(outcome: Outcome, numbers: Simulated, final: AxisModel) ->
     null, plain = outcome.final.null, final.minor_loops
     rows, columns = null.every.shape
     return RemainingErrors(
-        explained_m=explained_rms_m(final),
+        explained_m=final.quality.explained_rms_m,
         wide_m=outcome.final.rms * outcome.first.stroke_m * corrected(rows, columns),
         scatter=numbers.scatter,
         before_m=None if plain is None else plain.plain.held_out_rms_m,

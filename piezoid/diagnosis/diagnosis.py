@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+
 from piezoid.counts import record_in_counts
 from piezoid.html_repr import html_table
 from piezoid.identification.model import AxisModel
-
 
 NOISE_RATIO = 1.3  # final error over noise above which the largest remaining part is named
 

@@ -178,6 +178,7 @@ def _model(model: AxisModel, end: "_Point", reached: _Reached, held_m: Array) ->
             held_out_rms_m=(reached.held_out_rms if tested else reached.rms) * stroke_m,
             held_out_kind=BLOCKS if tested else IN_SAMPLE,
             rows=reached.rows,
+            effective_parameters=float(len(state.vector)),
             converged=reached.converged,
         ),
         certificate=replace(
