@@ -23,12 +23,6 @@ if TYPE_CHECKING:
     _Model = tuple[ActuatorModel, str]  # and the digest of its file
     from piezoid.records.lab import Lab
 
-QUICK = ((8, 2),)  # plays, dead zones a side: enough to see a cause on, tried without a choice
-ON_QUICK = (
-    "The pictures are drawn on a quick fit of eight plays, made for them; the errors in the "
-    "tables are those of the diagnosis. piezoid fit draws them on the whole model."
-)
-
 
 def diagnose(
     files: Annotated[
@@ -46,9 +40,8 @@ def diagnose(
 ) -> None:
     """Name what a simulation with hysteresis alone gets wrong: write diagnosis.json and .html.
 
-    With the model.json of an earlier fit in front, say as well what changed since then; errors
-    are then of that model, refitted. Without, they are of a linear stand-in: a fit takes longer
-    than the diagnosis, and "piezoid fit" makes both.
+    Errors are those of the fitted model. With the model.json of an earlier fit in front, that
+    model is refitted, and what changed since then is reported as well.
 
     [bold]Examples[/bold]
 
@@ -90,7 +83,7 @@ def diagnose(
         change = None if model is None else _changed(model, recordings, found.axis, told)
         since = None if change is None else change.to_json()
         content = write_diagnosis(found, since=since)
-        page = diagnosis_page(found, recordings, declared, content, told)
+        page = diagnosis_page(found, recordings, declared, content)
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
@@ -123,7 +116,6 @@ def _first(model: "_Model | None") -> str | None:
 
 def _known(model: "_Model", axis: str | None) -> "AxisModel | None":
     """Return an axis of the earlier model, without the memory of the recordings of then."""
-    from dataclasses import replace
 
     known = model[0].axes.get(axis or _first(model) or "")
     return None if known is None else replace(known, starts=())
@@ -212,42 +204,20 @@ def diagnosis_page(
     recordings: "Sequence[Recording]",
     lab: "Lab | None",
     written: bytes,
-    told: Callable[[str], None],
 ) -> str:
     """Return the page of one diagnosis.
 
     recordings  that were diagnosed
     lab         what the laboratory declares
     written     diagnosis.json, for the chain of digests
-    told        told what is being done: without a model, one is fitted quickly to draw on
     """
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid_reports.render import render_diagnosis
 
-    drawn = found.model
-    if drawn is None and found.findings:
-        told("fitting a quick model to draw the causes on")
-        drawn = _quick(recordings, found.axis, lab)
     model = ActuatorModel(
         stage=(lab.name if lab is not None else "") or recordings[0].name,
-        axes={} if drawn is None else {found.axis: drawn},
+        axes={} if found.model is None else {found.axis: found.model},
         sources={recording.name: recording.digest for recording in recordings},
         lab=None if lab is None else lab.digest or None,
     )
-    note = ON_QUICK if drawn is not None and found.model is None else ""
-    return render_diagnosis(model, recordings, found, note=note, written=written)
-
-
-def _quick(recordings: "Sequence[Recording]", axis: str, lab: "Lab | None") -> "AxisModel | None":
-    """Fit one order and judge nothing; None where even that has no answer."""
-    from piezoid.errors import PiezoidError
-    from piezoid.identification.fit import moving, rig_of
-    from piezoid.identification.hysteresis.estimate import estimate_axis
-    from piezoid.records.lab import Lab
-
-    rig = rig_of(lab or Lab(), axis)
-    try:
-        fitted = estimate_axis(moving(recordings, axis), axis, rig, orders=QUICK)
-    except PiezoidError:
-        return None
-    return replace(fitted, verdict=replace(fitted.verdict, applies=True, reason="", remarks=()))
+    return render_diagnosis(model, recordings, found, written=written)

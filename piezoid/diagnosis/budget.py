@@ -227,8 +227,8 @@ def _with_loop_shape(diagnosis: Diagnosis, errors: RemainingErrors, power: float
         + (
             "The model simulates with the wider class."
             if errors.before_m is not None
-            else f"The widest class of hysteresis reaches {with_unit(errors.wide_m, 'm')} in sample "
-            f"where the model reaches {with_unit(errors.explained_m, 'm')}."
+            else f"In sample the model reaches {with_unit(errors.explained_m, 'm')}, the widest "
+            f"class of hysteresis {with_unit(errors.wide_m, 'm')}."
         ),
         next_experiment=effect.experiment,
         parameters={},
@@ -241,8 +241,8 @@ def _without_loop_shape(diagnosis: Diagnosis, bound_m: float) -> Diagnosis:
         effect=LOOP_SHAPE,
         upper_bound_m=bound_m,
         detection_limit_m=bound_m,
-        reason=f"the widest class of hysteresis takes at most {with_unit(bound_m, 'm')} rms off the "
-        "error of the model",
+        reason="the widest class of hysteresis takes at most "
+        f"{with_unit(bound_m, 'm')} rms off the error of the model",
         next_experiment=effect_named(LOOP_SHAPE).experiment,
     )
     others = [n for n in diagnosis.not_detected if n.effect != LOOP_SHAPE]
