@@ -44,10 +44,13 @@ def test_an_entry_of_another_kind_is_refused() -> None:
             for name in way[:-1]:
                 holder = holder[name]
             was, holder[way[-1]] = holder[way[-1]], wrong
-            may_be_none = way[-1] in ("upper_bound", "detection_limit", "unexplained") and (
+            optional = ("upper_bound", "detection_limit", "unexplained", "explained_rms_m")
+            may_be_none = way[-1] in optional and (
                 wrong is None or (was is None and kind(wrong) == "number")
             )
-            if (kind(was) == kind(wrong) and kind(was) in ("str", "number")) or may_be_none:
+            if (
+                kind(was) == kind(wrong) and kind(was) in ("str", "number", "truth")
+            ) or may_be_none:
                 continue
             content = {name: held for name, held in record.items() if name not in NOT_READ}
             with pytest.raises(ParameterFileError, match="of its own kind"):
