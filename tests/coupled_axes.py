@@ -23,9 +23,7 @@ def coupled_axes() -> CoupledStage:
         log_frequency=np.stack([np.log(MODE_HZ), np.zeros(2)]),
         log_damping=np.stack([np.log(DAMPING), np.zeros(2)]),
         lag_Hz=np.array([1.0]), residue_m_per_V=residue, delay_s=0.0,
-        elongation_V_per_m=np.linalg.inv(STATIC_M_PER_V), scale_V=np.ones((2, 2)),
-        term_V=np.zeros((2, 23)), linear_V=np.zeros((2, 2)),
-        replicate_frequency=np.zeros((1, 2, 2)), equivalent_gain=np.zeros((2, 2, 2)),
+        replicate_frequency=np.zeros((1, 2, 2)),
         moved_rms_m=np.ones((2, 2)), noise_rms_m=np.zeros((2, 2)), error_rms_m=np.zeros((2, 2)),
         error_is_left_out=False,
     )  # fmt: skip

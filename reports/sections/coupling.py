@@ -115,38 +115,33 @@ def _errors(coupled: CoupledStage) -> Table:
 
 def _modes(coupled: CoupledStage) -> Table:
     low, high = float(coupled.levels_V[0]), float(coupled.levels_V[-1])
-    change, memory = coupled.frequency_change(), coupled.hysteretic_frequency_change()
-    rows = []
-    for m, (at_low, at_high, interval) in enumerate(
-        zip(
+    rows = [
+        (
+            told(float(low_Hz), "Hz", 4),
+            told(float(high_Hz), "Hz", 4),
+            ", ".join(told(float(end), "Hz", 4) for end in interval)
+            if np.isfinite(interval).all()
+            else "",
+            significant(float(low_damping)),
+            significant(float(high_damping)),
+            _signed(change[0]),
+            ", ".join(map(_signed, change[1:])) if np.isfinite(change).all() else "",
+        )
+        for low_Hz, high_Hz, interval, low_damping, high_damping, change in zip(
             coupled.mode_frequency_Hz(low),
             coupled.mode_frequency_Hz(high),
             coupled.mode_frequency_interval_Hz(high),
+            coupled.mode_damping(low),
+            coupled.mode_damping(high),
+            coupled.frequency_change(),
             strict=True,
         )
-    ):
-        known = np.isfinite(interval).all()
-        rows.append(
-            (
-                told(float(at_low), "Hz", 4),
-                told(float(at_high), "Hz", 4),
-                f"{told(float(interval[0]), 'Hz', 4)}, {told(float(interval[1]), 'Hz', 4)}"
-                if known
-                else "",
-                significant(float(coupled.mode_damping(low)[m])),
-                significant(float(coupled.mode_damping(high)[m])),
-                _signed(change[m, 0] + memory[m]),
-                f"{_signed(change[m, 1])}, {_signed(change[m, 2])}" if known else "",
-                _signed(memory[m]),
-            )
-        )
+    ]
     return Table(
-        caption=f"Modes from {told(low, 'V')} to {told(high, 'V')} rms, with 95 % intervals. The "
-        "change is that of the whole model; from, to are of the part that follows the level of "
-        "the whole drive, and the last column is what plays add, which follow each turn of it.",
+        caption=f"Modes at {told(low, 'V')} and {told(high, 'V')} rms, with 95 % intervals.",
         columns=(
             *("at the lowest level", "at the highest", "from, to", "damping", "damping"),
-            *("change", "by level: from, to", "by memory"),
+            *("change", "from, to"),
         ),
         rows=tuple(rows),
     )
@@ -158,12 +153,11 @@ def _gain(coupled: CoupledStage) -> list[Part]:
     first_Hz = float(coupled.mode_frequency_Hz(float(coupled.levels_V[0])).min())
     f = np.geomspace(coupled.band_Hz[0], 0.5 * first_Hz, GAINS_Hz)
     changes = [
-        f"at {told(float(at), 'Hz')} by {_signed(whole)}, of which {_signed(whole - bare)} is "
-        "hysteresis"
-        for at, (whole, bare) in zip(f, coupled.gain_change(f), strict=True)
+        f"by {_signed(change)} at {told(float(frequency_Hz), 'Hz')}"
+        for frequency_Hz, change in zip(f, coupled.gain_change(f), strict=True)
     ]
     return [
-        Prose(text="From the lowest level to the highest the gain changes " + "; ".join(changes))
+        Prose(text=f"From the lowest level to the highest the gain changes {', '.join(changes)}.")
     ]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from piezoid.digests import digest_of_json
 from piezoid.errors import ExcitationError, RecordingError
-from piezoid.identification.coupled.coupled_stage import BEYOND, CoupledStage
+from piezoid.identification.coupled.coupled_stage import LEVEL_TOLERANCE, CoupledStage
 from piezoid.identification.coupled.fit_coupled import fit_coupled
 from piezoid.identification.dynamics.periodic_estimate import PeriodicData, estimate_response
 from piezoid.identification.dynamics.repetition import (
@@ -212,7 +212,8 @@ def _levels(found: Sequence[_Periodic], declared: Coupled) -> list[PeriodicData]
     cuts = [(_cut(one, declared.axes, periods, "voltage_V"), one) for one in found]
     cuts.sort(key=lambda pair: float(pair[0].std()))
     sizes = [float(drive.std()) for drive, _ in cuts]
-    edges = [0, *(k + 1 for k, (a, b) in enumerate(pairwise(sizes)) if b > BEYOND * a), len(cuts)]
+    steps = [k for k, (a, b) in enumerate(pairwise(sizes), 1) if b > LEVEL_TOLERANCE * a]
+    edges = [0, *steps, len(cuts)]
     return [
         PeriodicData(
             sampling_rate_Hz=found[0].recording.sampling_rate_Hz,

@@ -106,7 +106,7 @@ class LinearDynamics:
     def delay_interval_s(self) -> Array:
         """Return the 95 % interval of the delay, (2,), s, for this structure.
 
-        See ``phase_delay_s``: what the delay is not given, terms outside the band take.
+        Terms outside the band take what the delay does not.
         """
         half = NORMAL_95 * np.sqrt(self.shape_covariance[-1, -1])
         return np.maximum([self.delay_s - half, self.delay_s + half], 0.0)

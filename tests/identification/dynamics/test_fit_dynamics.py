@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.structure_choice import choose_structure, relative_rms
 from piezoid.errors import IdentificationError
 from piezoid.identification.dynamics.fit_dynamics import (
     Declaration,
@@ -17,7 +16,6 @@ from piezoid.identification.dynamics.fit_dynamics import (
 )
 from piezoid.identification.dynamics.maximum_likelihood import (
     maximise_likelihood,
-    phase_delay_s,
     resolved_modes,
 )
 from piezoid.identification.dynamics.modal import LinearDynamics
@@ -64,14 +62,6 @@ def test_a_mode_that_is_not_there_is_not_called_resolved(rng: np.random.Generato
     assert not np.delete(resolved_modes(too_many), near).any()
 
 
-def test_the_slow_delay_is_the_sum_of_all_lags() -> None:
-    """Delay, amplifier, and 2 zeta / w of each mode by its share of the gain."""
-    shares = np.array([1.0, 0.2]) / 1.2
-    modes_s = shares * 2 * np.array(DAMPING) / (2 * np.pi * np.array(FREQUENCY_HZ))
-    expected_s = DELAY_S + 1 / (2 * np.pi * 4000) + modes_s.sum()
-    assert phase_delay_s(truth(), 1.0)[0, 0] == pytest.approx(expected_s, rel=1e-4)
-
-
 def test_two_axes_share_their_modes(rng: np.random.Generator) -> None:
     data = record(rng, inputs=("x", "y"), realisations=6, noise_m=5e-9)
     model = fit_dynamics(estimate_response(data), STRUCTURE, DECLARATION)
@@ -97,19 +87,6 @@ def test_stated_intervals_hold_the_truth_as_often_as_they_say(rng: np.random.Gen
     assert inside.min() >= 90
 
 
-def test_held_out_data_choose_the_true_number_of_modes(rng: np.random.Generator) -> None:
-    data = record(rng, realisations=6, noise_m=5e-9)
-    tried = [Structure(modes=n) for n in (1, 2, 3)]
-    choice = choose_structure(
-        estimate_response(data.select([0, 1, 2, 3])), data.select([4, 5]), tried, DECLARATION
-    )
-    one, two, _ = choice.trials
-    assert choice.structure == Structure(modes=2)
-    assert one.held_out_relative_rms > 2 * two.held_out_relative_rms
-    assert one.cost_ratio > 10
-    assert two.cost_ratio == pytest.approx(1.0, abs=0.25)
-
-
 def test_a_smooth_model_beats_the_measured_response_on_held_out_data(
     rng: np.random.Generator,
 ) -> None:
@@ -117,8 +94,12 @@ def test_a_smooth_model_beats_the_measured_response_on_held_out_data(
     measured = estimate_response(data.select([0, 1]))
     model = fit_dynamics(measured, STRUCTURE, DECLARATION)
     f, other = measured.frequency_Hz, data.select([2, 3])
-    smooth = relative_rms(model.response_as_measured(f), f, other)
-    assert smooth < 0.95 * relative_rms(measured.response, f, other)
+    drive, moved = (spectrum.mean(axis=3) for spectrum in other.spectra(other.excited_lines()))
+    error, rough = (
+        np.linalg.norm(moved - response @ drive)
+        for response in (model.response_as_measured(f), measured.response)
+    )
+    assert error < 0.95 * rough
 
 
 def test_the_fraction_drives_like_the_state_space() -> None:

@@ -1,0 +1,293 @@
+"""Least squares of the modal sum over all levels, the residues eliminated (variable projection).
+
+    minimise  sum_r w_r |e^(j w delay) Y_r - G(s, l) U_r|^2,     G linear in its residues
+
+The residues of all outputs meet the same rows, so one matrix of (columns x inputs) is factored
+for all of them. The Jacobian is in the form of Kaufman [Golub & Pereyra 1973]. A pole that no
+residue needs moves anywhere within its bounds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from piezoid.identification.coupled.coupled_stage import level_coordinate
+from piezoid.identification.coupled.modal_sum import (
+    complex_residues,
+    gram_of_residues,
+    modal_columns,
+    products_with_residues,
+)
+from piezoid.identification.dynamics.periodic_estimate import PeriodicData
+from piezoid.numerics.arrays import Array, ComplexArray
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
+
+MAX_DAMPING = 0.3  # of a mode: a pole with more follows a slope
+# Share of the curvature that penalises the change of a residue with the level: 1e-2 and 1e-3 leave
+# the same residual on the steering mirror; without it those of overlapping modes diverge.
+LEVEL_PENALTY = 1e-3
+RIDGE = 1e-9  # of the curvature: columns that the band does not distinguish
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LevelSpectra:
+    """Spectra at the excited lines of one level, means over the periods.
+
+    level_V       rms of the drive
+    samples       of one period
+    frequency_Hz  (lines,)
+    drive         (lines, inputs, realisations)   of ``numpy.fft.rfft``
+    moved         (lines, outputs, realisations)
+    weight        (realisations,)
+    """
+
+    level_V: float
+    samples: int
+    frequency_Hz: Array
+    drive: ComplexArray
+    moved: ComplexArray
+    weight: Array
+
+    @staticmethod
+    def of(data: PeriodicData) -> "LevelSpectra":
+        """Return the spectra of periodic data, each realisation weighted by its power."""
+        lines = data.excited_lines()
+        moved = np.fft.rfft(data.displacement_m.mean(axis=3), axis=0)[lines]
+        return LevelSpectra(
+            level_V=float(data.voltage_V.std()),
+            samples=len(data.voltage_V),
+            frequency_Hz=data.frequency_Hz(lines),
+            drive=np.fft.rfft(data.voltage_V.mean(axis=3), axis=0)[lines],
+            moved=moved,
+            weight=1.0 / (np.abs(moved) ** 2).sum(axis=(0, 1)),
+        )
+
+    def without(self, realisation: int) -> "LevelSpectra":
+        """Return the spectra of all realisations but one."""
+        kept = np.arange(len(self.weight)) != realisation
+        return replace(
+            self,
+            drive=self.drive[..., kept],
+            moved=self.moved[..., kept],
+            weight=self.weight[kept],
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalShape:
+    """The parameters that are searched for.
+
+    log_frequency, log_damping  (2, modes)  at the centre of the levels, and the change to the
+                                largest
+    delay_s                     of the drives
+    """
+
+    log_frequency: Array
+    log_damping: Array
+    delay_s: float
+
+    def columns(self, frequency_Hz: Array, lag_Hz: Array, coordinate: float) -> ComplexArray:
+        """Return the columns that the residues multiply at one level, (lines, columns)."""
+        return modal_columns(frequency_Hz, *self.at(coordinate), lag_Hz).value
+
+    def at(self, coordinate: float) -> tuple[Array, Array]:
+        """Return log frequencies and log dampings at one level, (modes,) each."""
+        first, change = np.stack([self.log_frequency, self.log_damping], axis=1)
+        frequency, damping = first + coordinate * change
+        return frequency, damping
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModalProblem:
+    """The spectra of all levels and the structure that is fitted to them.
+
+    levels    in increasing order
+    rate_Hz   sampling rate
+    lag_Hz    (lags,)  corner frequencies of real poles, fixed
+    modes     number of complex pairs
+    """
+
+    levels: tuple[LevelSpectra, ...]
+    rate_Hz: float
+    lag_Hz: Array
+    modes: int
+
+    @property
+    def levels_V(self) -> Array:
+        """Rms of the drive at each level, (levels,)."""
+        return np.array([level.level_V for level in self.levels])
+
+    @property
+    def inputs(self) -> int:
+        """Number of drives."""
+        return int(self.levels[0].drive.shape[1])
+
+    @property
+    def orders(self) -> int:
+        """1 where all data have one level, 2 where parameters change with it."""
+        return 1 if len(self.levels) == 1 else 2
+
+    def coordinate(self, level: LevelSpectra) -> float:
+        """Return the position of a level between the smallest, -1, and the largest, 1."""
+        return level_coordinate(level.level_V, self.levels_V)
+
+    def pack(self, shape: ModalShape) -> Array:
+        """Return the parameter vector of a shape."""
+        poles = np.stack([shape.log_frequency, shape.log_damping], axis=1)[: self.orders]
+        return np.append(poles.ravel(), shape.delay_s * self.rate_Hz)
+
+    def unpack(self, x: Array) -> ModalShape:
+        """Return the shape of a parameter vector."""
+        poles = np.zeros((2, 2, self.modes))
+        poles[: self.orders] = x[:-1].reshape(self.orders, 2, self.modes)
+        return ModalShape(
+            log_frequency=poles[:, 0],
+            log_damping=poles[:, 1],
+            delay_s=float(x[-1]) / self.rate_Hz,
+        )
+
+    def bounds(self, start: Array) -> tuple[Array, Array, Array]:
+        """Return lower and upper bounds and the longest step: no pole jumps over its neighbour."""
+        count = len(start) - 1
+        reach = np.append(np.repeat([0.2, 3.0, 0.05, 1.0], self.modes)[:count], 10.0)
+        longest = np.append(np.tile(np.repeat([0.03, 0.4], self.modes), self.orders), 0.3)
+        upper = start + reach
+        upper[self.modes : 2 * self.modes] = np.log(MAX_DAMPING)
+        return np.minimum(start - reach, upper), upper, longest
+
+
+def fit_modal_sum(
+    problem: ModalProblem, start: ModalShape, rule: Rule
+) -> tuple[ModalShape, Array]:
+    """Return the best shape from a start, and its residues, (2, columns, outputs, inputs)."""
+    x = problem.pack(start)
+    lower, upper, longest = problem.bounds(x)
+    best = minimise(lambda x: Point(problem, x), x, (lower, upper), rule=rule, longest=longest)
+    return problem.unpack(best.x), best.point.residues
+
+
+def residual_spectra(
+    problem: ModalProblem, level: LevelSpectra, shape: ModalShape, residues: Array
+) -> ComplexArray:
+    """Return the residual of one level, delay removed, (lines, outputs, realisations)."""
+    coordinate = problem.coordinate(level)
+    columns = shape.columns(level.frequency_Hz, problem.lag_Hz, coordinate)
+    response = np.einsum("fc,coi->foi", columns, residues[0] + coordinate * residues[1])
+    advance = np.exp(2j * np.pi * level.frequency_Hz * shape.delay_s)[:, None, None]
+    return np.asarray(advance * level.moved - response @ level.drive)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _WeightedLevel:
+    """One level at one shape, weighted; the measurement is advanced by the delay.
+
+    columns       (lines, columns)
+    by_parameter  (2, 2, lines, modes)  derivatives of the columns by log frequency and log
+                  damping, of each pole and of its conjugate
+    spread        (orders,)  what multiplies the residues: 1 and the coordinate of the level
+    """
+
+    columns: ComplexArray
+    by_parameter: ComplexArray
+    drive: ComplexArray
+    moved: ComplexArray
+    spread: Array
+
+
+class Point:
+    """The best residues for a given shape, the residual and its projected linearisation."""
+
+    def __init__(self, problem: ModalProblem, x: Array) -> None:
+        self.problem, self.shape = problem, problem.unpack(x)
+        self.levels = [self._weighted(level) for level in problem.levels]
+        gram, target = np.zeros(()), np.zeros(())
+        for level in self.levels:
+            products = products_with_residues(level.columns, level.drive, level.moved[None])
+            gram = gram + np.kron(
+                np.outer(level.spread, level.spread), gram_of_residues(level.columns, level.drive)
+            )
+            target = target + np.concatenate([s * products[..., 0] for s in level.spread])
+        curvature = np.diag(gram)
+        count = len(gram) // problem.orders
+        penalty = np.concatenate([np.zeros(count), LEVEL_PENALTY * curvature[:count]])[: len(gram)]
+        self.factor = cho_factor(gram + np.diag(penalty + RIDGE * curvature.max()))
+        solution = cho_solve(self.factor, target)  # (orders columns inputs, outputs)
+        shape = (problem.orders, -1, problem.inputs, solution.shape[1])
+        self.residues = np.zeros((2, count // problem.inputs, solution.shape[1], problem.inputs))
+        self.residues[: problem.orders] = solution.reshape(shape).transpose(0, 1, 3, 2)
+        self.residuals = [
+            level.moved
+            - np.einsum("fc,coi->foi", level.columns, self._residues_at(level)) @ level.drive
+            for level in self.levels
+        ]
+        self.cost = float(sum((np.abs(one) ** 2).sum() for one in self.residuals))
+        self.cost += float((penalty[:, None] * solution**2).sum())
+
+    def _weighted(self, level: LevelSpectra) -> _WeightedLevel:
+        coordinate, root = self.problem.coordinate(level), np.sqrt(level.weight)
+        columns = modal_columns(
+            level.frequency_Hz, *self.shape.at(coordinate), self.problem.lag_Hz
+        )
+        advance = np.exp(2j * np.pi * level.frequency_Hz * self.shape.delay_s)[:, None, None]
+        return _WeightedLevel(
+            columns=columns.value,
+            by_parameter=np.stack([columns.by_frequency, columns.by_damping]),
+            drive=level.drive * root,
+            moved=level.moved * root * advance,
+            spread=np.array([1.0, coordinate])[: self.problem.orders],
+        )
+
+    def _residues_at(self, level: _WeightedLevel) -> Array:
+        return np.asarray(np.tensordot(level.spread, self.residues[: self.problem.orders], 1))
+
+    def linearised(self) -> NormalEquations:
+        """Return the projected normal equations, in Kaufman's form."""
+        gram, slope = np.zeros(()), np.zeros(())
+        inner, penalised = np.zeros(()), np.zeros(())
+        for source, level, residual in zip(
+            self.problem.levels, self.levels, self.residuals, strict=True
+        ):
+            tangents = self._tangents(source.frequency_Hz, level)
+            flat = tangents.reshape(len(tangents), -1).view(np.float64)
+            gram = gram + flat @ flat.T
+            slope = slope - flat @ residual.reshape(-1).view(np.float64)
+            rows = np.concatenate([tangents, residual[None]])
+            products = products_with_residues(level.columns, level.drive, rows)
+            both = np.concatenate([s * products for s in level.spread])
+            inner = inner + both[..., :-1]
+            penalised = penalised + both[..., -1]
+        solution = cho_solve(self.factor, inner.reshape(len(inner), -1)).reshape(inner.shape)
+        return NormalEquations(
+            gram=np.asarray(gram - np.einsum("aon,aom->nm", inner, solution)),
+            # with a penalty the residual is not exactly orthogonal to the columns
+            slope=np.asarray(slope + np.einsum("aon,ao->n", solution, penalised)),
+            cost=self.cost,
+        )
+
+    def _tangents(self, frequency_Hz: Array, level: _WeightedLevel) -> ComplexArray:
+        """Return the derivatives of the model, (parameters, lines, outputs, realisations)."""
+        residues = complex_residues(self._residues_at(level), self.problem.modes)
+        by_pole = np.stack(
+            [
+                0.5
+                * (direct[:, m, None, None] * R + conjugate[:, m, None, None] * R.conj())
+                @ level.drive
+                for direct, conjugate in level.by_parameter
+                for m, R in enumerate(residues)
+            ]
+        )
+        by_delay = -2j * np.pi * frequency_Hz[:, None, None] / self.problem.rate_Hz * level.moved
+        parts = [*(s * by_pole for s in level.spread), by_delay[None]]
+        return np.ascontiguousarray(np.concatenate(parts))
+
+
+def reweighted(
+    levels: Sequence[LevelSpectra], residuals: Sequence[ComplexArray]
+) -> tuple[LevelSpectra, ...]:
+    """Weight each realisation by one over the power of its residual."""
+    return tuple(
+        replace(level, weight=level.weight / (np.abs(residual) ** 2).sum(axis=(0, 1)))
+        for level, residual in zip(levels, residuals, strict=True)
+    )
