@@ -5,8 +5,8 @@ from numpy.typing import NDArray
 
 from piezoid.identification.dynamics.distortion import DistortionFound, distortion_of
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.records import ResponseFit
 from piezoid.identification.dynamics.response_fit import measured_response
-from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel

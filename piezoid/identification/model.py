@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 from piezoid.counts import DISPLACEMENT, VOLTAGE, record_in_counts
 from piezoid.errors import IdentificationError, LabFileError, NotInvertibleError, RecordingError
 from piezoid.identification.dynamics.bandwidth import BandwidthVerdict
-from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.response_record import ResponseFit
+from piezoid.identification.dynamics.records import JointFit, ResponseFit
 from piezoid.identification.extensions.extension import Extension, Where
 from piezoid.identification.forward import Forward
 from piezoid.identification.hysteresis.pieces import Rig, Scales

@@ -9,9 +9,9 @@ from piezoid.identification.dynamics.behind_hysteresis import (
     measure_behind_hysteresis,
 )
 from piezoid.identification.dynamics.frequency_response import ComplexArray, FrequencyResponse
-from piezoid.identification.dynamics.hammerstein_record import JointFit
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.records import JointFit
 from piezoid.identification.model import AxisModel
 from piezoid.numerics.arrays import Array
 from piezoid.numerics.frequency import decibel
@@ -166,17 +166,16 @@ def _poles(axis: AxisModel, dynamics: LinearDynamics) -> Table:
 
 
 def _joint(joint: JointFit) -> tuple[Part, ...]:
-    pieces = zip(joint.recordings, joint.apart_rms_m, joint.joint_rms_m, strict=True)
+    pieces = zip(joint.recordings, joint.separate_rms_m, joint.joint_rms_m, strict=True)
     return (
         Prose(
             text="Poles and delay above are those of one fit of hysteresis and dynamics together, "
             "with plays as small as the drive that excites the modes; their intervals hold what "
-            f"leaving those out changes. {joint.structure.text}",
-            tone="bad" if joint.structure.order == "behind" else "plain",
+            "leaving those out changes.",
         ),
         Table(
-            caption="What is left of the displacement about its straight line, rms.",
-            columns=("recording", "fitted apart", "fitted together"),
+            caption="Residual of the displacement about its straight line, rms.",
+            columns=("recording", "fitted separately", "fitted together"),
             rows=tuple((name, told(a, "m"), told(b, "m")) for name, a, b in pieces),
         ),
     )

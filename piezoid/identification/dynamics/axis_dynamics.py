@@ -19,13 +19,12 @@ from piezoid.identification.dynamics.behind_hysteresis import (
 )
 from piezoid.identification.dynamics.fit_dynamics import Declaration, fit_dynamics
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
-from piezoid.identification.dynamics.hammerstein import fit_jointly
-from piezoid.identification.dynamics.hammerstein_record import JointFit
+from piezoid.identification.dynamics.joint_fit import fit_jointly
 from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
+from piezoid.identification.dynamics.records import JointFit, ResponseFit
 from piezoid.identification.dynamics.response_judgement import ResponseJudged, judge_response
-from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.hysteresis.pieces import Rig
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
@@ -280,8 +279,8 @@ def _jointly(
     if not (moved < SAME_MODE).all() or not np.isfinite(together.dynamics.shape_covariance).all():
         apart = f"{text}; hysteresis and dynamics fitted together find other modes: kept apart"
         return DynamicsFound(dynamics=dynamics, remarks=(apart,))
-    said = f"{text}, then jointly with it. {together.record.structure.text}"
-    return DynamicsFound(dynamics=together.dynamics, remarks=(said,), joint=together.record)
+    joint = f"{text}, then jointly with it"
+    return DynamicsFound(dynamics=together.dynamics, remarks=(joint,), joint=together.record)
 
 
 def is_determined(dynamics: LinearDynamics) -> bool:

@@ -26,7 +26,7 @@ from piezoid.identification.dynamics.maximum_likelihood import resolved_modes
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter, Structure
 from piezoid.identification.dynamics.periodic_estimate import smoothed
-from piezoid.identification.dynamics.response_record import (
+from piezoid.identification.dynamics.records import (
     FURTHEST_deg,
     SlowPart,
     STEEPEST_dB,

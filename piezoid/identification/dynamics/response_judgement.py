@@ -16,8 +16,8 @@ from piezoid.identification.dynamics.behind_hysteresis import middle_slope_m_per
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
 from piezoid.identification.dynamics.modal_basis import Filter
+from piezoid.identification.dynamics.records import ResponseFit
 from piezoid.identification.dynamics.response_fit import ResponseFound, fit_response
-from piezoid.identification.dynamics.response_record import ResponseFit
 from piezoid.identification.model import AxisModel
 from piezoid.records.frequency_response import FrequencyResponseRecord
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from piezoid.identification.dynamics.frequency_response import FrequencyResponse
 from piezoid.identification.dynamics.modal import LinearDynamics
-from piezoid.identification.dynamics.response_record import SlowPart
+from piezoid.identification.dynamics.records import SlowPart
 from piezoid.numerics.arrays import Array, ComplexArray
 from piezoid.numerics.robust import NORMAL_95
 

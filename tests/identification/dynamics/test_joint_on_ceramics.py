@@ -10,7 +10,7 @@ def test_a_slow_sweep_is_not_given_away_for_the_many_lines_of_a_chirp() -> None:
     assert axis.joint is not None
     assert axis.dynamics is not None
     assert axis.joint.recordings == ("sweep", "chirp")
-    apart_m, joint_m = axis.joint.apart_rms_m[0], axis.joint.joint_rms_m[0]
-    assert joint_m < 2.0 * apart_m
+    separate_m, joint_m = axis.joint.separate_rms_m[0], axis.joint.joint_rms_m[0]
+    assert joint_m < 2.0 * separate_m
     # Nor are mode, damping and delay: their intervals hold the truth.
     assert all(holds for holds, _ in judged(axis.dynamics, truth))

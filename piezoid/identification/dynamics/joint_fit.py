@@ -1,0 +1,506 @@
+"""Hysteresis and dynamics of an axis in one fit, started from a separate fit of each.
+
+    minimise over all segments   1/samples sum_lines |E(f)|^2 / sigma^2(f)
+    y = y_off + G[Psi(sum_i w_i P_i[u])],    G of modes, lags and a delay with unit gain at rest
+
+E is the spectrum of measured minus modelled displacement, each segment about its own straight
+line, and sigma^2 the smoothed power of the residual: correlated noise, and what the operator does
+not follow, weigh as little as they deserve [Whittle 1953]. Hysteresis and lag imitate each other,
+so intervals of dynamics behind a fixed hysteresis are too narrow: of 14 fresh stages of
+``benchmarks/dynamics_coverage.py`` they held no delay and 4 dampings; the joint fit's, 12 and 13.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from piezoid.identification.dynamics.frequency_response import ComplexArray
+from piezoid.identification.dynamics.modal import LinearDynamics
+from piezoid.identification.dynamics.records import JointFit
+from piezoid.identification.hysteresis.pieces import MINIMUM_SAMPLES, behind_pole
+from piezoid.identification.model import AxisModel
+from piezoid.numerics.arrays import Array
+from piezoid.numerics.executor import Once
+from piezoid.numerics.levenberg_marquardt import NormalEquations, Rule, minimise
+from piezoid.numerics.robust import NORMAL_95
+from piezoid.operators.dead_zone import DeadZones
+from piezoid.operators.modified_prandtl_ishlinskii import ModifiedPrandtlIshlinskii
+from piezoid.operators.play import play_columns
+from piezoid.records.recording import Recording
+
+SMALL_PLAYS = (0.05, 0.1, 0.2, 0.35)  # of the exciting drive's reach
+DISTINCT = 0.02  # of that reach: plays nearer to each other are one
+MAX_SAMPLES = 60_000  # of one segment: a second of a fast one says as much as ten
+RINGING = 10.0  # time constants after which a ring has decayed
+MAX_FREQUENCY = 0.4  # of a recording's rate: above, noise alone
+BANDS_PER_DECADE, BAND_LINES = 10, 12  # over which the residual's power is averaged
+WEIGHT_ROUNDS = 3
+# A few steps between new weights; half of ``enough`` is the gain in log likelihood.
+STEPS = Rule(tolerance=0.0, enough=0.1, iterations=4, tries=6)
+MAX_LOG_STEP = 0.3
+NEIGHBOURS = 30  # samples over which whitened noise may still be correlated
+PARTS = 12  # of a segment, each one draw of what the operator does not follow
+PARTS_QUANTILE = 2.2010  # Student's of eleven degrees of freedom, 95 %
+TINY = 1e-300
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointResult:
+    """Dynamics whose intervals include the uncertainty of the hysteresis, and the fit's record."""
+
+    dynamics: LinearDynamics
+    record: JointFit
+
+
+def fit_jointly(
+    axis: AxisModel,
+    dynamics: LinearDynamics,
+    exciting: Recording,
+    recordings: Sequence[Recording],
+) -> JointResult | None:
+    """Fit operator and dynamics together to all recordings whose initial memory is known.
+
+    axis        whose operator is the start; its thresholds are kept
+    dynamics    the start, of one path without rate gains
+    exciting    the recording that excites the modes; among ``recordings``
+    returned    None where the initial memory of ``exciting`` is not known
+
+    Plays as small as the exciting drive are added to those of the operator: a loss angle that
+    does not depend on frequency must not pass for delay. Half of the change when they are left
+    out counts as uncertainty of the structure.
+    """
+    known = {start.recording for start in axis.starts}
+    if exciting.name not in known:
+        return None
+    coarse_V = axis.hysteresis.plays.threshold
+    threshold_V = _with_small_plays(coarse_V, exciting.voltage_V(axis.axis))
+    segments = [
+        segment
+        for recording in recordings
+        if recording.name in known
+        for segment in _segments(axis, recording, threshold_V, dynamics)
+    ]
+    layout, start = _start(axis.hysteresis, dynamics, threshold_V)
+    is_coarse = np.isin(threshold_V, coarse_V)
+    chosen = np.concatenate([is_coarse, np.ones(layout.size - layout.plays, dtype=np.bool_)])
+    coarse_layout = replace(layout, plays=len(coarse_V))
+    coarse_segments = [segment.of_plays(is_coarse) for segment in segments]
+    coarse, _ = _fit(coarse_segments, coarse_layout, start[chosen])
+    separate_rms_m = _residual_rms(coarse_segments, coarse_layout, start[chosen])
+    start[chosen] = coarse
+    theta, line_weights = _fit(segments, layout, start)
+    covariance = _covariance(segments, layout, theta, line_weights)
+    shape = layout.shape
+    change = 0.5 * (theta[shape] - coarse[coarse_layout.shape])
+    weights, zones, *_ = layout.split(theta)
+    return JointResult(
+        dynamics=_moved(
+            dynamics, layout, theta, covariance[shape, shape] + np.outer(change, change)
+        ),
+        record=JointFit(
+            recordings=tuple(segment.recording for segment in segments),
+            play_threshold_V=tuple(threshold_V.tolist()),
+            play_weight_m_per_V=tuple(weights.tolist()),
+            dead_zone_weight=tuple(zones.weight.tolist()),
+            separate_rms_m=separate_rms_m,
+            joint_rms_m=_residual_rms(segments, layout, theta),
+        ),
+    )
+
+
+def _with_small_plays(threshold_V: Array, voltage_V: Array) -> Array:
+    """Return thresholds with those of small drives among them, ascending."""
+    reach_V = 2.0 * float(np.median(np.abs(voltage_V - np.median(voltage_V))))
+    small_V = reach_V * np.array(SMALL_PLAYS)
+    distance_V = np.abs(small_V[:, None] - threshold_V).min(axis=1)
+    return np.unique(np.concatenate([threshold_V, small_V[distance_V > DISTINCT * reach_V]]))
+
+
+def _moved(
+    dynamics: LinearDynamics, layout: "Layout", theta: Array, covariance: Array
+) -> LinearDynamics:
+    """Return the dynamics at the parameters of the joint fit, the gain at rest unchanged."""
+    _, _, shape, shares = layout.split(theta)
+    n, lags = layout.modes, layout.lags
+    gains = (shares * dynamics.static_gain_m_per_V[0, 0])[:, None, None]
+    order = np.argsort(shape[:n])
+    lag_order = np.argsort(shape[2 * n : 2 * n + lags])
+    by = np.concatenate([order, n + order, 2 * n + lag_order, [2 * n + lags]])
+    return replace(
+        dynamics,
+        mode_frequency_Hz=np.exp(shape[:n][order]),
+        mode_damping=np.exp(shape[n : 2 * n][order]),
+        mode_gain_m_per_V=gains[:n][order],
+        lag_frequency_Hz=np.exp(shape[2 * n : 2 * n + lags][lag_order]),
+        lag_gain_m_per_V=gains[n:][lag_order],
+        delay_s=float(shape[-1]),
+        shape_covariance=covariance[np.ix_(by, by)],
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Segment:
+    """One uninterrupted segment of one recording.
+
+    recording     its name
+    states_V      (plays, samples)  of the operator's plays
+    measured_m    (samples,)  rising with the drive
+    frequency_Hz  (lines,)  of the padded spectrum
+    sensor        (lines,)  response of the declared sensor
+    padded        samples of the padded signal
+    """
+
+    recording: str
+    states_V: Array
+    measured_m: Array
+    frequency_Hz: Array
+    sensor: ComplexArray
+    padded: int
+
+    @property
+    def samples(self) -> int:
+        """Samples of the segment."""
+        return len(self.measured_m)
+
+    def of_plays(self, chosen: NDArray[np.bool_]) -> "Segment":
+        """Return the same segment with some of the plays."""
+        return replace(self, states_V=self.states_V[chosen])
+
+    def spectrum(self, signals: Array) -> ComplexArray:
+        """Return the padded spectra of signals about their first samples, (..., lines)."""
+        return np.asarray(rfft(signals - signals[..., :1], self.padded))
+
+    def signal(self, spectrum: ComplexArray) -> Array:
+        """Return the signal of a padded spectrum, (samples,)."""
+        return np.asarray(irfft(spectrum, self.padded))[: self.samples]
+
+
+def _segments(
+    axis: AxisModel, recording: Recording, threshold_V: Array, dynamics: LinearDynamics
+) -> list[Segment]:
+    """Return the segments of a recording whose initial memory the static fit found."""
+    rate_Hz, operator = recording.sampling_rate_Hz, axis.hysteresis
+    ring = int(np.ceil((RINGING * _slowest_s(dynamics) + dynamics.delay_s) * rate_Hz)) + 1
+    starts = [start for start in axis.starts if start.recording == recording.name]
+    pieces = [p for p in recording.pieces if p.stop - p.start >= MINIMUM_SAMPLES]
+    segments = []
+    for piece, start in zip(pieces, starts, strict=False):
+        rows = slice(piece.start, min(piece.stop, piece.start + MAX_SAMPLES))
+        drive_V = _drive_at_operator(
+            recording.voltage_V(axis.axis)[rows],
+            axis.rig.amplifier_bandwidth_Hz,
+            rate_Hz,
+            dynamics.sampling_rate_Hz,
+        )
+        inside_V = operator.envelope.run(drive_V - operator.voltage_offset_V)
+        # Between known plays a memory is a curve of slope at most one: its chords are admissible.
+        memory_V = np.interp(threshold_V, operator.plays.threshold, start.memory_V)
+        states_V, _ = play_columns(inside_V, threshold_V, memory_V)
+        padded = next_fast_len(len(drive_V) + min(len(drive_V), ring), real=True)
+        frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
+        sensor_Hz = axis.rig.sensor_bandwidth_Hz
+        lag = 0.0 if sensor_Hz is None else frequency_Hz / sensor_Hz
+        segments.append(
+            Segment(
+                recording=recording.name,
+                states_V=np.ascontiguousarray(states_V.T),
+                measured_m=axis.polarity * recording.displacement_m(axis.axis)[rows],
+                frequency_Hz=frequency_Hz,
+                sensor=np.asarray(np.ones(len(frequency_Hz)) / (1.0 + 1j * lag)),
+                padded=padded,
+            )
+        )
+    return segments
+
+
+def _slowest_s(dynamics: LinearDynamics) -> float:
+    """Return the longest time constant; the slow pole of an overdamped mode is at w / (2 zeta)."""
+    w, zeta = 2.0 * np.pi * dynamics.mode_frequency_Hz, dynamics.mode_damping
+    modes = np.maximum(1.0 / (zeta * w), np.where(zeta > 1.0, 2.0 * zeta / w, 0.0))
+    lags = 1.0 / (2.0 * np.pi * dynamics.lag_frequency_Hz)
+    return float(max(*modes, *lags, 0.0, 0.0))
+
+
+def _drive_at_operator(
+    voltage_V: Array, amplifier_Hz: float | None, rate_Hz: float, controller_Hz: float
+) -> Array:
+    """Return the drive behind hold and declared amplifier, (samples,), without its images.
+
+    At the controller's rate the numbers are held for a tick: half a tick late, and the images of
+    the staircase, which the stage does not follow, are left out. Slower recordings hold samples of
+    a drive that is nearly straight between them.
+    """
+    if rate_Hz < 0.99 * controller_Hz:
+        return behind_pole(voltage_V, amplifier_Hz, rate_Hz)
+    count = len(voltage_V)
+    padded = next_fast_len(2 * count, real=True)
+    fade = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padded - count + 1) / (padded - count))
+    level = voltage_V - voltage_V[0]
+    frequency_Hz = np.asarray(rfftfreq(padded, 1.0 / rate_Hz))
+    turn = frequency_Hz / rate_Hz
+    response: ComplexArray = np.sinc(turn) * np.exp(-1j * np.pi * turn)
+    if amplifier_Hz is not None:
+        response = response / (1.0 + 1j * frequency_Hz / amplifier_Hz)
+    spectrum = response * rfft(np.concatenate([level, level[-1] * fade]))
+    return np.asarray(voltage_V[0] + irfft(spectrum, padded)[:count])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """Order of the parameters: play weights, dead zones, linear shape, all shares but the last.
+
+    plays, zones, modes, lags  how many of each
+    threshold_m                (zones,)  of the dead zones; the weight of the one at 0 is 1
+    """
+
+    plays: int
+    zones: int
+    modes: int
+    lags: int
+    threshold_m: Array
+
+    @property
+    def shape(self) -> slice:
+        """Place of ln f, ln zeta, ln f of lags and the delay, in the order of LinearDynamics."""
+        first = self.plays + self.zones - 1
+        return slice(first, first + 2 * self.modes + self.lags + 1)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return int(self.shape.stop) + self.modes + self.lags - 1
+
+    def split(self, theta: Array) -> tuple[Array, DeadZones, Array, Array]:
+        """Return play weights, dead zones, linear shape and all shares of the gain."""
+        zero = int(np.flatnonzero(self.threshold_m == 0.0)[0])
+        weight = np.insert(theta[self.plays : self.shape.start], zero, 1.0)
+        shares = theta[self.shape.stop :]
+        return (
+            theta[: self.plays],
+            DeadZones(threshold=self.threshold_m, weight=weight),
+            theta[self.shape],
+            np.append(shares, 1.0 - shares.sum()),
+        )
+
+    def fractions(self, shape: Array, frequency_Hz: Array) -> ComplexArray:
+        """Return modes and lags of unit gain, the delay included, (lines, terms)."""
+        n = self.modes
+        s = 2j * np.pi * frequency_Hz[:, None]
+        w, zeta = 2.0 * np.pi * np.exp(shape[:n]), np.exp(shape[n : 2 * n])
+        pole = 2.0 * np.pi * np.exp(shape[2 * n : -1])
+        modes = w**2 / (s**2 + 2.0 * zeta * w * s + w**2)
+        return np.asarray(
+            np.concatenate([modes, pole / (s + pole)], axis=1) * np.exp(-s * shape[-1])
+        )
+
+    def simulate(self, theta: Array, segment: Segment) -> Array:
+        """Return the model's displacement, (samples,), about its first value."""
+        weight, zones, shape, shares = self.split(theta)
+        moved_m = zones.run(weight @ segment.states_V)
+        response = segment.sensor * (self.fractions(shape, segment.frequency_Hz) @ shares)
+        return segment.signal(response * segment.spectrum(moved_m))
+
+    def tangents(self, theta: Array, segment: Segment) -> Array:
+        """Return the derivatives of ``simulate``, (parameters, samples)."""
+        weight, zones, shape, shares = self.split(theta)
+        inner = weight @ segment.states_V
+        moved_m, slope = zones.run_with_slope(inner)
+        fractions = self.fractions(shape, segment.frequency_Hz)
+        response = segment.sensor * (fractions @ shares)
+        spectrum = segment.sensor * segment.spectrum(moved_m)
+        outer = np.delete(zones.columns(inner).T, zones.zero, axis=0)
+        static = [*(slope * states for states in segment.states_V), *outer]
+        dynamic = self._response_slopes(shape, shares, fractions, segment.frequency_Hz)
+        dynamic += [fractions[:, k] - fractions[:, -1] for k in range(len(shares) - 1)]
+        tangents = np.empty((self.size, segment.samples))
+        for k, signal in enumerate(static):
+            tangents[k] = segment.signal(response * segment.spectrum(signal))
+        for k, change in enumerate(dynamic, start=len(static)):
+            tangents[k] = segment.signal(change * spectrum)
+        return tangents
+
+    def _response_slopes(
+        self, shape: Array, shares: Array, fractions: ComplexArray, frequency_Hz: Array
+    ) -> list[ComplexArray]:
+        """Derivatives of G by each entry of the linear shape: w^2/D, p/(s + p), the delay."""
+        n, s = self.modes, 2j * np.pi * frequency_Hz
+        by_frequency: list[ComplexArray] = []
+        by_damping: list[ComplexArray] = []
+        for m in range(n):
+            w, zeta = 2.0 * np.pi * np.exp(shape[m]), np.exp(shape[n + m])
+            denominator = s**2 + 2.0 * zeta * w * s + w**2
+            mode = shares[m] * fractions[:, m]
+            by_frequency.append(mode * (2.0 - (2.0 * zeta * w * s + 2.0 * w**2) / denominator))
+            by_damping.append(mode * (-2.0 * zeta * w * s / denominator))
+        by_lag = [
+            shares[n + k] * np.exp(-s * shape[-1]) * pole * s / (s + pole) ** 2
+            for k, pole in enumerate(2.0 * np.pi * np.exp(shape[2 * n : -1]))
+        ]
+        return [*by_frequency, *by_damping, *by_lag, -s * (fractions @ shares)]
+
+
+def _start(
+    operator: ModifiedPrandtlIshlinskii, dynamics: LinearDynamics, threshold_V: Array
+) -> tuple[Layout, Array]:
+    """Return layout and parameters of a separate fit; new plays begin without weight."""
+    weight = np.zeros(len(threshold_V))
+    weight[np.searchsorted(threshold_V, operator.plays.threshold)] = operator.plays.weight
+    layout = Layout(
+        plays=len(threshold_V),
+        zones=len(operator.dead_zones.weight),
+        modes=len(dynamics.mode_frequency_Hz),
+        lags=len(dynamics.lag_frequency_Hz),
+        threshold_m=operator.dead_zones.threshold,
+    )
+    gains = np.concatenate([dynamics.mode_gain_m_per_V, dynamics.lag_gain_m_per_V])[:, 0, 0]
+    theta = [
+        weight,
+        np.delete(operator.dead_zones.weight, operator.dead_zones.zero),
+        np.log(dynamics.mode_frequency_Hz),
+        np.log(dynamics.mode_damping),
+        np.log(dynamics.lag_frequency_Hz),
+        [dynamics.delay_s],
+        (gains / gains.sum())[:-1],
+    ]
+    return layout, np.concatenate(theta)
+
+
+def _fit(segments: Sequence[Segment], layout: Layout, start: Array) -> tuple[Array, list[Array]]:
+    """Fit all parameters to all segments; return them and the weights of the lines."""
+    logs = slice(layout.shape.start, layout.shape.stop - 1)
+    lower, longest = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    lower[: layout.plays] = lower[logs.stop] = 0.0  # weights of plays, and the delay
+    longest[logs] = MAX_LOG_STEP
+    theta, weights = start, _heavier([np.zeros(1) for _ in segments], segments, layout, start)
+    for _ in range(WEIGHT_ROUNDS):
+        theta = minimise(
+            partial(_Point, segments, layout, weights),
+            theta,
+            (lower, np.full(layout.size, np.inf)),
+            rule=STEPS,
+            longest=longest,
+        ).x
+        weights = _heavier(weights, segments, layout, theta)
+    return theta, weights
+
+
+def _residual(layout: Layout, theta: Array, segment: Segment) -> Array:
+    return _without_line(segment.measured_m - layout.simulate(theta, segment))
+
+
+def _residual_rms(segments: Sequence[Segment], layout: Layout, theta: Array) -> tuple[float, ...]:
+    return tuple(float(np.std(_residual(layout, theta, segment))) for segment in segments)
+
+
+def _without_line(signals: Array) -> Array:
+    """Return signals, (..., samples), without their straight lines."""
+    time = np.linspace(-1.0, 1.0, signals.shape[-1])
+    level = signals - signals.mean(axis=-1, keepdims=True)
+    return np.asarray(level - np.multiply.outer(level @ time / (time @ time), time))
+
+
+def _heavier(
+    weights: list[Array], segments: Sequence[Segment], layout: Layout, theta: Array
+) -> list[Array]:
+    """Return one over the standard deviation of each line, nowhere less than before.
+
+    A few low lines hold the whole of a slow sweep: free to lose their weight, they would give the
+    operator away for what little a better one gains elsewhere. For the same reason every segment
+    counts as if it had as many lines as the longest: its residual is the operator's error rather
+    than noise, and is not independent in every line.
+    """
+    longest = max(segment.samples for segment in segments)
+    heavier = []
+    for segment, before in zip(segments, weights, strict=True):
+        power = np.abs(rfft(_residual(layout, theta, segment))) ** 2
+        lines = np.arange(len(power))
+        band = np.floor(BANDS_PER_DECADE * np.log10(np.maximum(lines / BAND_LINES, 1.0)))
+        band = band.astype(np.int64)
+        count = np.bincount(band)
+        mean, middle = np.bincount(band, power) / count, np.bincount(band, lines) / count
+        weight = 1.0 / np.sqrt(np.maximum(np.interp(lines, middle, mean), TINY))
+        weight[0] = weight[lines > MAX_FREQUENCY * segment.samples] = 0.0
+        heavier.append(np.maximum(np.sqrt(longest / segment.samples) * weight, before))
+    return heavier
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Parameters, and the residual of the weighted lines of every segment."""
+
+    segments: Sequence[Segment]
+    layout: Layout
+    weights: Sequence[Array]
+    theta: Array
+
+    @Once
+    def errors(self) -> list[Array]:
+        return [
+            _weighted_lines(_residual(self.layout, self.theta, segment), weight)
+            for segment, weight in zip(self.segments, self.weights, strict=True)
+        ]
+
+    @property
+    def cost(self) -> float:
+        return sum(float(error @ error) for error in self.errors)
+
+    def linearised(self) -> NormalEquations:
+        size = self.layout.size
+        gram, slope = np.zeros((size, size)), np.zeros(size)
+        for segment, weight, error in zip(self.segments, self.weights, self.errors, strict=True):
+            tangents = _without_line(self.layout.tangents(self.theta, segment))
+            J = _weighted_lines(tangents, weight)
+            gram += J @ J.T
+            slope -= J @ error
+        return NormalEquations(gram=gram, slope=slope, cost=self.cost)
+
+
+def _weighted_lines(signals: Array, weight: Array) -> Array:
+    """Real and imaginary parts of the weighted lines of signals, (..., 2 lines).
+
+    Half the spectrum of a real signal holds all of it: twice its squares are the whole sum.
+    """
+    spectrum: ComplexArray = rfft(signals) * (np.sqrt(2.0) * weight)
+    return np.asarray(spectrum.view(np.float64))
+
+
+def _covariance(
+    segments: Sequence[Segment], layout: Layout, theta: Array, weights: list[Array]
+) -> Array:
+    """Return the largest, parameter by parameter, of inverse curvature and two sandwiches.
+
+        C^-1 M C^-1,   M the sum of products of scores that count as one draw      [White 1982]
+
+    Scores are whitened derivatives times the whitened residual. Sums over neighbouring samples
+    include noise that changes in time [Newey & West 1987]; sums over parts of a segment include
+    the operator's error, which repeats from cycle to cycle and changes as the drive sweeps on.
+    """
+    curvature = np.zeros((layout.size, layout.size))
+    by_sample, by_part = curvature.copy(), curvature.copy()
+    for segment, weight in zip(segments, weights, strict=True):
+        both = np.vstack(
+            [
+                _without_line(layout.tangents(theta, segment)),
+                _residual(layout, theta, segment),
+            ]
+        )
+        whitened = irfft(rfft(both) * weight, segment.samples) * np.sqrt(segment.samples)
+        tangents, scores = whitened[:-1], whitened[:-1] * whitened[-1]
+        curvature += tangents @ tangents.T
+        edges = np.zeros((len(scores), NEIGHBOURS))
+        running = np.cumsum(np.concatenate([edges, scores, edges], axis=1), axis=1)
+        sums = running[:, NEIGHBOURS:] - running[:, :-NEIGHBOURS]
+        by_sample += sums @ sums.T / NEIGHBOURS
+        starts = np.linspace(0, scores.shape[1], PARTS + 1).astype(np.int64)[:-1]
+        sums = np.add.reduceat(scores, starts, axis=1)
+        by_part += sums @ sums.T * PARTS / (PARTS - 1) * (PARTS_QUANTILE / NORMAL_95) ** 2
+    scale = np.sqrt(np.maximum(np.diag(curvature), TINY))
+    inverse = np.linalg.pinv(curvature / np.outer(scale, scale), rcond=1e-12, hermitian=True)
+    inverse = inverse / np.outer(scale, scale)
+    spread = np.maximum(*(np.diag(inverse @ sums @ inverse) for sums in (by_sample, by_part)))
+    stretch = np.sqrt(np.maximum(spread / np.maximum(np.diag(inverse), TINY), 1.0))
+    return np.asarray(inverse * np.outer(stretch, stretch))
