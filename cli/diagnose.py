@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from rich.table import Table
 
-    from piezoid.diagnosis.change import Change
+    from piezoid.diagnosis.compare import ModelComparison
     from piezoid.diagnosis.diagnosis import Diagnosis
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid.identification.model import AxisModel
@@ -80,10 +80,10 @@ def diagnose(
             progress=told,
             threads=usable_cores(),
         )
-        change = None if model is None else _changed(model, recordings, found.axis, told)
-        since = None if change is None else change.to_json()
+        comparison = None if model is None else _compared(model, recordings, found.axis, told)
+        since = None if comparison is None else comparison.to_json()
         content = write_diagnosis(found, since=since)
-        page = diagnosis_page(found, recordings, declared, content)
+        page = diagnosis_page(found, recordings, declared, content, comparison)
         pages = {"diagnosis.json": content, "diagnosis.html": page.encode()}
         write_folder(out, pages, force=force)
     if json:
@@ -91,8 +91,8 @@ def diagnose(
     elif not quiet:
         _show(found, out)
         _tell_unused(recordings, found.axis)
-        if change is not None:
-            say(change.sentence)
+        if comparison is not None:
+            say(comparison.statement.text)
 
 
 def _model_in_front(files: list[Path]) -> "tuple[_Model | None, list[Path]]":
@@ -121,14 +121,14 @@ def _known(model: "_Model", axis: str | None) -> "AxisModel | None":
     return None if known is None else replace(known, starts=())
 
 
-def _changed(
+def _compared(
     model: "_Model", recordings: "Sequence[Recording]", axis: str, told: "Callable[[str], None]"
-) -> "Change":
-    from piezoid.diagnosis.change import change_since
+) -> "ModelComparison":
+    from piezoid.diagnosis.compare import compare
     from piezoid.identification.fit import moving
 
     known, digest = model
-    return change_since(known[axis], moving(recordings, axis), digest=digest, progress=told)
+    return compare(known[axis], moving(recordings, axis), digest=digest, progress=told)
 
 
 def _tell_unused(recordings: "Sequence[Recording]", axis: str) -> None:
@@ -204,12 +204,14 @@ def diagnosis_page(
     recordings: "Sequence[Recording]",
     lab: "Lab | None",
     written: bytes,
+    comparison: "ModelComparison | None" = None,
 ) -> str:
     """Return the page of one diagnosis.
 
     recordings  that were diagnosed
     lab         what the laboratory declares
     written     diagnosis.json, for the chain of digests
+    comparison  of the earlier model that was named before the recordings
     """
     from piezoid.identification.actuator_model import ActuatorModel
     from piezoid_reports.render import render_diagnosis
@@ -220,4 +222,4 @@ def diagnosis_page(
         sources={recording.name: recording.digest for recording in recordings},
         lab=None if lab is None else lab.digest or None,
     )
-    return render_diagnosis(model, recordings, found, written=written)
+    return render_diagnosis(model, recordings, found, comparison=comparison, written=written)

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from piezoid.calibration.since import Since
 from piezoid.counts import DISPLACEMENT
 from piezoid.design.design import Design
+from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.formatting import Scale
 from piezoid.identification.actuator_model import ActuatorModel
@@ -51,7 +51,7 @@ class Page:
     verification  of what ships, where it was run
     unshipped     by axis, why it does not ship beside the others
     lab           what the laboratory declared
-    since         an earlier calibration beside this one, where it was named
+    comparison    of an earlier model with these recordings, where one was named
     files         sealed files of the folder by name, for the chain of digests
     """
 
@@ -70,7 +70,7 @@ class Page:
     unshipped: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)
     lab: Lab | None = None
-    since: Since | None = None
+    comparison: ModelComparison | None = None
 
     @property
     def counted(self) -> tuple[str, ...]:

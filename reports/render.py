@@ -14,9 +14,9 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from piezoid.calibration.calibrate import Calibration
-from piezoid.calibration.since import Since
 from piezoid.counts import in_counts
 from piezoid.design.design import Design
+from piezoid.diagnosis.compare import ModelComparison
 from piezoid.diagnosis.diagnosis import Diagnosis
 from piezoid.identification.actuator_model import ActuatorModel
 from piezoid.identification.coupled.from_recordings import as_single_axes
@@ -60,7 +60,6 @@ def render(
     unshipped: Mapping[str, str] = MappingProxyType({}),
     files: Mapping[str, bytes] = MappingProxyType({}),
     lab: Lab | None = None,
-    since: Since | None = None,
 ) -> str:
     """Return report.html.
 
@@ -76,7 +75,6 @@ def render(
     unshipped   by axis, why it does not ship beside the others
     files       of the folder the page belongs to, for their digests
     lab         what the laboratory declared
-    since       an earlier calibration beside this one
     """
     recordings = as_single_axes(recordings, None, model.coupled)
     page = Page(
@@ -94,7 +92,6 @@ def render(
         unshipped=unshipped,
         files=files,
         lab=lab,
-        since=since,
     )
     return _written(page, SECTIONS if model.axes else OF_STAGE)
 
@@ -111,12 +108,14 @@ def render_diagnosis(
     diagnosis: Diagnosis,
     *,
     note: str = "",
+    comparison: ModelComparison | None = None,
     written: bytes = b"",
 ) -> str:
     """Return diagnosis.html: causes in recordings, against a model that was fitted to them.
 
     model    to draw on; it is in no file
     note     what must be known of the pictures
+    comparison  of an earlier model with these recordings
     written  diagnosis.json
     """
     page = Page(
@@ -126,6 +125,7 @@ def render_diagnosis(
         model_digest="",
         diagnoses=(diagnosis,),
         note=note,
+        comparison=comparison,
         files={"diagnosis.json": written} if written else {},
     )
     return _written(page, OF_DIAGNOSIS)

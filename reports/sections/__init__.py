@@ -17,13 +17,13 @@ from piezoid_reports.sections import (
     loading_curve,
     loops,
     measures,
+    model_comparison,
     motion,
     orders,
     parameters,
     provenance,
     residual_over_drive,
     residual_over_time,
-    since,
     tunnelling,
     tunnelling_loop,
     uncertainty,
@@ -35,7 +35,6 @@ Render = Callable[[Page], Section | None]
 
 SECTIONS: tuple[Render, ...] = (
     verdict.render,
-    since.render,
     coupling.render,
     measures.render,
     motion.render,
@@ -60,7 +59,6 @@ SECTIONS: tuple[Render, ...] = (
 # What a stage without a single fitted axis still has to say, for example of its tunnelling tip.
 OF_STAGE: tuple[Render, ...] = (
     verdict.render,
-    since.render,
     coupling.render,
     tunnelling.render,
     tunnelling_loop.render,
@@ -73,4 +71,8 @@ OF_STAGE: tuple[Render, ...] = (
 OF_DESIGN: tuple[Render, ...] = (design.render, provenance.render)
 
 # A diagnosis of new recordings of a stage that was fitted before.
-OF_DIAGNOSIS: tuple[Render, ...] = (diagnosis.render, provenance.render)
+OF_DIAGNOSIS: tuple[Render, ...] = (
+    model_comparison.render,
+    diagnosis.render,
+    provenance.render,
+)

@@ -8,7 +8,6 @@ from piezoid_reports.first_screen import facts, figures, left_out, tip_cards
 from piezoid_reports.junction_words import judged, loop_judged
 from piezoid_reports.page import Card, Cards, Page, Prose, Said, Section
 from piezoid_reports.quantities import percent, told
-from piezoid_reports.sections import since
 from piezoid_reports.traces import Trace, rms
 from piezoid_reports.weaknesses import Weakness, weaknesses_of
 from piezoid_reports.what_is_left import named
@@ -36,7 +35,7 @@ def render(page: Page) -> Section:
         title="Verdict",
         lead="",
         parts=(
-            Said(sentences=(*sentences(page), *_since(page)), tone=worst),
+            Said(sentences=sentences(page), tone=worst),
             Cards(cards=(*(_card(page, axis) for axis in page.axes), *tip_cards(page))),
         ),
     )
@@ -82,11 +81,6 @@ def _data(axes: list[AxisModel], said: str) -> tuple[tuple[str, str], ...]:
     odd = [limit.reason for axis in axes for limit in axis.quality.limits if limit.is_odd]
     left = [reason for reason in dict.fromkeys(odd) if reason not in said]
     return (("Data", f"{'; '.join(left)}."),) if left else ()
-
-
-def _since(page: Page) -> tuple[tuple[str, str], ...]:
-    """Return what changed since an earlier calibration, where one was named."""
-    return () if page.since is None else (("Since", since.sentence(page.since)),)
 
 
 def _ships(page: Page) -> str:

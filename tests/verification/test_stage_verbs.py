@@ -149,53 +149,6 @@ def test_a_designed_folder_is_exported_and_verified(folder):
     assert (folder / "model.json").exists()
 
 
-def compared(now, then):
-    """Return what `piezoid report now --since then` hands to a script."""
-    done = called("report", now, "--since", then, "--json")
-    assert done.exit_code == 0, done.output
-    return json.loads(done.stdout)["since"]
-
-
-def test_a_controller_holds_on_the_stage_it_was_made_for_and_not_on_one_that_moves_further(
-    folder, tmp_path_factory
-):
-    assert called("export", folder).exit_code == 0
-    today = tmp_path_factory.mktemp("today")
-    (today / "model.json").write_bytes((folder / "model.json").read_bytes())
-    same = compared(today, folder)
-    assert (same["controller_holds"], same["controller_failed"]) == (True, [])
-    assert (today / "report.html").is_file()
-
-    axis = fitted().axes["x"]
-    plays = replace(axis.hysteresis.plays, weight=4.0 * axis.hysteresis.plays.weight)
-    known = replace(axis.uncertainty, loading_m=4.0 * axis.uncertainty.loading_m)
-    hysteresis = replace(axis.hysteresis, plays=plays)
-    further = replace(axis, hysteresis=hysteresis, uncertainty=known)
-    (today / "model.json").write_bytes(write_model(replace(fitted(), axes={"x": further})))
-    other = compared(today, folder)
-    assert other["controller_holds"] is False
-    assert other["controller_failed"]
-    assert [one["name"] for one in other["moved"] if one["beyond_intervals"]]
-
-
-def test_of_a_controller_of_then_those_axes_run_that_are_known_now(folder, tmp_path_factory):
-    assert called("export", folder).exit_code == 0
-    file = from_json((folder / "params.json").read_bytes(), "params.json")
-    both = (file.axes[0], replace(file.axes[0], axis="y"))
-    (folder / "params.json").write_bytes(to_json(replace(file, axes=both)))
-    today = tmp_path_factory.mktemp("today")
-    (today / "model.json").write_bytes((folder / "model.json").read_bytes())
-    found = compared(today, folder)
-    assert found["controller_holds"] is True
-    assert found["controller_not_run"] == "nothing of axis y was identified now."
-
-
-def test_an_earlier_calibration_without_a_controller_is_compared_all_the_same(folder):
-    found = compared(folder, folder)
-    assert found["controller_holds"] is None
-    assert "no params.json" in found["controller_not_run"]
-
-
 def test_exporting_again_gives_the_same_bytes(folder):
     called("export", folder)
     first = (folder / "params.json").read_bytes()

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from piezoid.diagnosis.change import change_since
+from piezoid.diagnosis.compare import compare
 from piezoid.identification.extensions import FirstOrderLag, GainChange, ThermalDrift
 from piezoid.identification.quality import Verdict
 from tests.identification.joint.stage import NOISE_m, known_model, recordings_of
 
 
 def test_a_model_that_still_holds_is_said_to_hold() -> None:
-    found = change_since(known_model(), recordings_of())
-    assert "still holds" in found.sentence
-    assert found.as_it_was_m < 1.3 * NOISE_m
+    found = compare(known_model(), recordings_of())
+    assert "still holds" in found.statement.text
+    assert found.unchanged_error_m < 1.3 * NOISE_m
     value, low, high = found.gain_ratio
     assert low <= 1.0 <= high
     assert value == pytest.approx(1.0, abs=1e-3)
@@ -24,17 +24,17 @@ def test_a_model_that_still_holds_is_said_to_hold() -> None:
 
 def test_another_sensitivity_is_measured_and_explains_the_error() -> None:
     more = GainChange(recording="slow.csv", instant_s=0.0, ratio=1.03, later=("fast.csv",))
-    found = change_since(known_model(), recordings_of(more))
+    found = compare(known_model(), recordings_of(more))
     assert found.gain_ratio[0] == pytest.approx(1.03, abs=2e-3)
-    assert re.search(r"moves (3\.0|2\.9)\d % .* more than", found.sentence)
-    assert found.as_it_was_m > 5 * NOISE_m
-    assert found.other_gain_m < 1.3 * NOISE_m
+    assert re.search(r"moves (3\.0|2\.9)\d % .* more than", found.statement.text)
+    assert found.unchanged_error_m > 5 * NOISE_m
+    assert found.rescaled_error_m < 1.3 * NOISE_m
 
 
 def test_more_than_a_sensitivity_is_not_given_to_it() -> None:
-    found = change_since(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
-    assert "more than the sensitivity changed" in found.sentence
-    assert found.refitted_m < 0.9 * found.other_gain_m
+    found = compare(known_model(), recordings_of(FirstOrderLag(lag_s=0.01)))
+    assert "more than the sensitivity changed" in found.statement.text
+    assert found.refitted_error_m < 0.9 * found.rescaled_error_m
 
 
 def with_readings(recording, displacement_m):
@@ -52,10 +52,10 @@ def test_a_sensitivity_is_told_beside_sparks_as_in_a_clean_file() -> None:
         reading_m = np.array(recording.displacement_m())
         reading_m[77::83] += 0.4e-6
         sparked.append(with_readings(recording, reading_m))
-    found = change_since(known_model(), sparked)
+    found = compare(known_model(), sparked)
     assert found.gain_ratio[0] == pytest.approx(1.12, abs=2e-3)
-    assert "the sensitivity alone changed" in found.sentence
-    assert "12." in found.sentence
+    assert "only the sensitivity changed" in found.statement.text
+    assert "12." in found.statement.text
     assert not found.holds
 
 
@@ -64,16 +64,16 @@ def test_a_model_of_another_stage_does_not_hold_and_the_figure_says_so() -> None
         with_readings(recording, 2e-6 * np.sin(np.arange(recording.samples) / 97.0))
         for recording in recordings_of()
     ]
-    found = change_since(known_model(), strange)
+    found = compare(known_model(), strange)
     assert not found.holds
-    assert "does not hold" in found.sentence
-    assert "% of the motion" in found.sentence
+    assert "does not hold" in found.statement.text
+    assert "% of the motion" in found.statement.text
 
 
 def test_a_stage_that_moves_less_is_said_to_move_less() -> None:
     less = GainChange(recording="slow.csv", instant_s=0.0, ratio=0.88, later=("fast.csv",))
-    found = change_since(known_model(), recordings_of(less))
-    assert re.search(r"moves (12\.0|11\.9)\d % .* less than", found.sentence)
+    found = compare(known_model(), recordings_of(less))
+    assert re.search(r"moves (12\.0|11\.9)\d % .* less than", found.statement.text)
 
 
 def test_no_sensitivity_is_told_where_the_search_ran_into_its_end() -> None:
@@ -83,10 +83,10 @@ def test_no_sensitivity_is_told_where_the_search_ran_into_its_end() -> None:
         )
         for recording in recordings_of()
     ]
-    found = change_since(known_model(), strange)
-    assert "does not hold" in found.sentence
-    assert "90.00" not in found.sentence
-    assert "e+" not in found.sentence
+    found = compare(known_model(), strange)
+    assert "does not hold" in found.statement.text
+    assert "90.00" not in found.statement.text
+    assert "e+" not in found.statement.text
 
 
 def test_a_noisier_sensor_is_no_other_stage() -> None:
@@ -98,30 +98,30 @@ def test_a_noisier_sensor_is_no_other_stage() -> None:
         )
         for recording in recordings_of()
     ]
-    found = change_since(known_model(), noisy)
-    assert "still holds" in found.sentence
-    assert "the sensor's noise is" in found.sentence
+    found = compare(known_model(), noisy)
+    assert "still holds" in found.statement.text
+    assert "sensor noise rose" in found.statement.text
 
 
 def test_a_model_that_never_applied_holds_nowhere() -> None:
     never = replace(known_model(), verdict=Verdict(applies=False, reason="loops turn back"))
-    found = change_since(never, recordings_of())
+    found = compare(never, recordings_of())
     assert not found.holds
-    assert "still holds" not in found.sentence
-    assert "loops turn back" in found.sentence
+    assert "still holds" not in found.statement.text
+    assert "loops turn back" in found.statement.text
 
 
 def test_what_belonged_to_the_recordings_of_then_is_left_behind() -> None:
     drift = ThermalDrift.of([])
     old = replace(known_model(), extensions=(drift,))
     assert (
-        change_since(old, recordings_of()).to_json()
-        == change_since(known_model(), recordings_of()).to_json()
+        compare(old, recordings_of()).to_json()
+        == compare(known_model(), recordings_of()).to_json()
     )
 
 
 def test_the_record_is_json_with_the_sentence_in_it() -> None:
-    content = change_since(known_model(), recordings_of(), digest="sha256:1").to_json()
+    content = compare(known_model(), recordings_of(), digest="sha256:1").to_json()
     again = json.loads(json.dumps(content, allow_nan=False))
     assert again == content
     assert again["model_digest"] == "sha256:1"

@@ -1,0 +1,268 @@
+"""Compare a model with later recordings: it holds, the sensitivity changed, or more than that.
+
+Three simulations of the new recordings, judged on the same held-out blocks: the model as it was
+fitted, with the initial state and zero of each recording; the same with another sensitivity; and
+everything refitted.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+from typing import Any
+
+import numpy as np
+
+from piezoid.counts import in_counts
+from piezoid.errors import RecordingError
+from piezoid.formatting import significant, with_unit
+from piezoid.identification.extensions.gain_change import GainChange
+from piezoid.identification.extensions.mains_lines import MainsLines
+from piezoid.identification.extensions.thermal_drift import ThermalDrift
+from piezoid.identification.hysteresis.outlying import outlying
+from piezoid.identification.joint.fit_extended import Extended, fit_extended
+from piezoid.identification.joint.vector import Structure
+from piezoid.identification.model import AxisModel
+from piezoid.identification.simulation import simulate_recording
+from piezoid.numerics.noise import white_noise_rms
+from piezoid.records.comparison import counted_in
+from piezoid.records.recording import Quantity, Recording
+from piezoid.statement import Kind, Level, Statement
+
+FIXED_OPERATOR = Structure(operator=False)
+STUDENT_95_FIVE_FOLDS = 2.8
+RECORDING_EFFECTS = (GainChange, MainsLines, ThermalDrift)  # belong to the recordings of the fit
+MIN_GAIN = 0.05  # of the error: a change that takes off less is none
+# Error over that of the fit: another excitation of the same stage doubles it (Preisach ceramics
+# leave 0.08 % on a like sweep and 0.15 % on a staircase), a lag or a load multiplies it.
+MAX_GROWTH = 3.0
+MAX_SHARE = 0.2  # of the motion, rms: 8 % of the range of a triangle, where no fit applies either
+NOISE_GROWTH = 2.0  # sensors of one stage differ by less from day to day
+RATIO_LIMITS = (0.11, 9.0)  # inside the limits of the search, at which nothing was found
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelComparison:
+    """How well a model describes later recordings; rms errors on held-out blocks.
+
+    digest            of the model's file
+    rejection         why the model did not apply when it was fitted; empty where it did
+    fitted_error_m    of the model on the recordings of the fit
+    motion_m          of the new recordings about their means
+    unchanged_error_m with the model unchanged; only initial states and zeros are fitted
+    rescaled_error_m  with another sensitivity as well
+    refitted_error_m  with everything refitted
+    gain_ratio        new sensitivity over old, with its 95 % interval
+    fitted_noise_m    of the sensor in the recordings of the fit
+    noise_m           of the sensor in the new recordings
+    counted           as ``AxisModel.counted``
+    """
+
+    axis: str
+    digest: str
+    rejection: str = ""
+    fitted_error_m: float
+    motion_m: float
+    unchanged_error_m: float
+    rescaled_error_m: float
+    refitted_error_m: float
+    gain_ratio: tuple[float, float, float]
+    fitted_noise_m: float
+    noise_m: float
+    counted: tuple[str, ...] = ()
+
+    @property
+    def holds(self) -> bool:
+        """Whether the model applied to its own recordings and its error has hardly grown."""
+        return not self.rejection and self._is_small(self.unchanged_error_m)
+
+    @property
+    def sensitivity_changed(self) -> bool:
+        """Whether another sensitivity is significant and reduces the error.
+
+        A change below the error of the fit is none: any factor improves a poor fit a little.
+        """
+        ratio, low, high = self.gain_ratio
+        reduces = self.rescaled_error_m <= (1.0 - MIN_GAIN) * self.unchanged_error_m
+        exceeds_error = abs(ratio - 1.0) * self.motion_m > self.fitted_error_m
+        in_limits = RATIO_LIMITS[0] < ratio < RATIO_LIMITS[1]
+        return reduces and exceeds_error and in_limits and not low <= 1.0 <= high
+
+    @property
+    def only_sensitivity_changed(self) -> bool:
+        """Whether the new sensitivity leaves little, or nothing that a refit reduces."""
+        if not self.sensitivity_changed or self.rescaled_error_m > MAX_SHARE * self.motion_m:
+            return False
+        as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.rescaled_error_m
+        return as_good or self._is_small(self.rescaled_error_m)
+
+    @property
+    def statement(self) -> Statement:
+        """The result in one sentence."""
+        return Statement(
+            kind=Kind.FINDING,
+            level=Level.NOTE if self.holds and not self.sensitivity_changed else Level.ACTION,
+            quantity="model_comparison",
+            text=in_counts(f"axis {self.axis}: {self._text()}", self.counted),
+            axis=self.axis,
+            value=self.unchanged_error_m,
+            unit="m",
+        )
+
+    def _text(self) -> str:
+        error, noise = self._share(self.unchanged_error_m), self._noise_text()
+        fitted = f"{with_unit(self.fitted_error_m, 'm')} at the fit"
+        if self.rejection:
+            return (
+                f"the model does not hold, and never applied ({self.rejection}); error "
+                f"{error}{noise}"
+            )
+        change = self._sensitivity_text()
+        if self.only_sensitivity_changed:
+            return (
+                f"only the sensitivity changed: {change}; error {error}, with the new sensitivity "
+                f"{self._share(self.rescaled_error_m)}{noise}"
+            )
+        as_good = self.refitted_error_m > (1.0 - MIN_GAIN) * self.unchanged_error_m
+        if self.holds and (as_good or self.unchanged_error_m <= self.fitted_error_m):
+            return f"the model still holds; error {error}, {fitted}{noise}"
+        verdict = "holds less well" if self.holds else "does not hold"
+        return (
+            f"the model {verdict}: more than the sensitivity changed. Error {error}, {fitted}; "
+            f"{with_unit(self.rescaled_error_m, 'm')} with another sensitivity"
+            f"{f' ({change})' if change else ''}, {with_unit(self.refitted_error_m, 'm')} "
+            f"refitted{noise}"
+        )
+
+    def _sensitivity_text(self) -> str:
+        if not self.sensitivity_changed:
+            return ""
+        ratio, low, high = self.gain_ratio
+        return (
+            f"the stage moves {100.0 * abs(ratio - 1.0):.2f} % (+- {50.0 * (high - low):.2f} %) "
+            f"{'more' if ratio > 1.0 else 'less'} than at the fit"
+        )
+
+    def _noise_text(self) -> str:
+        if self.noise_m <= NOISE_GROWTH * self.fitted_noise_m:
+            return ""
+        return (
+            f"; the sensor noise rose from {with_unit(self.fitted_noise_m, 'm')} to "
+            f"{with_unit(self.noise_m, 'm')} rms"
+        )
+
+    def _is_small(self, error_m: float) -> bool:
+        """Return whether an error, without the added noise of the sensor, has hardly grown."""
+        added_noise_m2 = max(self.noise_m**2 - self.fitted_noise_m**2, 0.0)
+        model_error_m = sqrt(max(error_m**2 - added_noise_m2, 0.0))
+        grown = model_error_m > MAX_GROWTH * self.fitted_error_m
+        return not grown and error_m <= MAX_SHARE * self.motion_m
+
+    def _share(self, error_m: float) -> str:
+        share = 100.0 * error_m / self.motion_m
+        return f"{with_unit(error_m, 'm')} ({significant(share, 2)} % of the motion)"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of ``since_model`` in diagnosis.json."""
+        ratio, low, high = self.gain_ratio
+        return {
+            "axis": self.axis,
+            "model_digest": self.digest,
+            "holds": self.holds,
+            "held_out_rms_then_m": self.fitted_error_m,
+            "motion_rms_m": self.motion_m,
+            "as_it_was_rms_m": self.unchanged_error_m,
+            "other_gain_rms_m": self.rescaled_error_m,
+            "refitted_rms_m": self.refitted_error_m,
+            "gain_ratio": {"value": ratio, "unit": "1", "ci95": [low, high]},
+            "explanation": self.statement.text,
+        }
+
+
+def compare(
+    model: AxisModel,
+    recordings: Sequence[Recording],
+    *,
+    digest: str = "",
+    progress: Callable[[str], None] = lambda _: None,
+) -> ModelComparison:
+    """Compare a fitted axis with recordings made later.
+
+    Args:
+        model: as it was fitted.
+        recordings: new ones in which the axis moves.
+        digest: of the model's file.
+        progress: called with a sentence at each step.
+
+    Raises:
+        RecordingError: the recordings are in other units than the model.
+    """
+    if counted_in(recordings) != model.counted:
+        units = [" and ".join(c) or "nothing" for c in (model.counted, counted_in(recordings))]
+        raise RecordingError(
+            f"the model has {units[0]} in counts of the converter, the recordings {units[1]}",
+            needed="recordings in the units of the model",
+            remedy="Write scale = { ... } into lab.toml as at the fit.",
+        )
+    progress("simulating the model as it was")
+    model = model.without_minor_loops()  # what is refitted is plays with dead zones
+    lasting = tuple(e for e in model.extensions if not isinstance(e, RECORDING_EFFECTS))
+    start = replace(model, extensions=lasting, starts=())
+    unchanged = fit_extended(start, recordings, lasting, structure=FIXED_OPERATOR)
+    cleaned = [_without_outliers(unchanged.model, recording) for recording in recordings]
+    if any(a is not b for a, b in zip(recordings, cleaned, strict=True)):
+        unchanged = fit_extended(start, cleaned, lasting, structure=FIXED_OPERATOR)
+    first, *later = (recording.name for recording in cleaned)
+    change = GainChange(recording=first, instant_s=0.0, ratio=1.0, later=tuple(later))
+    rescaled = fit_extended(start, cleaned, (*lasting, change), structure=FIXED_OPERATOR)
+    progress("refitting the model")
+    refitted = fit_extended(rescaled.model, cleaned, lasting)
+    moved_m = [r.displacement_m(model.axis) for r in cleaned]
+    centred_m = np.concatenate([values - values.mean() for values in moved_m])
+    errors_m = [
+        m - simulate_recording(refitted.model, r) for m, r in zip(moved_m, cleaned, strict=True)
+    ]
+    return ModelComparison(
+        axis=model.axis,
+        digest=digest,
+        counted=model.counted,
+        rejection="" if model.verdict.applies else model.verdict.reason,
+        fitted_error_m=model.quality.held_out_rms_m,
+        motion_m=float(np.sqrt(np.mean(centred_m**2))),
+        unchanged_error_m=unchanged.held_out_rms_m,
+        rescaled_error_m=rescaled.held_out_rms_m,
+        refitted_error_m=min(refitted.held_out_rms_m, unchanged.held_out_rms_m),
+        gain_ratio=_gain_ratio(rescaled),
+        fitted_noise_m=model.quality.noise_rms_m,
+        noise_m=max(map(white_noise_rms, errors_m)),
+    )
+
+
+def _without_outliers(model: AxisModel, recording: Recording) -> Recording:
+    """Return a recording in which outliers of a model's simulation are bridged."""
+    measured_m, drive_V = recording.displacement_m(model.axis), recording.voltage_V(model.axis)
+    error_m = measured_m - simulate_recording(model, recording)
+    outliers = [
+        piece.start + int(k)
+        for piece in recording.pieces
+        if np.isfinite(error_m[piece]).all()
+        for k in outlying(error_m[piece], drive_V[piece])
+    ]
+    if not outliers:
+        return recording
+    rows = np.arange(recording.samples)
+    valid = np.setdiff1d(rows, [*recording.bridged, *outliers])
+    channels = tuple(
+        replace(channel, values=np.interp(rows, valid, measured_m[valid]))
+        if (channel.quantity, channel.axis) == (Quantity.DISPLACEMENT, model.axis)
+        else channel
+        for channel in recording.channels
+    )
+    bridged = tuple(sorted({*recording.bridged, *outliers}))
+    return replace(recording, channels=channels, bridged=bridged)
+
+
+def _gain_ratio(fit: Extended) -> tuple[float, float, float]:
+    index = next(k for k, e in enumerate(fit.model.extensions) if isinstance(e, GainChange))
+    value = float(fit.model.extensions[index].free().value[0])
+    half_width = STUDENT_95_FIVE_FOLDS * float(np.asarray(fit.spread[index])[0])
+    return value, value - half_width, value + half_width
